@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wlr_render.geometry import directions, pinhole, planes, rays, transforms
+
+LEADS = [(), (1,), (3, 1, 2)]
+
+
+@pytest.mark.parametrize("lead", LEADS)
+def test_tangents_and_directions_round_trip(lead):
+    rng = np.random.default_rng(1)
+    tangents = rng.uniform(-1.5, 1.5, (*lead, 2))
+    view_dir = directions.dir_of_tangents(tangents)
+    np.testing.assert_allclose(np.linalg.norm(view_dir, axis=-1), 1, atol=1e-15)
+    np.testing.assert_allclose(directions.tangents_of_dir(view_dir), tangents, atol=1e-14)
+
+
+def test_a_direction_that_looks_back_has_no_tangents():
+    assert np.isnan(directions.tangents_of_dir(np.array([0.0, 0.0, 1.0]))).all()
+
+
+def test_small_angles_are_exact():
+    angle = 1e-9
+    first, second = np.array([0, 0, -1.0]), np.array([np.sin(angle), 0, -np.cos(angle)])
+    assert directions.angle_between(first, second) == pytest.approx(angle, rel=1e-9)
+
+
+def test_rigid_inverse_and_named_composition():
+    rng = np.random.default_rng(2)
+    b_from_a = transforms.rigid(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    point_in_a = rng.normal(size=(4, 5, 3))
+    point_in_b = transforms.apply(b_from_a, point_in_a)
+    np.testing.assert_allclose(transforms.apply(transforms.inverse(b_from_a), point_in_b), point_in_a, atol=1e-14)
+
+
+def test_quaternions_agree_with_scipy_also_at_half_turns():
+    rng = np.random.default_rng(3)
+    for rotation in [*Rotation.random(50, rng=rng), Rotation.from_rotvec([np.pi, 0, 0])]:
+        xyzw = transforms.quaternion_of_rotation(rotation.as_matrix())
+        np.testing.assert_allclose(transforms.rotation_of_quaternion(xyzw), rotation.as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(Rotation.from_quat(xyzw).as_matrix(), rotation.as_matrix(), atol=1e-12)
+
+
+def test_rotation_about_is_right_handed():
+    np.testing.assert_allclose(transforms.rotation_about("z", np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(transforms.rotation_about("x", np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+
+
+def test_slerp_turns_at_constant_rate_the_short_way():
+    first = np.array([0, 0, 0, 1.0])
+    second = -Rotation.from_rotvec([0, 0.8, 0]).as_quat()
+    for fraction in (0.0, 0.25, 1.0):
+        mixed = transforms.slerp(first, second, np.array(fraction))
+        expected = Rotation.from_rotvec([0, 0.8 * fraction, 0]).as_matrix()
+        np.testing.assert_allclose(transforms.rotation_of_quaternion(mixed), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("lead", LEADS)
+def test_carrying_to_the_base_plane_stays_on_the_ray(lead):
+    rng = np.random.default_rng(4)
+    plane = planes.BasePlane(-0.03)
+    point, tangents = rng.normal(size=(*lead, 3)), rng.uniform(-1, 1, (*lead, 2))
+    carried = plane.lift(plane.carry(point, tangents))
+    ray = rays.pack(point, directions.dir_of_tangents(tangents))
+    np.testing.assert_allclose(rays.distance_to_point(ray, carried), 0, atol=1e-14)
+    np.testing.assert_allclose(rays.at_z(ray, plane.z)[..., :3], carried, atol=1e-13)
+
+
+def test_pinhole_covers_and_round_trips_with_v_down():
+    tangents = np.array([[-0.4, -1.2], [0.5, 0.2], [np.nan, 0.0]])
+    camera = pinhole.Pinhole.covering(tangents, 1000.0)
+    pixel = camera.pixel_of_tangents(tangents[:2])
+    assert (pixel >= 0).all()
+    assert (pixel <= [camera.width_px, camera.height_px]).all()
+    assert pixel[0, 1] > pixel[1, 1]  # lower in the world is further down the image
+    np.testing.assert_allclose(camera.tangents_of_pixel(pixel), tangents[:2], atol=1e-14)
+    np.testing.assert_allclose(camera.focal_px, 1000.0)
+    np.testing.assert_allclose(camera.pixel_of_tangents(camera.pixel_centre_tangents())[3, 7], [7.5, 3.5], atol=1e-10)

@@ -1,0 +1,1 @@
+"""World-locked rendering for augmented-reality glasses."""

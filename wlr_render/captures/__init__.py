@@ -1,0 +1,1 @@
+"""What a calibration bench delivers: correspondences, and the files that hold them."""

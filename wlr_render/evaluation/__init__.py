@@ -1,0 +1,1 @@
+"""Errors in arcminutes: mapping against mapping, image against truth."""

@@ -1,0 +1,213 @@
+"""Where shipped files lie, how files are written, and how TOML is read.
+
+Every output goes to a temporary name in the same folder and is renamed when it is whole, so that a reader never
+meets half a file and a failed run leaves the old one in place.
+"""
+
+import contextlib
+import difflib
+import math
+import os
+import tempfile
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def resource(folder: str, name: str = "") -> Path:
+    """Path of a shipped file: `folder` is "devices", "scenes" or "shaders".
+
+    In a wheel these folders lie inside the package, in a checkout beside it.
+    """
+    for root in (_PACKAGE, _PACKAGE.parent):
+        path = root / folder / name
+        if path.exists():
+            return path
+    raise BadInputError(f"The shipped file {folder}/{name} is missing: install wlr_render again.")
+
+
+def shipped_names(folder: str, suffix: str) -> list[str]:
+    """Stems of the shipped files of one kind, sorted, e.g. shipped_names("devices", ".toml")."""
+    return sorted(path.stem for path in resource(folder).glob(f"*{suffix}"))
+
+
+def named_or_path(folder: str, spec: str | Path, suffix: str = ".toml") -> Path:
+    """A shipped file by its bare name, or any file by its path.
+
+    Raises:
+        BadInputError: there is neither; the sentence lists the shipped names.
+    """
+    path = Path(spec)
+    if path.suffix == suffix or len(path.parts) > 1:
+        if not path.is_file():
+            raise BadInputError(f"{path}: there is no such file.")
+        return path
+    names = shipped_names(folder, suffix)
+    if str(spec) in names:
+        return resource(folder, f"{spec}{suffix}")
+    close = difflib.get_close_matches(str(spec), names, 1)
+    hint = f" Did you mean {close[0]}?" if close else ""
+    raise BadInputError(f"'{spec}' is neither a file nor one of the shipped {folder} ({', '.join(names)}).{hint}")
+
+
+def output_folder(path: str | Path) -> Path:
+    """Make a folder for outputs, or say in one sentence why it cannot be written."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInputError(f"{folder}: cannot write to this output folder ({reason}); choose another.") from error
+    return folder
+
+
+@contextlib.contextmanager
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """Give a temporary path with the same suffix; rename it to `path` if the block ends without an error."""
+    target = Path(path)
+    output_folder(target.parent)
+    handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+    os.close(handle)
+    temporary = Path(name)
+    umask = os.umask(0)
+    os.umask(umask)
+    try:
+        yield temporary
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file whole or not at all."""
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+class Table:
+    """One table of a TOML file, read key by key; `finish` refuses the keys that nobody read.
+
+    Each reader names the file, the table and the key in its complaint. Keys carry their unit as a suffix
+    (`_mm`, `_deg`, `_m`, `_px`, `_s`), so that a number without its unit is an unknown key.
+    """
+
+    def __init__(self, content: dict[str, Any], where: str) -> None:
+        self._content = content
+        self._read: set[str] = set()
+        self.where = where
+
+    def fail(self, sentence: str) -> BadInputError:
+        """The exception for a fault in this table; the caller raises it."""
+        return BadInputError(f"{self.where}: {sentence}")
+
+    def has(self, key: str) -> bool:
+        """Whether the key is present."""
+        return key in self._content
+
+    def _get(self, key: str) -> Any:
+        self._read.add(key)
+        if key not in self._content:
+            close = difflib.get_close_matches(key, [k for k in self._content if k not in self._read], 1)
+            hint = f" (found '{close[0]}' instead)" if close else ""
+            raise self.fail(f"key '{key}' is missing{hint}.")
+        return self._content[key]
+
+    def text(self, key: str, default: str | None = None, choices: Sequence[str] | None = None) -> str:
+        """A string, optionally one of `choices`."""
+        if default is not None and not self.has(key):
+            return default
+        value = self._get(key)
+        if not isinstance(value, str):
+            raise self.fail(f"'{key}' must be text in quotes, not {value!r}.")
+        if choices is not None and value not in choices:
+            raise self.fail(f"'{key}' is '{value}'; it must be one of {', '.join(choices)}.")
+        return value
+
+    def flag(self, key: str, default: bool) -> bool:
+        """A boolean."""
+        value = self._get(key) if self.has(key) else default
+        if not isinstance(value, bool):
+            raise self.fail(f"'{key}' must be true or false, not {value!r}.")
+        return value
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number."""
+        if default is not None and not self.has(key):
+            return default
+        return self._number(self._get(key), key)
+
+    def _number(self, value: Any, key: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.fail(f"'{key}' must be a number, not {value!r}.")
+        if not math.isfinite(value):
+            raise self.fail(f"'{key}' must be finite, not {value}.")
+        return float(value)
+
+    def vector(self, key: str, size: int, default: Sequence[float] | None = None) -> NDArray[np.float64]:
+        """A list of `size` finite numbers, shape (size,)."""
+        value = self._get(key) if default is None or self.has(key) else list(default)
+        if not isinstance(value, list) or len(value) != size:
+            raise self.fail(f"'{key}' must be a list of {size} numbers, not {value!r}.")
+        return np.array([self._number(item, key) for item in value])
+
+    def texts(self, key: str) -> list[str]:
+        """A list of strings."""
+        value = self._get(key)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise self.fail(f"'{key}' must be a list of texts, not {value!r}.")
+        return list(value)
+
+    def table(self, key: str) -> "Table":
+        """A sub-table `[key]`."""
+        value = self._get(key)
+        if not isinstance(value, dict):
+            raise self.fail(f"'{key}' must be a table, written [{key}].")
+        return Table(value, f"{self.where} [{key}]")
+
+    def tables(self, key: str, required: bool = True) -> list["Table"]:
+        """An array of tables `[[key]]`, in file order."""
+        if not required and not self.has(key):
+            return []
+        value = self._get(key)
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise self.fail(f"'{key}' must be an array of tables, written [[{key}]].")
+        return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
+
+    def keys(self) -> list[str]:
+        """All keys present, in file order."""
+        return list(self._content)
+
+    def finish(self) -> None:
+        """Refuse keys that nobody asked for: a typing mistake must not be silently ignored."""
+        for key in self._content:
+            if key not in self._read:
+                close = difflib.get_close_matches(key, sorted(self._read), 1)
+                remedy = f"did you mean '{close[0]}'?" if close else "remove it."
+                raise self.fail(f"unknown key '{key}'; {remedy}")
+
+
+def read_toml(path: str | Path) -> Table:
+    """Open a TOML file as a `Table`.
+
+    Raises:
+        BadInputError: the file cannot be read or is not TOML; the sentence has the line.
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: is not valid TOML ({error}).") from error
+    return Table(content, str(path))

@@ -1,0 +1,41 @@
+"""Unit directions, their tangents, and angles between them. Device frame: looking along -z."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+ARCMIN = np.pi / 180 / 60
+"""One arcminute in radians."""
+
+
+def normalised(vector: FloatArray) -> FloatArray:
+    """Scale (..., 3) to unit length."""
+    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))
+
+
+def tangents_of_dir(direction: FloatArray) -> FloatArray:
+    """(..., 3) -> (..., 2): (x, y) where the direction meets the plane z = -1.
+
+    NaN for directions that do not look forward (z >= 0).
+    """
+    depth = np.where(direction[..., 2] < 0, -direction[..., 2], np.nan)
+    return np.asarray(direction[..., :2] / depth[..., None])
+
+
+def dir_of_tangents(tangents: FloatArray) -> FloatArray:
+    """(..., 2) -> (..., 3): the unit direction through (tx, ty, -1)."""
+    tx, ty = tangents[..., 0], tangents[..., 1]
+    scale = 1.0 / np.sqrt(tx * tx + ty * ty + 1.0)
+    return np.stack([tx * scale, ty * scale, -scale], axis=-1)
+
+
+def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Angle in radians between unit directions (..., 3); exact for small angles, where arccos is not."""
+    chord = np.linalg.norm(first - second, axis=-1)
+    return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
+
+
+def arcmin_between(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Angle in arcminutes between unit directions (..., 3)."""
+    return angle_between(first, second) / ARCMIN

@@ -1,0 +1,59 @@
+"""The pinhole camera of the device frame: looks along -z, y up; pixels (0, 0) at the outer corner, v down."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """An off-centre pinhole whose axes are the device's, so that a pixel is affine in the two tangents.
+
+    Attributes:
+        width_px, height_px: image size.
+        tangent_min: (2,) tangents (tx, ty) of the left and bottom image edges.
+        tangent_max: (2,) tangents of the right and top image edges.
+    """
+
+    width_px: int
+    height_px: int
+    tangent_min: FloatArray
+    tangent_max: FloatArray
+
+    @classmethod
+    def covering(cls, tangents: FloatArray, pixels_per_tangent: float, margin_px: int = 2) -> "Pinhole":
+        """The smallest camera that holds all finite `tangents` (..., 2) at a given resolution."""
+        flat = tangents.reshape(-1, 2)
+        flat = flat[np.isfinite(flat).all(axis=1)]
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        size = np.ceil((high - low) * pixels_per_tangent).astype(int) + 2 * margin_px
+        centre, half = 0.5 * (low + high), 0.5 * size / pixels_per_tangent
+        return cls(int(size[0]), int(size[1]), centre - half, centre + half)
+
+    @property
+    def focal_px(self) -> FloatArray:
+        """(2,) pixels per unit tangent in u and v, both positive."""
+        size = np.array([self.width_px, self.height_px])
+        return np.asarray(size / (self.tangent_max - self.tangent_min))
+
+    @property
+    def centre_px(self) -> FloatArray:
+        """(2,) pixel that looks straight ahead (tangents 0, 0); may lie outside the image."""
+        focal = self.focal_px
+        return np.array([-self.tangent_min[0] * focal[0], self.tangent_max[1] * focal[1]])
+
+    def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
+        """(..., 2) -> (..., 2) pixels; v runs down, ty up."""
+        return np.asarray(tangents * (self.focal_px * [1, -1]) + self.centre_px)
+
+    def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
+        """(..., 2) -> (..., 2), the inverse of `pixel_of_tangents`."""
+        return np.asarray((pixel - self.centre_px) / (self.focal_px * [1, -1]))
+
+    def pixel_centre_tangents(self) -> FloatArray:
+        """Tangents at all pixel centres, (height, width, 2)."""
+        u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
+        return self.tangents_of_pixel(np.stack([u, v], axis=-1))

@@ -1,0 +1,39 @@
+"""Rays packed as (..., 6): a point, then a unit direction."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def pack(origin: FloatArray, direction: FloatArray) -> FloatArray:
+    """(..., 3) and (..., 3) -> (..., 6)."""
+    origin, direction = np.broadcast_arrays(origin, direction)
+    return np.concatenate([origin, direction], axis=-1)
+
+
+def split(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(..., 6) -> origin (..., 3), direction (..., 3)."""
+    return ray[..., :3], ray[..., 3:]
+
+
+def at_z(ray: FloatArray, z: float | FloatArray) -> FloatArray:
+    """Slide each ray's point along its line to the plane z: (..., 6) -> (..., 6). Directions must not lie in it."""
+    origin, direction = split(ray)
+    along = (z - origin[..., 2]) / direction[..., 2]
+    return pack(origin + along[..., None] * direction, direction)
+
+
+def distance_to_point(ray: FloatArray, point: FloatArray) -> FloatArray:
+    """Distance between the ray's line and a point (..., 3): (...)."""
+    origin, direction = split(ray)
+    offset = point - origin
+    along = np.sum(offset * direction, axis=-1, keepdims=True)
+    return np.asarray(np.linalg.norm(offset - along * direction, axis=-1))
+
+
+def transformed(b_from_a: FloatArray, ray_in_a: FloatArray) -> FloatArray:
+    """Carry rays (..., 6) by one rigid transform (4, 4)."""
+    origin, direction = split(ray_in_a)
+    rotation = b_from_a[:3, :3]
+    return pack(origin @ rotation.T + b_from_a[:3, 3], direction @ rotation.T)

@@ -1,0 +1,90 @@
+"""Rigid transforms as 4x4 matrices and rotations as quaternions xyzw.
+
+A transform is named by what it does: `point_in_world = apply(world_from_device, point_in_device)`.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+OPENXR_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
+"""Rotation from axes x right, y down, z forward to x right, y up, z backward; its own inverse."""
+
+
+def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """(..., 4, 4) from rotation (..., 3, 3) and translation (..., 3)."""
+    rotation, translation = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    matrix = np.zeros((*shape, 4, 4))
+    matrix[..., :3, :3] = rotation
+    matrix[..., :3, 3] = translation
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def inverse(b_from_a: FloatArray) -> FloatArray:
+    """a_from_b of a rigid b_from_a, (..., 4, 4)."""
+    a_from_b_rotation = np.swapaxes(b_from_a[..., :3, :3], -1, -2)
+    return rigid(a_from_b_rotation, -np.einsum("...ij,...j->...i", a_from_b_rotation, b_from_a[..., :3, 3]))
+
+
+def apply(b_from_a: FloatArray, point_in_a: FloatArray) -> FloatArray:
+    """Carry points (..., 3) by one transform (4, 4)."""
+    return np.asarray(point_in_a @ b_from_a[:3, :3].T + b_from_a[:3, 3])
+
+
+def rotate(b_from_a: FloatArray, direction_in_a: FloatArray) -> FloatArray:
+    """Carry directions (..., 3) by the rotation of one transform (4, 4) or (3, 3)."""
+    return np.asarray(direction_in_a @ b_from_a[:3, :3].T)
+
+
+def rotation_about(axis: str, angle: float) -> FloatArray:
+    """Right-handed rotation (3, 3) about "x", "y" or "z" by `angle` radians."""
+    c, s = np.cos(angle), np.sin(angle)
+    i = "xyz".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    rotation = np.eye(3)
+    rotation[j, j] = rotation[k, k] = c
+    rotation[j, k], rotation[k, j] = -s, s
+    return rotation
+
+
+def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
+    """(..., 4) unit quaternion xyzw -> (..., 3, 3)."""
+    x, y, z, w = np.moveaxis(np.asarray(xyzw, dtype=np.float64), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_of_rotation(rotation: FloatArray) -> FloatArray:
+    """(3, 3) -> (4,) unit quaternion xyzw with w >= 0.
+
+    Takes the eigenvector of the largest eigenvalue of a symmetric 4x4 matrix (Bar-Itzhack 2000), which has no
+    branch and no weak spot at half turns.
+    """
+    r = np.asarray(rotation, dtype=np.float64)
+    k = np.zeros((4, 4))
+    k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
+    k[:3, 3] = k[3, :3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
+    k[3, 3] = np.trace(r)
+    xyzw = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(xyzw if xyzw[3] >= 0 else -xyzw)
+
+
+def slerp(first_xyzw: FloatArray, second_xyzw: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Spherical interpolation between unit quaternions (..., 4) at `fraction` (...) in 0..1, the short way."""
+    cosine = np.sum(first_xyzw * second_xyzw, axis=-1)
+    second = np.where(cosine[..., None] < 0, -second_xyzw, second_xyzw)
+    half = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    sine = np.sin(half)
+    small = sine < 1e-9
+    safe = np.where(small, 1.0, sine)
+    a = np.where(small, 1.0 - fraction, np.sin((1.0 - fraction) * half) / safe)
+    b = np.where(small, fraction, np.sin(fraction * half) / safe)
+    mixed = a[..., None] * first_xyzw + b[..., None] * second
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

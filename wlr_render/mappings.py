@@ -1,0 +1,187 @@
+"""The two protocols that join the building, and what every query returns.
+
+Traced truth, bundle fit and all baselines honour `DisplayMapping` and `SeeThroughMapping`; rendering, evaluation
+and diagnosis never ask which one they hold. All arrays are in the device frame (OpenXR: x right, y up, looking
+along -z), metres, and have any leading axes; `pixel`, `viewpoint`, `view_dir` and `point` broadcast against
+each other.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+StatusArray = NDArray[np.uint8]
+
+
+class Status(IntEnum):
+    """What became of a query; anything but OK and OUTSIDE_FIT has NaN for its value."""
+
+    OK = 0
+    OUTSIDE_FIT = 1
+    NOT_CONVERGED = 2
+    MISS = 3
+    CLIPPED = 4
+    TOTAL_REFLECTION = 5
+
+    @property
+    def sentence(self) -> str:
+        """The status in words."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Status.OK: "the query has an answer",
+    Status.OUTSIDE_FIT: "the query lies outside the box that the model was fitted on; its value is an extrapolation",
+    Status.NOT_CONVERGED: "the solve did not converge",
+    Status.MISS: "the ray misses a surface",
+    Status.CLIPPED: "the ray falls outside a clear aperture or the panel",
+    Status.TOTAL_REFLECTION: "the ray is totally reflected where it should be refracted",
+}
+
+
+def worst(*statuses: StatusArray) -> StatusArray:
+    """Element-wise worst of several broadcastable status arrays; the enumeration is ordered by severity."""
+    result = np.asarray(statuses[0], dtype=np.uint8)
+    for status in statuses[1:]:
+        result = np.maximum(result, status)
+    return result
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """Answer to a batched query.
+
+    Attributes:
+        value: (..., k) float64; NaN where the status is neither OK nor OUTSIDE_FIT.
+        status: (...) uint8, one `Status` each.
+        warm_start: what to pass as `warm_start` to the next query of the same shape, or None for closed forms.
+    """
+
+    value: FloatArray
+    status: StatusArray
+    warm_start: FloatArray | None = None
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Where there is a value inside the fit, (...) bool."""
+        return np.asarray(self.status == Status.OK)
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Where there is a value at all, inside the fit or extrapolated, (...) bool."""
+        return np.asarray(self.status <= Status.OUTSIDE_FIT)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A display panel as its pixels: (0, 0) is the outer corner of the top-left pixel, u right, v down."""
+
+    width_px: int
+    height_px: int
+
+    @property
+    def size_px(self) -> FloatArray:
+        """(2,): width, height."""
+        return np.array([self.width_px, self.height_px], dtype=np.float64)
+
+    def pixel_centres(self) -> FloatArray:
+        """Centres of all pixels, shape (height, width, 2)."""
+        u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
+        return np.stack([u, v], axis=-1)
+
+    def grid(self, columns: int, rows: int) -> FloatArray:
+        """A coarse grid of pixel positions, cell-centred over the panel, shape (rows, columns, 2)."""
+        u = (np.arange(columns) + 0.5) / columns * self.width_px
+        v = (np.arange(rows) + 0.5) / rows * self.height_px
+        return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+@dataclass(frozen=True)
+class EyeBox:
+    """Where the pupil may be: an axis-aligned box in the device frame.
+
+    Attributes:
+        centre: (3,) metres, the nominal viewpoint.
+        size: (3,) metres, full edge lengths.
+    """
+
+    centre: FloatArray
+    size: FloatArray
+
+    def contains(self, viewpoint: FloatArray, margin: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether viewpoints (..., 3) lie in the box (grown by `margin` metres), (...) bool."""
+        inside = np.abs(viewpoint - self.centre) <= 0.5 * self.size + margin
+        return np.asarray(np.all(inside, axis=-1))
+
+    def at(self, unit: FloatArray) -> FloatArray:
+        """Points at box coordinates -1..1, (..., 3) -> (..., 3)."""
+        return self.centre + 0.5 * self.size * np.asarray(unit)
+
+
+class DisplayMapping(Protocol):
+    """The panel as the eye sees it, reflected in the combiner (paper: f_display)."""
+
+    @property
+    def panel(self) -> Panel:
+        """The panel whose pixels are mapped."""
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward: in which direction the eye sees a pixel.
+
+        Args:
+            pixel: (..., 2) panel pixels.
+            viewpoint: (..., 3) device frame, metres.
+            warm_start: `Mapped.warm_start` of an earlier query of the same shape.
+
+        Returns:
+            `value` (..., 3): unit `view_dir`, from the viewpoint outwards.
+        """
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward: which pixel the eye sees in a direction; `value` (..., 2)."""
+
+
+class SeeThroughMapping(Protocol):
+    """The world as the eye sees it through the combiner (paper: f_seethru)."""
+
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward: the ray in the world beyond the optics that the eye sees in a direction.
+
+        Returns:
+            `value` (..., 6): a point of the ray (metres), then its unit direction, away from the eye. The point
+            lies on the ray's line, not necessarily beyond the optics: see `geometry.rays.split`.
+        """
+
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward: in which direction the eye sees a real point (..., 3); `value` (..., 3) unit `view_dir`."""
+
+
+@dataclass(frozen=True)
+class EyeMappings:
+    """All that rendering needs to know of one eye of a headset.
+
+    Attributes:
+        name: device name, and how the mappings were made, e.g. "northstar (planar N=5)".
+        eye: "left" or "right".
+        display: the panel's mapping.
+        see_through: the world's mapping.
+        eye_box: where the pupil may be; its centre is the nominal viewpoint.
+    """
+
+    name: str
+    eye: str
+    display: DisplayMapping
+    see_through: SeeThroughMapping
+    eye_box: EyeBox

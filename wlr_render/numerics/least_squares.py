@@ -1,0 +1,65 @@
+"""Linear least squares, weighted, column-scaled and rank-checked."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class RankDeficientError(ValueError):
+    """The design does not determine all coefficients; `rank` of `columns` are determined."""
+
+    def __init__(self, rank: int, columns: int) -> None:
+        super().__init__(f"the design matrix has rank {rank} of {columns}")
+        self.rank = rank
+        self.columns = columns
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of `solve`.
+
+    Attributes:
+        coefficients: (columns, outputs).
+        condition: condition number of the scaled design.
+        residual: (rows, outputs) observed minus fitted, unweighted.
+    """
+
+    coefficients: FloatArray
+    condition: float
+    residual: FloatArray
+
+
+def solve(
+    design: FloatArray, observed: FloatArray, weight: FloatArray | None = None, tolerance: float = 1e-9
+) -> Solution:
+    """Minimise sum of weight^2 * |observed - design @ c|^2.
+
+    Args:
+        design: (rows, columns).
+        observed: (rows, outputs).
+        weight: (rows,) inverse standard deviations, or None for equal weights.
+        tolerance: singular values below this fraction of the largest count as zero.
+
+    Raises:
+        RankDeficientError: fewer independent rows than columns. A minimum-norm answer is never returned: it would
+            look like a fit and predict nonsense between the samples.
+    """
+    rows, columns = design.shape
+    if rows < columns:
+        raise RankDeficientError(rows, columns)
+    weighted, target = design, observed
+    if weight is not None:
+        weighted, target = design * weight[:, None], observed * weight[:, None]
+    scale = np.linalg.norm(weighted, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    # R of a QR has the design's singular values at a fraction of the cost of an SVD of all rows.
+    q, r = np.linalg.qr(weighted / scale)
+    u, singular, vt = np.linalg.svd(r)
+    rank = int(np.sum(singular > tolerance * singular[0]))
+    if rank < columns:
+        raise RankDeficientError(rank, columns)
+    coefficients = (vt.T @ ((u.T @ (q.T @ target)) / singular[:, None])) / scale[:, None]
+    return Solution(coefficients, float(singular[0] / singular[-1]), observed - design @ coefficients)

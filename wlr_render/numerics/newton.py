@@ -1,0 +1,85 @@
+"""Batched 2 x 2 Newton root-finding with an honest status."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+Residual = Callable[[FloatArray, NDArray[np.int64]], tuple[FloatArray, FloatArray]]
+"""(unknown (m, 2), index (m,) into the batch) -> residual (m, 2), Jacobian (m, 2, 2)."""
+
+
+@dataclass(frozen=True)
+class Root:
+    """Result of `solve_2x2`.
+
+    Attributes:
+        unknown: (n, 2); the last iterate, also where it did not converge.
+        converged: (n,) bool.
+        iterations: Newton steps that the slowest element took.
+    """
+
+    unknown: FloatArray
+    converged: NDArray[np.bool_]
+    iterations: int
+
+
+def solve_2x2(residual: Residual, start: FloatArray, tolerance: float, max_iterations: int = 30) -> Root:
+    """Find unknown with residual(unknown) = 0 for each of n independent problems.
+
+    Steps are halved (up to six times) where they do not shrink the residual, so a poor start cannot fly off without
+    being noticed. An element is converged when its residual's norm is at most `tolerance`, in the residual's units.
+
+    Args:
+        residual: gives residual and Jacobian for the elements named by an index array.
+        start: (n, 2) first guess; rows with NaN never converge.
+        tolerance: on the residual's norm.
+        max_iterations: Newton steps at most.
+    """
+    unknown = np.array(start, dtype=np.float64)
+    index = np.flatnonzero(np.isfinite(unknown).all(axis=1))
+    converged = np.zeros(unknown.shape[0], dtype=bool)
+    value, jacobian = residual(unknown[index], index)
+    size = np.linalg.norm(value, axis=1)
+    iterations = 0
+    while True:
+        done = size <= tolerance
+        converged[index[done]] = True
+        going = ~done & np.isfinite(size)
+        index, value, jacobian, size = index[going], value[going], jacobian[going], size[going]
+        if index.size == 0 or iterations == max_iterations:
+            return Root(unknown, converged, iterations)
+        iterations += 1
+        step = _step(jacobian, value)
+        unknown[index], value, jacobian, size = _damped(residual, unknown[index], step, index, size)
+
+
+def _step(jacobian: FloatArray, value: FloatArray) -> FloatArray:
+    a, b, c, d = jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0], jacobian[:, 1, 1]
+    determinant = a * d - b * c
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = (d * value[:, 0] - b * value[:, 1]) / determinant
+        y = (a * value[:, 1] - c * value[:, 0]) / determinant
+    return np.stack([x, y], axis=1)
+
+
+def _damped(
+    residual: Residual, unknown: FloatArray, step: FloatArray, index: NDArray[np.int64], size: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Try the full step; where the residual does not shrink, try shorter ones and keep the last tried."""
+    trial = unknown - step
+    value, jacobian = residual(trial, index)
+    new_size = np.linalg.norm(value, axis=1)
+    fraction = 1.0
+    for _ in range(6):
+        worse = np.flatnonzero(~(new_size < size))
+        if worse.size == 0:
+            break
+        fraction *= 0.5
+        trial[worse] = unknown[worse] - fraction * step[worse]
+        value[worse], jacobian[worse] = residual(trial[worse], index[worse])
+        new_size[worse] = np.linalg.norm(value[worse], axis=1)
+    return trial, value, jacobian, new_size

@@ -1,0 +1,146 @@
+"""Polynomials of total degree N in scaled variables, with their Jacobian.
+
+The basis is products of Chebyshev polynomials T_k of the variables scaled to -1..1: it spans the same space as the
+monomials and stays well conditioned at degree 7 and above, so that a rank check means something.
+"""
+
+import itertools
+from dataclasses import dataclass
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_CHUNK = 16_384  # rows per block: keeps the basis (rows x terms) in the processor's cache
+
+
+def term_count(variables: int, degree: int) -> int:
+    """Number of terms of total degree <= `degree`: C(variables + degree, degree)."""
+    return comb(variables + degree, degree)
+
+
+@lru_cache(maxsize=64)
+def _exponents(variables: int, degree: int) -> IntArray:
+    rows = [e for e in itertools.product(range(degree + 1), repeat=variables) if sum(e) <= degree]
+    rows.sort(key=lambda e: (sum(e), e))
+    table = np.array(rows, dtype=np.int64).reshape(-1, variables)
+    table.setflags(write=False)
+    return table
+
+
+def exponents(variables: int, degree: int) -> IntArray:
+    """(terms, variables) orders of the Chebyshev factors of each term, ordered by total degree."""
+    return _exponents(variables, degree)
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box of inputs; it scales variables to -1..1 and knows what lies outside.
+
+    Attributes:
+        low, high: (variables,) in the inputs' own units.
+    """
+
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def around(cls, inputs: FloatArray) -> "Box":
+        """The bounding box of samples (n, variables); an axis of no extent gets a width of one unit."""
+        low, high = inputs.min(axis=0), inputs.max(axis=0)
+        flat = high - low <= 1e-12 * np.maximum(1.0, np.abs(high))
+        return cls(np.where(flat, low - 0.5, low), np.where(flat, high + 0.5, high))
+
+    def scaled(self, inputs: FloatArray) -> FloatArray:
+        """(..., variables) -> (..., variables) in -1..1 inside the box."""
+        return np.asarray((2.0 * inputs - self.low - self.high) / (self.high - self.low))
+
+    def contains(self, inputs: FloatArray, slack: float = 1e-3) -> NDArray[np.bool_]:
+        """Whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
+        return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
+
+
+def _chebyshev_tables(scaled: FloatArray, degree: int, derivative: bool) -> tuple[FloatArray, FloatArray | None]:
+    """T_k and dT_k/dx for k = 0..degree: each (degree + 1, n, variables)."""
+    t = np.empty((degree + 1, *scaled.shape))
+    t[0] = 1.0
+    if degree >= 1:
+        t[1] = scaled
+    for k in range(2, degree + 1):
+        t[k] = 2.0 * scaled * t[k - 1] - t[k - 2]
+    if not derivative:
+        return t, None
+    d = np.zeros_like(t)
+    if degree >= 1:
+        d[1] = 1.0
+    for k in range(2, degree + 1):
+        d[k] = 2.0 * t[k - 1] + 2.0 * scaled * d[k - 1] - d[k - 2]
+    return t, d
+
+
+def basis(inputs: FloatArray, degree: int, box: Box) -> FloatArray:
+    """Design matrix (n, terms) of samples (n, variables)."""
+    orders = exponents(inputs.shape[-1], degree)
+    t, _ = _chebyshev_tables(box.scaled(inputs), degree, derivative=False)
+    result = t[orders[:, 0], :, 0]
+    for axis in range(1, orders.shape[1]):
+        result = result * t[orders[:, axis], :, axis]
+    return np.ascontiguousarray(result.T)
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """A vector-valued polynomial of total degree `degree` over `box`.
+
+    Attributes:
+        degree: total degree N.
+        box: where it was fitted; it also scales the variables.
+        coefficients: (terms, outputs), rows in the order of `exponents`.
+    """
+
+    degree: int
+    box: Box
+    coefficients: FloatArray
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """(..., variables) -> (..., outputs)."""
+        flat = inputs.reshape(-1, inputs.shape[-1])
+        result = np.empty((flat.shape[0], self.coefficients.shape[1]))
+        for start in range(0, flat.shape[0], _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            result[rows] = basis(flat[rows], self.degree, self.box) @ self.coefficients
+        return result.reshape(*inputs.shape[:-1], -1)
+
+    def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(..., variables) -> value (..., outputs) and Jacobian (..., outputs, variables), in the inputs' units."""
+        variables, outputs = inputs.shape[-1], self.coefficients.shape[1]
+        flat = inputs.reshape(-1, variables)
+        value = np.empty((flat.shape[0], outputs))
+        jacobian = np.empty((flat.shape[0], outputs, variables))
+        for start in range(0, flat.shape[0], _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            value[rows], jacobian[rows] = self._block(flat[rows])
+        lead = inputs.shape[:-1]
+        return value.reshape(*lead, outputs), jacobian.reshape(*lead, outputs, variables)
+
+    def _block(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        orders = exponents(inputs.shape[1], self.degree)
+        t, d = _chebyshev_tables(self.box.scaled(inputs), self.degree, derivative=True)
+        assert d is not None
+        per_unit = 2.0 / (self.box.high - self.box.low)
+        factors = [t[orders[:, axis], :, axis] for axis in range(orders.shape[1])]
+        columns = []
+        for axis in range(orders.shape[1]):
+            product = d[orders[:, axis], :, axis]
+            for other, factor in enumerate(factors):
+                if other != axis:
+                    product = product * factor
+            columns.append(per_unit[axis] * (product.T @ self.coefficients))
+        whole = factors[0]
+        for factor in factors[1:]:
+            whole = whole * factor
+        return whole.T @ self.coefficients, np.stack(columns, axis=-1)

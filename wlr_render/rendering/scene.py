@@ -1,0 +1,115 @@
+"""What there is to draw: meshes, their instances in the world, lights. Plain arrays; no file formats, no GPU.
+
+World frame: OpenXR (x right, y up, -z forward), metres. Colours are linear RGB, 0..1; encoding to sRGB is the last
+step of drawing. The one shading model, the same in GLSL and numpy, is stated in `shading.py`.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with one material.
+
+    Attributes:
+        name: for messages.
+        position: (vertices, 3) float32, mesh frame, metres.
+        normal: (vertices, 3) float32 unit.
+        triangles: (triangles, 3) uint32.
+        base_colour: (3,) float32 linear RGB factor (glTF baseColorFactor).
+        uv: (vertices, 2) float32 or None; (0, 0) is the top-left corner of the texture, v down (as glTF).
+        texture: (height, width, 3) uint8 sRGB or None; repeats outside 0..1, bilinear.
+        vertex_colour: (vertices, 3) float32 linear or None.
+    """
+
+    name: str
+    position: Float32Array
+    normal: Float32Array
+    triangles: NDArray[np.uint32]
+    base_colour: Float32Array = field(default_factory=lambda: np.ones(3, np.float32))
+    uv: Float32Array | None = None
+    texture: NDArray[np.uint8] | None = None
+    vertex_colour: Float32Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """One placement of a mesh.
+
+    Attributes:
+        name: for messages and pictures.
+        mesh: index into `Scene.meshes`.
+        world_from_mesh: (4, 4) float64; rotation, uniform or non-uniform scale, translation.
+    """
+
+    name: str
+    mesh: int
+    world_from_mesh: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A directional or point light.
+
+    Attributes:
+        kind: "directional" or "point".
+        vector: (3,) for "directional" the unit direction in which the light travels, for "point" its position
+            (metres); world frame.
+        colour: (3,) linear RGB times intensity; for a point light the value at 1 m, falling with 1 / distance^2.
+    """
+
+    kind: str
+    vector: NDArray[np.float64]
+    colour: Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything in the world.
+
+    Attributes:
+        name: for messages.
+        meshes, instances, lights: as above; an instance's index is its id in geometry buffers.
+        ambient: (3,) linear RGB added to every surface's irradiance.
+        background: (3,) linear RGB where nothing is hit.
+    """
+
+    name: str
+    meshes: tuple[Mesh, ...]
+    instances: tuple[Instance, ...]
+    lights: tuple[Light, ...]
+    ambient: Float32Array = field(default_factory=lambda: np.full(3, 0.25, np.float32))
+    background: Float32Array = field(default_factory=lambda: np.zeros(3, np.float32))
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles over all instances."""
+        return sum(len(self.meshes[instance.mesh].triangles) for instance in self.instances)
+
+    def mesh_of(self, instance: Instance) -> Mesh:
+        """The mesh that an instance places."""
+        return self.meshes[instance.mesh]
+
+    @cached_property
+    def bounds(self) -> NDArray[np.float64]:
+        """(2, 3): the least and the greatest corner of all instances, world frame."""
+        corners = [world_positions(self.mesh_of(instance), instance) for instance in self.instances]
+        return np.stack([np.min([c.min(0) for c in corners], 0), np.max([c.max(0) for c in corners], 0)])
+
+
+def world_positions(mesh: Mesh, instance: Instance) -> NDArray[np.float64]:
+    """Vertices of an instance in the world, (vertices, 3)."""
+    matrix = instance.world_from_mesh
+    return np.asarray(mesh.position @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def world_normals(mesh: Mesh, instance: Instance) -> NDArray[np.float64]:
+    """Unit vertex normals of an instance in the world, (vertices, 3): by the inverse transpose."""
+    turned = mesh.normal @ np.linalg.inv(instance.world_from_mesh[:3, :3])
+    return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30))

@@ -1,0 +1,62 @@
+"""From where a picture is drawn, and the picture with its geometry."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import directions, transforms
+from wlr_render.geometry.pinhole import Pinhole
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A pinhole camera at a viewpoint in a headset in the world.
+
+    Attributes:
+        camera: axes of the device frame, centred at the viewpoint.
+        viewpoint_in_device: (3,) metres.
+        world_from_device: (4, 4) head pose.
+    """
+
+    camera: Pinhole
+    viewpoint_in_device: NDArray[np.float64]
+    world_from_device: NDArray[np.float64]
+
+    @property
+    def viewpoint_in_world(self) -> NDArray[np.float64]:
+        """(3,) metres."""
+        return transforms.apply(self.world_from_device, self.viewpoint_in_device)
+
+    @property
+    def world_from_camera(self) -> NDArray[np.float64]:
+        """(4, 4); the camera frame has the device's axes and its origin at the viewpoint."""
+        matrix = np.array(self.world_from_device, dtype=np.float64)
+        matrix[:3, 3] = self.viewpoint_in_world
+        return matrix
+
+    def pixel_rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World rays through the pixel centres: origin (3,), unit directions (height, width, 3)."""
+        in_device = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
+        return self.viewpoint_in_world, transforms.rotate(self.world_from_device, in_device)
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryImage:
+    """A picture and, per pixel, what is seen there. Rows run down, pixel centres at +0.5.
+
+    Attributes:
+        colour: (height, width, 3) uint8 sRGB.
+        inverse_depth: (height, width) float32, 1 / (distance along the view's -z axis) in 1/m; 0 where nothing is.
+        position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
+        normal: (height, width, 3) float32 world frame unit, NaN where nothing is; None when not asked for.
+        instance: (height, width) int32 index of the instance, -1 where nothing is; None when not asked for.
+        triangle: (height, width) int32 index in the instance's mesh, -1 where nothing is; None when not asked for.
+    """
+
+    colour: NDArray[np.uint8]
+    inverse_depth: NDArray[np.float32]
+    position: NDArray[np.float32] | None = None
+    normal: NDArray[np.float32] | None = None
+    instance: NDArray[np.int32] | None = None
+    triangle: NDArray[np.int32] | None = None

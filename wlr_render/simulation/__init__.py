@@ -1,0 +1,1 @@
+"""A calibration bench in software: viewpoints, noise, simulated captures."""

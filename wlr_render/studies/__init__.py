@@ -1,0 +1,1 @@
+"""Whole jobs that the command line runs: alignment demo, sampling study, sequences, benchmarks."""

@@ -1,0 +1,1 @@
+"""Head trajectories, gaze and the eye model: from sensors to a viewpoint and a pose."""
