@@ -1,0 +1,241 @@
+"""The world ray of every display pixel at one viewpoint: display forward, then see-through forward.
+
+The field is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to all
+pixels by two thin matrix products per component. `choose_plan` finds the number of nodes from a measured error;
+`exact_field` is the slow plain version, which solves every pixel.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import directions, rays, transforms
+from wlr_render.mappings import EyeMappings, FloatArray, Panel, Status, StatusArray, worst
+from wlr_render.numerics import chebyshev
+
+Float32Array = NDArray[np.float32]
+
+NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
+_ROWS_PER_BLOCK = 64
+NEAREST_M = 0.25
+"""Nearest distance at which the field's error is judged; an offset of the ray counts more the nearer the scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldPlan:
+    """How to get from nodes to pixels; made once per panel.
+
+    Attributes:
+        panel: whose pixels are wanted.
+        node_pixel: (rows, columns, 2) pixel positions of the nodes.
+        from_rows: (height, rows) float32, node rows -> pixel rows.
+        from_columns: (columns, width) float32, node columns -> pixel columns.
+    """
+
+    panel: Panel
+    node_pixel: FloatArray
+    from_rows: Float32Array
+    from_columns: Float32Array
+
+    @classmethod
+    def with_nodes(cls, panel: Panel, count: int, offset_px: FloatArray | None = None) -> "FieldPlan":
+        """A plan of count x count nodes; `offset_px` (2,) moves the pixel centres (for supersampling)."""
+        du, dv = (0.0, 0.0) if offset_px is None else offset_px
+        u, v = chebyshev.nodes(count, 0, panel.width_px), chebyshev.nodes(count, 0, panel.height_px)
+        columns = chebyshev.interpolation_matrix(count, 0, panel.width_px, np.arange(panel.width_px) + 0.5 + du)
+        rows = chebyshev.interpolation_matrix(count, 0, panel.height_px, np.arange(panel.height_px) + 0.5 + dv)
+        node_pixel = np.stack(np.meshgrid(u, v), axis=-1)
+        return cls(panel, node_pixel, rows.astype(np.float32), np.ascontiguousarray(columns.T, dtype=np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class WarmStart:
+    """Solutions at the nodes, for the next frame with the same plan."""
+
+    display: FloatArray | None
+    see_through: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class RayField:
+    """World rays of all pixels at one viewpoint, in the camera frame (device axes, origin at the viewpoint).
+
+    Attributes:
+        viewpoint_in_device: (3,) metres.
+        bend: (4, height, width) float32, (a, b, c, d): the ray passes through (c, d, 0) with tangents (a, b); at depth
+            Z in front of the viewpoint it is at (a Z + c, b Z + d, -Z). NaN where the status has no value.
+        status: (height, width) uint8, see `mappings.Status`.
+        tangents: extremes of (a, b) with the nearest-depth offset, (n, 2), for choosing the raster camera.
+        warm_start: pass it to the next frame.
+    """
+
+    viewpoint_in_device: FloatArray
+    bend: Float32Array
+    status: StatusArray
+    tangents: FloatArray
+    warm_start: WarmStart | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.bend.shape[1], self.bend.shape[2]
+
+    def world_rays(self, world_from_device: FloatArray, rows: slice = slice(None)) -> tuple[Float32Array, Float32Array]:
+        """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
+
+        Origins lie beside the viewpoint, where the straight continuation of the bent ray passes it; NaN where the
+        field has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
+        """
+        a, b, c, d = self.bend[:, rows].reshape(4, -1)
+        # Named rows of the rotation keep this in float32 and free of (n, 3) temporaries.
+        r = world_from_device[:3, :3].astype(np.float32)
+        eye = transforms.apply(world_from_device, self.viewpoint_in_device).astype(np.float32)
+        scale = 1.0 / np.sqrt(a * a + b * b + 1.0)
+        origin, direction = np.empty((a.size, 3), np.float32), np.empty((a.size, 3), np.float32)
+        for axis in range(3):
+            origin[:, axis] = eye[axis] + r[axis, 0] * c + r[axis, 1] * d
+            direction[:, axis] = (r[axis, 0] * a + r[axis, 1] * b - r[axis, 2]) * scale
+        return origin, direction
+
+
+@dataclass(frozen=True, eq=False)
+class _Bends:
+    """Exact solutions at some pixels: `bend` (..., 4), `status` (...)."""
+
+    bend: FloatArray
+    status: StatusArray
+    warm_start: WarmStart
+
+
+def _solve(
+    mappings: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, warm_start: WarmStart | None = None
+) -> _Bends:
+    warm_start = warm_start or WarmStart(None, None)
+    view = mappings.display.view_dir_of_pixel(pixel, viewpoint, warm_start.display)
+    real = mappings.see_through.real_ray_of_view_dir(view.value, viewpoint, warm_start.see_through)
+    status = worst(view.status, real.status)
+    at_viewpoint = rays.at_z(real.value, viewpoint[2])
+    offset = at_viewpoint[..., :2] - viewpoint[:2]
+    bend = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), offset], axis=-1)
+    # A ray that does not lead forwards has no tangents: there is nothing to see along it.
+    lost = ~np.isfinite(bend).all(axis=-1)
+    bend = np.where(lost[..., None], np.nan, bend)
+    status = np.where(lost, worst(status, np.uint8(Status.MISS) * lost), status).astype(np.uint8)
+    return _Bends(bend, status, WarmStart(view.warm_start, real.warm_start))
+
+
+def exact_field(mappings: EyeMappings, viewpoint: FloatArray, pixel: FloatArray | None = None) -> RayField:
+    """Solve every pixel: minutes of work for the sake of a reference, or where the field has holes.
+
+    Args:
+        mappings: any pair.
+        viewpoint: (3,) device frame.
+        pixel: (height, width, 2), all pixel centres if None.
+    """
+    pixel = mappings.display.panel.pixel_centres() if pixel is None else pixel
+    height, width = pixel.shape[:2]
+    bend = np.empty((4, height, width), np.float32)
+    status = np.empty((height, width), np.uint8)
+    for start in range(0, height, _ROWS_PER_BLOCK):
+        rows = slice(start, start + _ROWS_PER_BLOCK)
+        solved = _solve(mappings, pixel[rows], viewpoint)
+        bend[:, rows] = np.moveaxis(solved.bend, -1, 0)
+        status[rows] = solved.status
+    return RayField(viewpoint, bend, status, _extremes(np.moveaxis(bend[:, ::8, ::8], 0, -1)))
+
+
+def ray_field(
+    mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan, warm_start: WarmStart | None = None
+) -> RayField:
+    """The field at a new viewpoint, by the nodes of `plan`.
+
+    Where a node has no answer the polynomial through the nodes means nothing; then every pixel is solved.
+
+    Args:
+        mappings: any pair, for the plan's panel.
+        viewpoint: (3,) device frame.
+        plan: from `choose_plan`.
+        warm_start: of the last frame's field with this plan.
+    """
+    solved = _solve(mappings, plan.node_pixel, viewpoint, warm_start)
+    if not np.isfinite(solved.bend).all():
+        return exact_field(mappings, viewpoint)
+    bend = _spread(plan, solved.bend)
+    return RayField(
+        viewpoint, bend, _spread_status(plan, solved.status), _extremes(solved.bend), warm_start=solved.warm_start
+    )
+
+
+def _spread(plan: FieldPlan, at_nodes: FloatArray) -> Float32Array:
+    """(rows, columns, k) at the nodes -> (k, height, width)."""
+    components = np.moveaxis(at_nodes, -1, 0).astype(np.float32)
+    return np.asarray(np.matmul(plan.from_rows @ components, plan.from_columns))
+
+
+def _spread_status(plan: FieldPlan, at_nodes: StatusArray) -> StatusArray:
+    """A pixel's status is the worst of the nodes around it."""
+    height, width = plan.panel.height_px, plan.panel.width_px
+    if not at_nodes.any():
+        return np.zeros((height, width), np.uint8)
+    last = at_nodes.shape[0] - 1
+    row = np.searchsorted(plan.node_pixel[:, 0, 1], np.arange(height) + 0.5)
+    column = np.searchsorted(plan.node_pixel[0, :, 0], np.arange(width) + 0.5)
+    below, above = np.maximum(row - 1, 0), np.minimum(row, last)
+    left, right = np.maximum(column - 1, 0), np.minimum(column, last)
+    across = np.maximum(at_nodes[:, left], at_nodes[:, right])
+    return np.asarray(np.maximum(across[below], across[above]))
+
+
+def _extremes(bend: FloatArray | Float32Array) -> FloatArray:
+    """Tangents under which the viewpoint sees the rays' points at infinity and at the nearest depth."""
+    flat = bend.reshape(-1, 4).astype(np.float64)
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    return np.concatenate([flat[:, :2], flat[:, :2] + flat[:, 2:] / NEAREST_M])
+
+
+def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan, pixel: FloatArray) -> FloatArray:
+    """Error of the interpolated field at some pixels against the exact solve there, in display pixels.
+
+    Args:
+        mappings: any pair.
+        viewpoint: (3,) device frame.
+        plan: judged at this number of nodes.
+        pixel: (n, 2) anywhere on the panel.
+
+    Returns:
+        (n,) error at infinity plus error of the offset at the nearest depth, over the size of a pixel there;
+        NaN where the exact solve has no answer.
+    """
+    count, panel = plan.node_pixel.shape[0], plan.panel
+    nodes = _solve(mappings, plan.node_pixel, viewpoint).bend
+    across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
+    down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
+    interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
+    exact, right, lower = (_solve(mappings, pixel + step, viewpoint).bend for step in ([0, 0], [-1, 0], [0, -1]))
+    pixel_size = np.minimum(
+        np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
+    )
+    error = interpolated - exact
+    return np.asarray(
+        (np.linalg.norm(error[:, :2], axis=1) + np.linalg.norm(error[:, 2:], axis=1) / NEAREST_M) / pixel_size
+    )
+
+
+def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int = 150) -> FieldPlan:
+    """The least number of nodes that keeps the field within `tolerance_px` at the centre and corners of the eye box.
+
+    Judged on `samples` fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
+    If no count reaches the tolerance the largest is taken: a map with kinks is not for interpolation, and
+    `field_error_px` says how far off it is.
+    """
+    panel, box = mappings.display.panel, mappings.eye_box
+    rng = np.random.default_rng(20250102)
+    corners = np.array([[u, v] for u in (1.0, panel.width_px - 0.5) for v in (1.0, panel.height_px - 0.5)])
+    pixel = np.concatenate([rng.uniform(1.0, panel.size_px - 0.5, (samples, 2)), corners])
+    viewpoints = [box.centre, box.at(np.array([1.0, 1.0, 1.0])), box.at(np.array([-1.0, -1.0, -1.0]))]
+    for count in NODE_COUNTS:
+        plan = FieldPlan.with_nodes(panel, count)
+        if all(np.nanmax(field_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
+            return plan
+    return plan
