@@ -1,0 +1,78 @@
+import pytest
+
+from wlr_render import files
+from wlr_render.errors import BadInputError
+
+
+def table(tmp_path, text):
+    path = tmp_path / "thing.toml"
+    path.write_text(text)
+    return files.read_toml(path)
+
+
+def test_output_appears_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "deep" / "result.txt"
+    files.write_text(target, "old")
+
+    def fail_half_way():
+        with files.written_whole(target) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail_half_way()
+    assert target.read_text() == "old"
+    assert [p.name for p in target.parent.iterdir()] == ["result.txt"]
+
+
+def test_an_output_folder_that_is_a_file_is_refused_by_name(tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(BadInputError, match=r"taken.*choose another"):
+        files.output_folder(tmp_path / "taken")
+
+
+def test_unknown_name_lists_what_is_shipped(tmp_path):
+    with pytest.raises(BadInputError, match=r"neither a file nor one of the shipped devices"):
+        files.named_or_path("devices", "northstart")
+    with pytest.raises(BadInputError, match="no such file"):
+        files.named_or_path("devices", tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("a_mm = 'x'", r"thing.toml: 'a_mm' must be a number"),
+        ("a_mm = nan", r"'a_mm' must be finite"),
+        ("a_mm = true", r"'a_mm' must be a number"),
+        ("a_m = 1", r"key 'a_mm' is missing \(found 'a_m' instead\)"),
+        ("a_mm = 1\nb = 2", r"unknown key 'b'; remove it"),
+        ("a_mm = 1\na_cm = 2", r"unknown key 'a_cm'; did you mean 'a_mm'\?"),
+        ("a_mm = ", r"not valid TOML .*line 1"),
+    ],
+)
+def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path, text, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        read_a(tmp_path, text)
+
+
+def read_a(tmp_path, text):
+    content = table(tmp_path, text)
+    assert content.number("a_mm") == 1
+    content.finish()
+
+
+def test_readers_of_every_kind(tmp_path):
+    content = table(tmp_path, 'v = [1, 2]\nt = "x"\nl = ["a"]\nf = true\n[s]\nk = 1\n[[r]]\nk = 2\n[[r]]\nk = 3')
+    assert content.vector("v", 2).tolist() == [1, 2]
+    assert content.text("t", choices=["x"]) == "x"
+    assert content.texts("l") == ["a"]
+    assert content.flag("f", False)
+    assert content.table("s").number("k") == 1
+    assert [row.number("k") for row in content.tables("r")] == [2, 3]
+    content.finish()
+    with pytest.raises(BadInputError, match=r"list of 3 numbers"):
+        content.vector("v", 3)
+    with pytest.raises(BadInputError, match=r"one of y"):
+        content.text("t", choices=["y"])
+    with pytest.raises(BadInputError, match=r"\[\[r\]\] number 2: key 'q' is missing"):
+        content.tables("r")[1].number("q")
