@@ -47,7 +47,7 @@ def test_unknown_name_lists_what_is_shipped(tmp_path):
         ("a_m = 1", r"key 'a_mm' is missing \(found 'a_m' instead\)"),
         ("a_mm = 1\nb = 2", r"unknown key 'b'; remove it"),
         ("a_mm = 1\na_cm = 2", r"unknown key 'a_cm'; did you mean 'a_mm'\?"),
-        ("a_mm = ", r"not valid TOML .*line 1"),
+        ("\na_mm = =", r"not valid TOML .*line 2"),
     ],
 )
 def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path, text, sentence):
