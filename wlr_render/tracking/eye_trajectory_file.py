@@ -1,0 +1,128 @@
+"""Eye trajectories in text files of our own format. Faults name the file and the line.
+
+    # format: wlr-eye-trajectory 1
+    # kind: viewpoint
+    # frame: openxr-device
+    # units: s m
+    0.000 right 0.0321 0.0002 -0.0300
+
+`viewpoint` rows are `time eye x y z`, the entrance pupil in the device frame. `gaze` rows are `time eye dx dy dz`, a
+unit direction; then the header also states `# rotation_centre_right_m: x y z` for each eye in the file, and may state
+`# pupil_distance_m: d`. Rows of the two eyes may interleave; each eye's times ascend.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render import files
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import FloatArray
+from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, EyeModel
+from wlr_render.tracking.text_rows import Row, TextTable, read_text_table, require_ascending_rows, shortest
+from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, ViewpointTrack
+
+EYE_FORMAT = "wlr-eye-trajectory 1"
+EYE_FRAME = "openxr-device"
+
+
+def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
+    """Read the eye-trajectory format of the module's docstring.
+
+    Raises:
+        BadInputError: unreadable or empty file, a missing or unknown header, wrong column count, unknown eye, a value
+            that is not finite, a gaze that is not of unit length or looks backwards, times that do not ascend.
+    """
+    table = read_text_table(path)
+    header = _Header(table)
+    gaze = header.text("kind", ("viewpoint", "gaze")) == "gaze"
+    tracks: dict[str, EyeTrack] = {}
+    for eye, rows in _rows_by_eye(table).items():
+        content = np.array([[row.number(0), *(_gaze(row) if gaze else row.numbers(2, 3))] for row in rows])
+        time_s, vector = content[:, 0], content[:, 1:]
+        require_ascending_rows(rows, time_s)
+        name = f"{path} ({eye} eye)"
+        tracks[eye] = (
+            GazeTrack(time_s, vector, header.eye_model(eye), name) if gaze else ViewpointTrack(time_s, vector, name)
+        )
+    return EyeTrajectory(tracks, str(path))
+
+
+def _rows_by_eye(table: TextTable) -> dict[str, list[Row]]:
+    by_eye: dict[str, list[Row]] = {}
+    for row in table.rows:
+        row.require_columns((5,), "time eye x y z")
+        eye = row.fields[1]
+        if eye not in EYES:
+            raise row.fail(f"unknown eye '{eye}'; it must be one of {', '.join(EYES)}.")
+        by_eye.setdefault(eye, []).append(row)
+    return by_eye
+
+
+def _gaze(row: Row) -> list[float]:
+    gaze_dir = row.unit_vector(2, 3, "gaze")
+    if gaze_dir[2] >= 0:
+        raise row.fail("the gaze looks backwards; the device frame looks along -z, so its z must be negative.")
+    return gaze_dir
+
+
+class _Header:
+    """The `# key: value` comments of an eye trajectory."""
+
+    def __init__(self, table: TextTable) -> None:
+        pairs = (comment.partition(":") for comment in table.comments)
+        self._values = {key.strip(): value.strip() for key, colon, value in pairs if colon}
+        self._path = table.path
+        self.text("format", (EYE_FORMAT,))
+        self.text("frame", (EYE_FRAME,))
+        self.text("units", ("s m",))
+
+    def text(self, key: str, choices: tuple[str, ...]) -> str:
+        """One of `choices`."""
+        value = self._values.get(key)
+        if value not in choices:
+            found = "is missing" if value is None else f"is '{value}'"
+            raise BadInputError(f"{self._path}: header '# {key}:' {found}; it must be {' or '.join(choices)}.")
+        return value
+
+    def numbers(self, key: str, count: int) -> list[float]:
+        """`count` finite numbers."""
+        try:
+            values = [float(item) for item in self._values.get(key, "").split()]
+        except ValueError:
+            values = []
+        if len(values) != count or not np.isfinite(values).all():
+            raise BadInputError(f"{self._path}: header '# {key}:' must state {count} number(s), in metres.")
+        return values
+
+    def eye_model(self, eye: str) -> EyeModel:
+        """The eye that the header describes."""
+        centre = np.array(self.numbers(f"rotation_centre_{eye}_m", 3))
+        has_distance = "pupil_distance_m" in self._values
+        return EyeModel(centre, self.numbers("pupil_distance_m", 1)[0] if has_distance else PUPIL_DISTANCE_M)
+
+
+def write_eye_trajectory(path: str | Path, trajectory: EyeTrajectory) -> Path:
+    """Write an eye trajectory, viewpoints or gazes, rows ascending in time over both eyes.
+
+    Raises:
+        BadInputError: the eyes are of different kinds or pupil distances, which one file cannot hold.
+    """
+    tracks = trajectory.tracks
+    models = {eye: track.eye_model for eye, track in tracks.items() if isinstance(track, GazeTrack)}
+    distances = {model.pupil_distance_m for model in models.values()}
+    if len(models) not in (0, len(tracks)) or len(distances) > 1:
+        raise BadInputError(f"{path}: both eyes of one file must be of one kind and share one pupil distance.")
+    kind = "gaze" if models else "viewpoint"
+    lines = [f"# format: {EYE_FORMAT}", f"# kind: {kind}", f"# frame: {EYE_FRAME}", "# units: s m"]
+    lines += [f"# pupil_distance_m: {shortest([distance])}" for distance in distances]
+    lines += [f"# rotation_centre_{eye}_m: {shortest(m.rotation_centre_in_device)}" for eye, m in models.items()]
+    rows = [(t, eye, xyz) for eye, track in tracks.items() for t, xyz in zip(track.time_s, _xyz(track), strict=True)]
+    rows.sort(key=lambda row: (row[0], row[1]))
+    lines += [f"{shortest([time])} {eye} {shortest(xyz)}" for time, eye, xyz in rows]
+    return files.write_text(path, "\n".join(lines) + "\n")
+
+
+def _xyz(track: EyeTrack) -> FloatArray:
+    """What the rows of a track hold, (n, 3)."""
+    return track.gaze_dir if isinstance(track, GazeTrack) else track.viewpoint_at(track.time_s)

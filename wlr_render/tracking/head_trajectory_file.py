@@ -1,0 +1,58 @@
+"""Head trajectories in text files: TUM and EuRoC are read, TUM is written. Faults name the file and the line.
+
+TUM has rows `time tx ty tz qx qy qz qw`, separated by blanks, in seconds. EuRoC ground truth has commas, integer
+nanoseconds, position, quaternion wxyz, and possibly nine columns of velocity and biases, which are ignored. A comma in
+the first row tells them apart.
+
+The pose must be that of our device frame (OpenXR: x right, y up, looking along -z) in the world of the scene. The pose
+of an OpenCV camera at the same place becomes ours by a half turn about x from the right:
+`world_from_device = world_from_camera @ diag(1, -1, -1, 1)`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render import files
+from wlr_render.tracking.text_rows import Row, read_text_table, require_ascending_rows, shortest
+from wlr_render.tracking.trajectory import HeadTrajectory
+
+
+def read_head_trajectory(path: str | Path) -> HeadTrajectory:
+    """Read TUM or EuRoC poses.
+
+    Raises:
+        BadInputError: unreadable or empty file, wrong column count, a value that is not finite, a quaternion that is
+            not of unit length, times that do not ascend.
+    """
+    table = read_text_table(path)
+    read_row = _euroc_row if table.comma_separated else _tum_row
+    content = np.array([read_row(row) for row in table.rows])
+    require_ascending_rows(table.rows, content[:, 0])
+    return HeadTrajectory(content[:, 0], content[:, 1:4], content[:, 4:8], str(path))
+
+
+def _tum_row(row: Row) -> list[float]:
+    """time, position, quaternion xyzw."""
+    row.require_columns((8,), "TUM: time tx ty tz qx qy qz qw")
+    return row.numbers(0, 4) + row.unit_vector(4, 4, "quaternion")
+
+
+def _euroc_row(row: Row) -> list[float]:
+    """The same from integer nanoseconds and a quaternion wxyz."""
+    row.require_columns((8, 17), "EuRoC: time[ns], p x y z, q w x y z, and possibly velocity and biases")
+    row.number(0)
+    try:
+        time_s = int(row.fields[0]) / 1e9
+    except ValueError:
+        raise row.fail(f"time '{row.fields[0]}' is not in integer nanoseconds, as EuRoC has it.") from None
+    w, x, y, z = row.unit_vector(4, 4, "quaternion")
+    return [time_s, *row.numbers(1, 3), x, y, z, w]
+
+
+def write_head_trajectory_tum(path: str | Path, trajectory: HeadTrajectory) -> Path:
+    """Write poses as TUM text; what is read back is equal to the last bit but for the quaternions' normalisation."""
+    lines = ["# time_s tx_m ty_m tz_m qx qy qz qw; world_from_device, OpenXR axes (x right, y up, looking along -z)"]
+    content = zip(trajectory.time_s, trajectory.position_in_world, trajectory.world_from_device_xyzw, strict=True)
+    lines += [shortest([time, *position, *xyzw]) for time, position, xyzw in content]
+    return files.write_text(path, "\n".join(lines) + "\n")

@@ -1,0 +1,60 @@
+"""Sampled time: which two samples a moment lies between."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Bracket:
+    """Moments between samples.
+
+    Attributes:
+        before: (...) index of the sample at or before each moment; the one after it is `before + 1`.
+        fraction: (...) how far each moment is from that sample to the next, 0..1.
+    """
+
+    before: NDArray[np.int64]
+    fraction: FloatArray
+
+    def pair(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Values (n, k) of the two samples around each moment, (..., k) each."""
+        return values[self.before], values[self.before + 1]
+
+    def linear(self, values: FloatArray) -> FloatArray:
+        """Values (n, k) interpolated linearly, (..., k); exact at the samples."""
+        first, second = self.pair(values)
+        weight = self.fraction[..., None]
+        return np.asarray((1.0 - weight) * first + weight * second)
+
+
+def bracket(sample_time_s: FloatArray, time_s: ArrayLike, what: str) -> Bracket:
+    """Place moments (...) between ascending sample times (n,), n >= 2.
+
+    Raises:
+        BadInputError: a moment outside the samples: a pose is never extrapolated.
+    """
+    moment = np.asarray(time_s, dtype=np.float64)
+    first, last = sample_time_s[0], sample_time_s[-1]
+    outside = ~((moment >= first) & (moment <= last))
+    if outside.any():
+        raise BadInputError(
+            f"{what}: time {moment[outside].flat[0]:.6f} s lies outside its range {first:.6f} to {last:.6f} s."
+        )
+    before = np.clip(np.searchsorted(sample_time_s, moment, side="right") - 1, 0, len(sample_time_s) - 2)
+    start, end = sample_time_s[before], sample_time_s[before + 1]
+    return Bracket(np.asarray(before), np.asarray((moment - start) / (end - start)))
+
+
+def require_ascending(time_s: FloatArray, what: str) -> None:
+    """Refuse fewer than two samples and times that do not ascend strictly, naming the first fault."""
+    if len(time_s) < 2:
+        raise BadInputError(f"{what}: at least two samples are needed to interpolate, not {len(time_s)}.")
+    late = np.flatnonzero(~(np.diff(time_s) > 0))
+    if late.size:
+        row = int(late[0]) + 1
+        raise BadInputError(f"{what}: sample {row} at {time_s[row]:.6f} s does not come after the one before it.")

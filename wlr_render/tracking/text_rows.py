@@ -1,0 +1,122 @@
+"""Tables of numbers in text files, read so that every complaint can name its line."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import FloatArray
+
+UNIT_TOLERANCE = 1e-3
+"""How far a printed quaternion or direction may be from unit length; beyond it, it is something else."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table.
+
+    Attributes:
+        path: the file.
+        line: counted from 1.
+        fields: the line split at commas or blanks.
+    """
+
+    path: Path
+    line: int
+    fields: tuple[str, ...]
+
+    def fail(self, sentence: str) -> BadInputError:
+        """The exception for a fault in this line; the caller raises it."""
+        return BadInputError(f"{self.path} line {self.line}: {sentence}")
+
+    def require_columns(self, counts: tuple[int, ...], layout: str) -> None:
+        """Refuse a line with the wrong number of columns."""
+        if len(self.fields) not in counts:
+            allowed = " or ".join(str(count) for count in counts)
+            raise self.fail(f"{len(self.fields)} columns where {allowed} are expected ({layout}).")
+
+    def number(self, column: int) -> float:
+        """A finite number."""
+        text = self.fields[column]
+        try:
+            value = float(text)
+        except ValueError:
+            raise self.fail(f"column {column + 1} is '{text}', not a number.") from None
+        if not np.isfinite(value):
+            raise self.fail(f"column {column + 1} is {text}; leave out lines without a measurement.")
+        return value
+
+    def numbers(self, start: int, count: int) -> list[float]:
+        """`count` finite numbers from column `start` on."""
+        return [self.number(column) for column in range(start, start + count)]
+
+    def unit_vector(self, start: int, count: int, what: str) -> list[float]:
+        """`count` numbers of unit length but for rounding, normalised."""
+        values = self.numbers(start, count)
+        length = math.hypot(*values)
+        if abs(length - 1.0) > UNIT_TOLERANCE:
+            raise self.fail(f"the {what} has length {length:.6g}, not 1; is the column order right?")
+        return [value / length for value in values]
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A text file of rows and `#` comments.
+
+    Attributes:
+        path: the file.
+        comments: texts of the comment lines without the #, stripped, in file order.
+        rows: the other lines that are not empty.
+        comma_separated: whether the first row has a comma.
+    """
+
+    path: Path
+    comments: tuple[str, ...]
+    rows: tuple[Row, ...]
+    comma_separated: bool
+
+
+def read_text_table(path: str | Path) -> TextTable:
+    """Read a file of rows, separated by commas if the first row has one, else by blanks.
+
+    Raises:
+        BadInputError: the file cannot be read or has no rows.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: is not a text file ({error.reason}).") from error
+    stripped = [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
+    comments = tuple(text.lstrip("#").strip() for _, text in stripped if text.startswith("#"))
+    content = [(number, text) for number, text in stripped if not text.startswith("#")]
+    if not content:
+        raise BadInputError(f"{path}: has no rows; is the recording empty?")
+    comma_separated = "," in content[0][1]
+    rows = tuple(Row(path, number, _split(text, comma_separated)) for number, text in content)
+    return TextTable(path, comments, rows, comma_separated)
+
+
+def _split(text: str, comma_separated: bool) -> tuple[str, ...]:
+    if not comma_separated:
+        return tuple(text.split())
+    fields = tuple(field.strip() for field in text.split(","))
+    return fields[:-1] if fields[-1] == "" else fields
+
+
+def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray) -> None:
+    """Refuse rows whose times (n,) do not ascend strictly; each row's first field is its time."""
+    late = np.flatnonzero(np.diff(time_s) <= 0)
+    if late.size:
+        row = rows[int(late[0]) + 1]
+        raise row.fail(f"time {row.fields[0]} does not come after the row before it; sort the rows, drop duplicates.")
+
+
+def shortest(values: Iterable[float]) -> str:
+    """Numbers separated by blanks, in the shortest decimals that read back to the same doubles."""
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,142 @@
+"""Head and eyes over time: sampled, and interpolated at any moment between the first and the last sample."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import directions, transforms
+from wlr_render.mappings import FloatArray
+from wlr_render.tracking.eye_model import EyeModel
+from wlr_render.tracking.samples import bracket, require_ascending
+
+EYES = ("left", "right")
+
+
+@dataclass(frozen=True, eq=False)
+class HeadTrajectory:
+    """Poses of the headset in the world.
+
+    Attributes:
+        time_s: (n,) ascending, n >= 2.
+        position_in_world: (n, 3) origin of the device frame, metres.
+        world_from_device_xyzw: (n, 4) unit quaternions.
+        name: for messages, e.g. the file.
+    """
+
+    time_s: FloatArray
+    position_in_world: FloatArray
+    world_from_device_xyzw: FloatArray
+    name: str = "head trajectory"
+
+    def __post_init__(self) -> None:
+        require_ascending(self.time_s, self.name)
+
+    def at(self, time_s: ArrayLike) -> FloatArray:
+        """Moments (...) -> `world_from_device` (..., 4, 4): linear in position, slerp in rotation.
+
+        Raises:
+            BadInputError: a moment outside the trajectory.
+        """
+        between = bracket(self.time_s, time_s, self.name)
+        xyzw = transforms.slerp(*between.pair(self.world_from_device_xyzw), between.fraction)
+        return transforms.rigid(transforms.rotation_of_quaternion(xyzw), between.linear(self.position_in_world))
+
+
+class EyeTrack(Protocol):
+    """One eye over time."""
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(n,) ascending sample times."""
+
+    def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
+        """Moments (...) -> entrance pupil (..., 3), device frame, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewpointTrack:
+    """An eye whose entrance pupil was tracked.
+
+    Attributes:
+        time_s: (n,) ascending, n >= 2.
+        viewpoint_in_device: (n, 3) metres.
+        name: for messages.
+    """
+
+    time_s: FloatArray
+    viewpoint_in_device: FloatArray
+    name: str = "eye trajectory"
+
+    def __post_init__(self) -> None:
+        require_ascending(self.time_s, self.name)
+
+    def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
+        """Moments (...) -> entrance pupil (..., 3), device frame, linear between samples."""
+        return bracket(self.time_s, time_s, self.name).linear(self.viewpoint_in_device)
+
+
+@dataclass(frozen=True, eq=False)
+class GazeTrack:
+    """An eye whose gaze was tracked; its entrance pupil follows from the eye model.
+
+    Attributes:
+        time_s: (n,) ascending, n >= 2.
+        gaze_dir: (n, 3) unit, device frame.
+        eye_model: rotation centre and pupil distance.
+        name: for messages.
+    """
+
+    time_s: FloatArray
+    gaze_dir: FloatArray
+    eye_model: EyeModel
+    name: str = "eye trajectory"
+
+    def __post_init__(self) -> None:
+        require_ascending(self.time_s, self.name)
+
+    def gaze_at(self, time_s: ArrayLike) -> FloatArray:
+        """Moments (...) -> unit gaze direction (..., 3), turning at a constant rate between samples."""
+        between = bracket(self.time_s, time_s, self.name)
+        return _turned(*between.pair(self.gaze_dir), between.fraction)
+
+    def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
+        """Moments (...) -> entrance pupil (..., 3), device frame."""
+        return self.eye_model.viewpoint_of_gaze(self.gaze_at(time_s))
+
+
+def _turned(first: FloatArray, second: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Spherical interpolation between unit directions (..., 3) that are not opposite."""
+    angle = directions.angle_between(first, second)
+    sine = np.sin(angle)
+    small = sine < 1e-9
+    safe = np.where(small, 1.0, sine)
+    a = np.where(small, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / safe)
+    b = np.where(small, fraction, np.sin(fraction * angle) / safe)
+    return directions.normalised(a[..., None] * first + b[..., None] * second)
+
+
+@dataclass(frozen=True, eq=False)
+class EyeTrajectory:
+    """One or both eyes over time.
+
+    Attributes:
+        tracks: by eye, "left" or "right".
+        name: for messages, e.g. the file.
+    """
+
+    tracks: Mapping[str, EyeTrack]
+    name: str = "eye trajectory"
+
+    def viewpoint_at(self, eye: str, time_s: ArrayLike) -> FloatArray:
+        """Moments (...) -> entrance pupil of one eye (..., 3), device frame, metres.
+
+        Raises:
+            BadInputError: an eye that was not tracked, or a moment outside its track.
+        """
+        if eye not in self.tracks:
+            raise BadInputError(f"{self.name}: there is no eye '{eye}' in it, only {', '.join(sorted(self.tracks))}.")
+        return self.tracks[eye].viewpoint_at(time_s)
