@@ -1,0 +1,50 @@
+import cv2
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.rendering import image_files
+
+
+def test_png_keeps_red_red(tmp_path):
+    image = np.zeros((4, 6, 3), np.uint8)
+    image[0, 0] = [200, 100, 50]
+    path = image_files.write_png(tmp_path / "a.png", image)
+    np.testing.assert_array_equal(image_files.read_png(path), image)
+    assert cv2.imread(str(path))[0, 0].tolist() == [50, 100, 200]
+
+
+@pytest.mark.parametrize("suffix", [".tiff", ".pfm"])
+def test_float_maps_round_trip_bit_for_bit_with_their_holes(tmp_path, suffix):
+    values = np.random.default_rng(0).normal(size=(7, 5, 3)).astype(np.float32)
+    values[2, 3] = np.nan
+    path = image_files.write_map(tmp_path / f"map{suffix}", values)
+    np.testing.assert_array_equal(image_files.read_map(path), values)
+
+
+def test_pfm_is_as_others_read_it(tmp_path):
+    values = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
+    head, size, scale, *rest = image_files.write_map(tmp_path / "m.pfm", values).read_bytes().split(b"\n", 3)
+    assert (head, size) == (b"PF", b"2 2")
+    order = "<f4" if float(scale) < 0 else ">f4"
+    np.testing.assert_array_equal(np.frombuffer(rest[0], order).reshape(2, 2, 3)[::-1], values)
+
+
+def test_video_has_its_frames(tmp_path):
+    frames = [np.full((32, 48, 3), 40 * k, np.uint8) for k in range(5)]
+    path = image_files.write_video(tmp_path / "v.mp4", frames, 30.0)
+    video = cv2.VideoCapture(str(path))
+    brightness = []
+    while (read := video.read())[0]:
+        brightness.append(read[1].mean())
+    np.testing.assert_allclose(brightness, [0, 40, 80, 120, 160], atol=3)
+
+
+def test_faults_name_the_file(tmp_path):
+    with pytest.raises(BadInputError, match="no frames"):
+        image_files.write_video(tmp_path / "v.mp4", [], 30.0)
+    with pytest.raises(BadInputError, match=r"m\.exr.*tiff or \.pfm"):
+        image_files.write_map(tmp_path / "m.exr", np.zeros((2, 2, 3), np.float32))
+    with pytest.raises(BadInputError, match=r"none\.png"):
+        image_files.read_png(tmp_path / "none.png")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,81 @@
+"""Pictures, float maps and videos on disk. Every file is written whole or not at all.
+
+OpenCV stores colours as BGR; this is the only module that turns them round.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import written_whole
+
+
+def write_png(path: str | Path, image: NDArray[np.uint8]) -> Path:
+    """Write (height, width, 3) RGB or (height, width) grey uint8."""
+    return _write(path, _reversed_channels(image))
+
+
+def read_png(path: str | Path) -> NDArray[np.uint8]:
+    """Read an 8-bit picture as (height, width, 3) RGB.
+
+    Raises:
+        BadInputError: the file is missing or not a picture.
+    """
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise BadInputError(f"{path}: cannot be read as a picture.")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+def write_map(path: str | Path, values: NDArray[np.float32]) -> Path:
+    """Write a float32 map (height, width, 3) exactly, as .tiff or .pfm by its suffix; NaN stays NaN.
+
+    Channel order in the file is that of the array: red is channel 0.
+    """
+    if Path(path).suffix not in (".tiff", ".tif", ".pfm"):
+        raise BadInputError(f"{path}: a float map is written as .tiff or .pfm.")
+    return _write(path, _reversed_channels(values.astype(np.float32)))
+
+
+def read_map(path: str | Path) -> NDArray[np.float32]:
+    """Read what `write_map` wrote, (height, width, 3) float32."""
+    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if values is None or values.dtype != np.float32:
+        raise BadInputError(f"{path}: cannot be read as a float map (.tiff or .pfm).")
+    return np.ascontiguousarray(values[..., ::-1], dtype=np.float32)
+
+
+def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_per_second: float) -> Path:
+    """Write RGB frames of one size as an .mp4.
+
+    Raises:
+        BadInputError: this OpenCV has no encoder for it, or there are no frames.
+    """
+    with written_whole(path) as temporary:
+        writer = None
+        for frame in frames:
+            if writer is None:
+                size = (frame.shape[1], frame.shape[0])
+                writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), frames_per_second, size)
+                if not writer.isOpened():
+                    raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
+            writer.write(_reversed_channels(frame))
+        if writer is None:
+            raise BadInputError(f"{path}: there are no frames to make a video of.")
+        writer.release()
+    return Path(path)
+
+
+def _write(path: str | Path, image: NDArray[np.generic]) -> Path:
+    with written_whole(path) as temporary:
+        if not cv2.imwrite(str(temporary), image):
+            raise BadInputError(f"{path}: OpenCV cannot write this kind of picture.")
+    return Path(path)
+
+
+def _reversed_channels(image: NDArray[np.generic]) -> NDArray[np.generic]:
+    return np.ascontiguousarray(image[..., ::-1]) if image.ndim == 3 else image
