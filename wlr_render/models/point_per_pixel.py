@@ -1,0 +1,73 @@
+"""The baseline of one point in space per pixel: the virtual image as a surface, seen in perspective.
+
+A point is held as its tangents a and inverse depth w at the nominal viewpoint c: the image may lie behind the eye or
+at infinity, where w crosses zero and a depth would not. From the viewpoint v = c + d it is seen with tangents
+t = (a - w d_xy) / (1 + w d_z), that is a - w q with q = d_xy + d_z t: where the ray meets the plane of c.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.mappings import EyeBox, Mapped, Panel
+from wlr_render.models.queries import Answer, answer_in_chunks, require_form
+from wlr_render.numerics.newton import solve_2x2
+from wlr_render.numerics.polynomial import Polynomial
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_TOLERANCE = 1e-12  # tangents
+
+
+@dataclass(frozen=True)
+class PointPerPixelDisplay:
+    """`DisplayMapping` with one virtual point per pixel.
+
+    Attributes:
+        panel: the panel.
+        eye_box: where the pupil may be; its centre is the nominal viewpoint c.
+        point: (u px, v px) -> (ax, ay, w 1/m).
+    """
+
+    panel: Panel
+    eye_box: EyeBox
+    point: Polynomial
+
+    def __post_init__(self) -> None:
+        require_form("point", self.point, variables=2, outputs=3)
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward, closed form; see `mappings.DisplayMapping`."""
+        return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box)
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward, by a solve from the panel's centre; the warm start is the pixel, (..., 2)."""
+        tangents = tangents_of_dir(np.asarray(view_dir))
+        return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
+
+    def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        point = self.point(pixel)
+        shift = viewpoint - self.eye_box.centre
+        tangents = (point[:, :2] - point[:, 2:] * shift[:, :2]) / (1.0 + point[:, 2:] * shift[:, 2:])
+        return Answer(dir_of_tangents(tangents), self.point.box.contains(pixel))
+
+    def _backward(self, tangents: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
+        shift = viewpoint - self.eye_box.centre
+        crossing = shift[:, :2] + shift[:, 2:] * tangents
+
+        def residual(pixel: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
+            point, jacobian = self.point.with_jacobian(pixel)
+            miss = point[:, :2] - point[:, 2:] * crossing[index] - tangents[index]
+            return miss, jacobian[:, :2] - crossing[index, :, None] * jacobian[:, 2:]
+
+        cold = np.where(np.isfinite(tangents), 0.5 * self.panel.size_px, np.nan)
+        first = cold if start is None else np.where(np.isfinite(start), start, cold)
+        root = solve_2x2(residual, first, _TOLERANCE)
+        return Answer(root.unknown, self.point.box.contains(root.unknown), root.converged, root.unknown)

@@ -1,0 +1,124 @@
+"""How every model answers a query: flat, in chunks, over any leading axes, with a status for each element."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EyeBox, Mapped, Status
+from wlr_render.numerics.polynomial import Polynomial, term_count
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+EYE_BOX_MARGIN = 0.5e-3
+"""How far outside the eye box (metres) a viewpoint still counts as inside: about the error of eye tracking."""
+
+_CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a model says about one chunk of m elements.
+
+    Attributes:
+        value: (m, k).
+        inside: (m,) whether the inputs of the model's polynomials lie in their boxes.
+        solved: (m,) whether the solve converged; None for closed forms.
+        start: (m, 2) solution to start the next query from; None for closed forms.
+    """
+
+    value: FloatArray
+    inside: BoolArray
+    solved: BoolArray | None = None
+    start: FloatArray | None = None
+
+
+ChunkQuery = Callable[[FloatArray, FloatArray, FloatArray | None], Answer]
+"""(subject (m, j), viewpoint (m, 3), start (m, 2) or None) -> Answer."""
+
+
+def answer_in_chunks(
+    query: ChunkQuery,
+    subject: FloatArray,
+    viewpoint: FloatArray,
+    eye_box: EyeBox,
+    warm_start: FloatArray | None = None,
+) -> Mapped:
+    """Broadcast `subject` (..., j) against `viewpoint` (..., 3), ask chunk by chunk, and give each element its status.
+
+    A subject that is not finite (a direction that looks backwards, a point behind the eye) is a MISS; a solve that
+    did not converge, or an extrapolation that overflowed, is NOT_CONVERGED; a viewpoint outside the eye box or
+    inputs outside the fitted box are OUTSIDE_FIT and keep their value.
+
+    Raises:
+        BadInputError: `warm_start` is not of the query's shape.
+    """
+    subject, viewpoint = np.asarray(subject, dtype=np.float64), np.asarray(viewpoint, dtype=np.float64)
+    lead = np.broadcast_shapes(subject.shape[:-1], viewpoint.shape[:-1])
+    if warm_start is not None and warm_start.shape != (*lead, 2):
+        raise BadInputError(f"warm_start has shape {warm_start.shape}; this query needs {(*lead, 2)}.")
+    subject, viewpoint = _flat(subject, lead), _flat(viewpoint, lead)
+    start = None if warm_start is None else _flat(warm_start, lead)
+    parts = []
+    # Wild extrapolations may overflow on their way to being reported as such.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for first in range(0, max(len(subject), 1), _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            answer = query(subject[rows], viewpoint[rows], None if start is None else start[rows])
+            parts.append(_mapped(answer, subject[rows], viewpoint[rows], eye_box))
+    return Mapped(
+        np.concatenate([part.value for part in parts]).reshape(*lead, -1),
+        np.concatenate([part.status for part in parts]).reshape(lead),
+        _joined_starts(parts, lead),
+    )
+
+
+def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
+    return np.broadcast_to(array, (*lead, array.shape[-1])).reshape(-1, array.shape[-1])
+
+
+def _joined_starts(parts: list[Mapped], lead: tuple[int, ...]) -> FloatArray | None:
+    starts = [part.warm_start for part in parts if part.warm_start is not None]
+    return np.concatenate(starts).reshape(*lead, 2) if starts else None
+
+
+def _mapped(answer: Answer, subject: FloatArray, viewpoint: FloatArray, eye_box: EyeBox) -> Mapped:
+    inside = answer.inside & eye_box.contains(viewpoint, EYE_BOX_MARGIN)
+    solved = _all_finite(answer.value)
+    if answer.solved is not None:
+        solved = solved & answer.solved
+    present = _all_finite(subject) & _all_finite(viewpoint)
+    status = np.where(inside, Status.OK, Status.OUTSIDE_FIT).astype(np.uint8)
+    status[~solved] = Status.NOT_CONVERGED
+    status[~present] = Status.MISS
+    good = (solved & present)[:, None]
+    start = None if answer.start is None else np.where(good, answer.start, np.nan)
+    return Mapped(np.where(good, answer.value, np.nan), status, start)
+
+
+def _all_finite(rows: FloatArray) -> BoolArray:
+    return np.asarray(np.isfinite(rows).all(axis=1))
+
+
+def joined(*columns: FloatArray) -> FloatArray:
+    """Polynomial inputs side by side: several (m, k) -> (m, sum of k)."""
+    return np.concatenate(columns, axis=-1)
+
+
+def require_form(name: str, polynomial: Polynomial, variables: int, outputs: int) -> None:
+    """Check that a polynomial is the one that a model needs.
+
+    Raises:
+        BadInputError: other numbers of variables, outputs or terms, or coefficients that are not finite.
+    """
+    expected = (term_count(variables, polynomial.degree), outputs)
+    if polynomial.box.low.shape != (variables,) or polynomial.coefficients.shape != expected:
+        raise BadInputError(
+            f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected}, "
+            f"not {len(polynomial.box.low)} and {polynomial.coefficients.shape}."
+        )
+    if not np.isfinite(polynomial.coefficients).all():
+        raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")

@@ -1,0 +1,73 @@
+"""The planar see-through model: the deviation from the straight ray, on the base plane behind a projection.
+
+At the base-plane point p~ and the view tangents t, the ray in the world passes through p~ + B(p~, t) in the base plane
+and has tangents t + A(p~, t); no optics is A = B = 0. In terms of the paper's two planes P_real+ and P_real- at depths
+Z+ and Z- in front of the base plane, its p_real+- are p~ + Z+- t + (B + Z+- A): the same two unknown 2-vectors, so
+both parametrisations span the same models for fronto-parallel planes. This one does not need the real points to lie in
+two such planes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import EyeBox, Mapped
+from wlr_render.models.bundle_projection import solve_see_through
+from wlr_render.models.queries import Answer, answer_in_chunks, joined, require_form
+from wlr_render.numerics.polynomial import Polynomial
+
+FloatArray = NDArray[np.float64]
+
+
+def points_in_front(point: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Real points (..., 3), NaN where they are not in front of the viewpoint (..., 3)."""
+    point, viewpoint = np.broadcast_arrays(np.asarray(point, dtype=np.float64), viewpoint)
+    return np.where(point[..., 2:] < viewpoint[..., 2:], point, np.nan)
+
+
+@dataclass(frozen=True)
+class BundleSeeThrough:
+    """`SeeThroughMapping` fitted on viewpoints in a plane and projected to all others.
+
+    Attributes:
+        eye_box: where the pupil may be.
+        base_plane: the plane of the fit.
+        deviation: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m).
+    """
+
+    eye_box: EyeBox
+    base_plane: BasePlane
+    deviation: Polynomial
+
+    def __post_init__(self) -> None:
+        require_form("deviation", self.deviation, variables=4, outputs=4)
+
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward, closed form; see `mappings.SeeThroughMapping`. The ray's point lies in the base plane."""
+        return answer_in_chunks(self._forward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
+
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward, by a solve; see `mappings.SeeThroughMapping`. The warm start is the view tangents, (..., 2)."""
+        in_front = points_in_front(point, viewpoint)
+        return answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start)
+
+    def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        in_plane = self.base_plane.carry(viewpoint, tangents)
+        inputs = joined(in_plane, tangents)
+        value = self.deviation(inputs)
+        origin = self.base_plane.lift(in_plane + value[:, 2:])
+        ray = joined(origin, dir_of_tangents(tangents + value[:, :2]))
+        return Answer(ray, self.deviation.box.contains(inputs))
+
+    def _backward(self, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
+        root = solve_see_through(self.deviation, self.base_plane, point, viewpoint, start)
+        inputs = joined(self.base_plane.carry(viewpoint, root.unknown), root.unknown)
+        inside = self.deviation.box.contains(inputs)
+        return Answer(dir_of_tangents(root.unknown), inside, root.converged, root.unknown)

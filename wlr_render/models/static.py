@@ -1,0 +1,98 @@
+"""The baseline that ignores the viewpoint: one map, fitted at the nominal viewpoint and used at every other.
+
+The display is a fixed picture at infinity; the see-through deviation depends on the direction alone. The real ray still
+passes by the actual viewpoint: a static map knows how the combiner bends rays at its nominal viewpoint, and the world
+is drawn from where the eye is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.mappings import EyeBox, Mapped, Panel
+from wlr_render.models.queries import Answer, answer_in_chunks, require_form
+from wlr_render.models.see_through import points_in_front
+from wlr_render.models.volumetric import deviated_ray, deviated_view, straight_tangents
+from wlr_render.numerics.polynomial import Polynomial
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StaticDisplay:
+    """`DisplayMapping` that is the same for every viewpoint.
+
+    Attributes:
+        panel: the panel.
+        eye_box: where the pupil may be; only the status knows it.
+        forward: (u px, v px) -> (tx, ty).
+        backward: (tx, ty) -> (u px, v px).
+    """
+
+    panel: Panel
+    eye_box: EyeBox
+    forward: Polynomial
+    backward: Polynomial
+
+    def __post_init__(self) -> None:
+        require_form("forward", self.forward, variables=2, outputs=2)
+        require_form("backward", self.backward, variables=2, outputs=2)
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward; see `mappings.DisplayMapping`."""
+        return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box)
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward; see `mappings.DisplayMapping`."""
+        return answer_in_chunks(self._backward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
+
+    def _forward(self, pixel: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        return Answer(dir_of_tangents(self.forward(pixel)), self.forward.box.contains(pixel))
+
+    def _backward(self, tangents: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        pixel = self.backward(tangents)
+        return Answer(pixel, self.backward.box.contains(tangents) & self.forward.box.contains(pixel))
+
+
+@dataclass(frozen=True)
+class StaticSeeThrough:
+    """`SeeThroughMapping` whose deviation is the same for every viewpoint.
+
+    Attributes:
+        eye_box: where the pupil may be; only the status knows it.
+        forward: (tx, ty) -> (Ax, Ay, Bx m, By m), as in `VolumetricSeeThrough`.
+        backward: (sx, sy) -> (ax, ay, bx m, by m), as in `VolumetricSeeThrough`.
+    """
+
+    eye_box: EyeBox
+    forward: Polynomial
+    backward: Polynomial
+
+    def __post_init__(self) -> None:
+        require_form("forward", self.forward, variables=2, outputs=4)
+        require_form("backward", self.backward, variables=2, outputs=4)
+
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward; see `mappings.SeeThroughMapping`. The ray's point has the viewpoint's z."""
+        return answer_in_chunks(self._forward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
+
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward; see `mappings.SeeThroughMapping`."""
+        return answer_in_chunks(self._backward, points_in_front(point, viewpoint), viewpoint, self.eye_box)
+
+    def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        return deviated_ray(self.forward, tangents, tangents, viewpoint)
+
+    def _backward(self, point: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        tangents, depth = straight_tangents(point, viewpoint)
+        return deviated_view(self.backward, tangents, tangents, depth)

@@ -1,0 +1,122 @@
+"""The baseline of volumetric sampling: all four maps fitted directly over viewpoints in a volume; all closed forms.
+
+Two viewpoints on one ray of a pixel may be told different directions: nothing in the model forbids it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.mappings import EyeBox, Mapped, Panel
+from wlr_render.models.queries import Answer, answer_in_chunks, joined, require_form
+from wlr_render.models.see_through import points_in_front
+from wlr_render.numerics.polynomial import Polynomial
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VolumetricDisplay:
+    """`DisplayMapping` fitted on viewpoints in a volume.
+
+    Attributes:
+        panel: the panel.
+        eye_box: where the pupil may be.
+        forward: (u px, v px, x m, y m, z m) -> (tx, ty).
+        backward: (x m, y m, z m, tx, ty) -> (u px, v px).
+    """
+
+    panel: Panel
+    eye_box: EyeBox
+    forward: Polynomial
+    backward: Polynomial
+
+    def __post_init__(self) -> None:
+        require_form("forward", self.forward, variables=5, outputs=2)
+        require_form("backward", self.backward, variables=5, outputs=2)
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward; see `mappings.DisplayMapping`."""
+        return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box)
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward; see `mappings.DisplayMapping`."""
+        return answer_in_chunks(self._backward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
+
+    def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        inputs = joined(pixel, viewpoint)
+        return Answer(dir_of_tangents(self.forward(inputs)), self.forward.box.contains(inputs))
+
+    def _backward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        inputs = joined(viewpoint, tangents)
+        pixel = self.backward(inputs)
+        inside = self.backward.box.contains(inputs) & self.forward.box.contains(joined(pixel, viewpoint))
+        return Answer(pixel, inside)
+
+
+@dataclass(frozen=True)
+class VolumetricSeeThrough:
+    """`SeeThroughMapping` fitted on viewpoints in a volume.
+
+    Forward, the ray in the world passes through viewpoint_xy + B at the viewpoint's own z and has tangents t + A.
+    Backward, a point at depth D in front of the viewpoint, straight tangents s, is seen at t = s + a + b / D: linear in
+    inverse depth, so that two target depths determine it (what is left out is the product of two deviations).
+
+    Attributes:
+        eye_box: where the pupil may be.
+        forward: (x m, y m, z m, tx, ty) -> (Ax, Ay, Bx m, By m).
+        backward: (x m, y m, z m, sx, sy) -> (ax, ay, bx m, by m).
+    """
+
+    eye_box: EyeBox
+    forward: Polynomial
+    backward: Polynomial
+
+    def __post_init__(self) -> None:
+        require_form("forward", self.forward, variables=5, outputs=4)
+        require_form("backward", self.backward, variables=5, outputs=4)
+
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Forward; see `mappings.SeeThroughMapping`. The ray's point has the viewpoint's z."""
+        return answer_in_chunks(self._forward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
+
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """Backward; see `mappings.SeeThroughMapping`."""
+        return answer_in_chunks(self._backward, points_in_front(point, viewpoint), viewpoint, self.eye_box)
+
+    def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        return deviated_ray(self.forward, joined(viewpoint, tangents), tangents, viewpoint)
+
+    def _backward(self, point: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        tangents, depth = straight_tangents(point, viewpoint)
+        return deviated_view(self.backward, joined(viewpoint, tangents), tangents, depth)
+
+
+def straight_tangents(point: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tangents (m, 2) of the straight line from viewpoints to points, and the points' depth (m, 1)."""
+    depth = viewpoint[:, 2:] - point[:, 2:]
+    return (point[:, :2] - viewpoint[:, :2]) / depth, depth
+
+
+def deviated_ray(forward: Polynomial, inputs: FloatArray, tangents: FloatArray, viewpoint: FloatArray) -> Answer:
+    """The ray through viewpoint_xy + B at the viewpoint's z, with tangents t + A."""
+    value = forward(inputs)
+    origin = joined(viewpoint[:, :2] + value[:, 2:], viewpoint[:, 2:])
+    return Answer(joined(origin, dir_of_tangents(tangents + value[:, :2])), forward.box.contains(inputs))
+
+
+def deviated_view(backward: Polynomial, inputs: FloatArray, tangents: FloatArray, depth: FloatArray) -> Answer:
+    """The view direction with tangents s + a + b / depth."""
+    value = backward(inputs)
+    seen = tangents + value[:, :2] + value[:, 2:] / depth
+    return Answer(dir_of_tangents(seen), backward.box.contains(inputs))
