@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+
+from wlr_render.evaluation.raster_error import raster_error
+from wlr_render.geometry import directions, transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering.view import View
+
+
+@pytest.fixture
+def view():
+    camera = Pinhole(100, 80, np.array([-0.5, -0.4]), np.array([0.5, 0.4]))
+    pose = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6, -0.2]))
+    return View(camera, np.array([0.03, 0.0, -0.02]), pose)
+
+
+def points_at(view, depth):
+    """World points that the view's pixel centres see on the plane at `depth`."""
+    tangents = view.camera.pixel_centre_tangents()
+    in_camera = np.concatenate([tangents, -np.ones((*tangents.shape[:2], 1))], axis=-1) * depth
+    return transforms.apply(view.world_from_camera, in_camera)
+
+
+def test_equal_frames_have_no_error(view):
+    points = points_at(view, 2.0)
+    error = raster_error(view, np.full((80, 100), 0.5, np.float32), points, points)
+    assert error.registration_arcmin.max() == 0
+    assert not error.disoccluded.any()
+    assert not error.only_one.any()
+
+
+def test_a_known_shift_comes_back_in_arcminutes(view):
+    points = points_at(view, 2.0)
+    turn = transforms.rotation_about("y", 3 * directions.ARCMIN)
+    turned = (points - view.viewpoint_in_world) @ turn.T + view.viewpoint_in_world
+    error = raster_error(view, np.full((80, 100), 0.5, np.float32), points, turned)
+    # A turn about the vertical moves a point by the sine of its angle from the vertical.
+    along = directions.normalised(points - view.viewpoint_in_world)[..., 1]
+    np.testing.assert_allclose(error.registration_arcmin, 3 * np.sqrt(1 - along**2), rtol=1e-6)
+
+
+def test_points_behind_something_nearer_are_disoccluded(view):
+    inverse_depth = np.full((80, 100), 0.5, np.float32)
+    inverse_depth[:, :40] = 1.0  # something nearer covers the left part
+    points = points_at(view, 2.0)
+    error = raster_error(view, inverse_depth, points, points)
+    assert error.disoccluded[:, :39].all()
+    assert not error.disoccluded[:, 41:].any()
+
+
+def test_holes_are_counted_once_and_have_no_angle(view):
+    points = points_at(view, 2.0)
+    warped = points.copy()
+    warped[5, 5] = np.nan
+    points[6, 6] = np.nan
+    points[7, 7] = warped[7, 7] = np.nan
+    error = raster_error(view, np.full((80, 100), 0.5, np.float32), warped, points)
+    assert np.argwhere(error.only_one).tolist() == [[5, 5], [6, 6]]
+    assert np.argwhere(np.isnan(error.registration_arcmin)).tolist() == [[5, 5], [6, 6], [7, 7]]
