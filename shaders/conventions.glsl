@@ -1,0 +1,53 @@
+// Every flip and every half pixel of the GPU path (docs/conventions.md, "Pixels").
+//
+// Images lie in memory with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
+// projection turns y over and nothing else has to: window row 0 is the image's top row, and gl_FragCoord.xy is the
+// pixel, (0, 0) at the outer corner of the top-left pixel, centres at +0.5.
+
+// lens = (focal_u, focal_v, centre_u, centre_v) in pixels.
+
+// Point in the camera frame (looking along -z) -> clip space, with the far plane at infinity.
+vec4 clip_of_point(vec3 point, vec4 lens, vec2 size_px, float near)
+{
+    float depth = -point.z;
+    vec2 pixel_times_depth = lens.xy * vec2(point.x, -point.y) + lens.zw * depth;
+    return vec4(2.0 * pixel_times_depth / size_px - depth, depth - 2.0 * near, depth);
+}
+
+// 1 / depth of a depth buffer value drawn with clip_of_point's or an equal projection; 0 on the far plane.
+float inverse_depth_of_depth_buffer(float stored, float near)
+{
+    return (1.0 - stored) / near;
+}
+
+// Tangents (x, y) / -z -> pixel.
+vec2 pixel_of_tangents(vec2 tangents, vec4 lens)
+{
+    return lens.xy * vec2(tangents.x, -tangents.y) + lens.zw;
+}
+
+// How far a pixel moves per unit of inverse depth for a ray offset by (c, d) metres.
+vec2 pixel_shift_of_offset(vec2 offset, vec4 lens)
+{
+    return lens.xy * vec2(offset.x, -offset.y);
+}
+
+// The texel that holds a pixel position.
+ivec2 texel_of_pixel(vec2 pixel)
+{
+    return ivec2(floor(pixel));
+}
+
+// The four texels around a pixel position start at `base`; `weight` is the share of the right and lower ones.
+void bilinear_taps(vec2 pixel, out ivec2 base, out vec2 weight)
+{
+    vec2 corner = floor(pixel - 0.5);
+    base = ivec2(corner);
+    weight = pixel - 0.5 - corner;
+}
+
+// The same row counted from the other end, for images that other software drew upwards.
+ivec2 turned_upside_down(ivec2 texel, int height)
+{
+    return ivec2(texel.x, height - 1 - texel.y);
+}

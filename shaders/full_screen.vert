@@ -1,0 +1,8 @@
+#version 430
+// One triangle over the whole target, on the far plane, without any vertex buffer.
+
+void main()
+{
+    vec2 corner = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+    gl_Position = vec4(corner, 1.0, 1.0);
+}

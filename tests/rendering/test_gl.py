@@ -1,0 +1,86 @@
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import MissingGlError
+from wlr_render.rendering import gl
+from wlr_render.rendering.osmesa import OsMesaContext
+
+LOST_LIBRARIES = {"GLCONTEXT_LINUX_LIBEGL": "libNowhereEGL.so", "GLCONTEXT_LINUX_LIBGL": "libNowhereGL.so"}
+
+
+@pytest.mark.parametrize("backend", ["auto", "egl"])
+def test_missing_gl_is_one_sentence_with_the_remedy(backend, monkeypatch):
+    for name, value in LOST_LIBRARIES.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
+    monkeypatch.setattr("ctypes.CDLL", lambda name: (_ for _ in ()).throw(OSError(f"{name}: not found")))
+    with pytest.raises(MissingGlError, match=r"install libegl1 and libgl1, or libosmesa6, or draw with the CPU"):
+        gl.open_context(backend)
+
+
+@pytest.mark.gl
+def test_a_failed_call_raises_at_the_end_of_the_block(gl_context):
+    with pytest.raises(gl.GlError, match="GL_INVALID"), gl_context.drawing() as ctx:
+        ctx.texture((4, 4), 4, internal_format=0x1234)
+    with gl_context.drawing() as ctx:
+        assert ctx.error == "GL_NO_ERROR"
+
+
+@pytest.mark.gl
+def test_every_block_makes_its_own_context_current(gl_context):
+    with gl_context.drawing():
+        mine = gl_context.target((4, 3), 4, "f1")
+        gl_context.framebuffer([mine], with_depth=False).clear(1.0, 0.0, 0.0, 1.0)
+    with gl.open_context("egl" if gl_context.backend == "egl" else "osmesa") as other, other.drawing():
+        theirs = other.target((4, 3), 4, "f1")
+        other.framebuffer([theirs], with_depth=False).clear(0.0, 1.0, 0.0, 1.0)
+        with gl_context.drawing():
+            assert (gl.read(mine, np.uint8) == [255, 0, 0, 255]).all()
+
+
+@pytest.mark.gl
+def test_textures_keep_their_top_row_first(gl_context):
+    image = np.arange(5 * 3 * 4, dtype=np.float32).reshape(5, 3, 4)
+    with gl_context.drawing() as ctx:
+        texture = ctx.texture((3, 5), 4, image, dtype="f4")
+        np.testing.assert_array_equal(gl.read(texture, np.float32), image)
+
+
+OSMESA_PICTURE = """
+    import sys
+    import numpy as np
+    sys.path[:0] = [{tests!r}]
+    import gl_scenes
+    from wlr_render.rendering import gl, raster
+    scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
+    with gl.open_context("osmesa") as context:
+        image = raster.GlRaster(context, scene).draw(gl_scenes.view(), ("position",))
+    np.savez({out!r}, colour=image.colour, inverse_depth=image.inverse_depth)
+"""
+
+
+@pytest.mark.gl
+def test_osmesa_draws_what_egl_draws(gl_context, tmp_path):
+    import gl_scenes
+
+    from wlr_render.rendering import raster
+
+    if gl_context.backend != "egl":
+        pytest.skip("EGL does not open here, so that there is nothing to compare OSMesa with.")
+    try:
+        OsMesaContext.library()
+    except OSError as error:
+        pytest.skip(f"libosmesa6 is not installed ({error}).")
+    # Its own process: two of Mesa's front ends in one share the note of which context is current.
+    out = str(tmp_path / "osmesa.npz")
+    script = textwrap.dedent(OSMESA_PICTURE.format(tests=str(gl_scenes.__file__).rsplit("/", 1)[0], out=out))
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+    osmesa = np.load(out)
+    scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
+    egl = raster.GlRaster(gl_context, scene).draw(gl_scenes.view())
+    assert np.abs(egl.colour.astype(int) - osmesa["colour"]).max() <= 1
+    np.testing.assert_allclose(egl.inverse_depth, osmesa["inverse_depth"], rtol=1e-6)

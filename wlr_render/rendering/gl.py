@@ -1,0 +1,209 @@
+"""The only door to OpenGL: opening a context without a display, loading shaders, checking for errors.
+
+Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/conventions.glsl`
+is turned over; so reading and writing textures here turns nothing.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from wlr_render import files
+from wlr_render.errors import MissingGlError
+from wlr_render.rendering.osmesa import OsMesaContext
+
+Texture = moderngl.Texture
+TextureArray = moderngl.TextureArray
+Framebuffer = moderngl.Framebuffer
+Program = moderngl.Program
+VertexArray = moderngl.VertexArray
+
+_VERSION = 430
+_SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
+
+
+class GlError(RuntimeError):
+    """OpenGL refused a call: a fault of this library or of the driver, not of the input."""
+
+
+class GlContext:
+    """An OpenGL context and its shader programs; a context manager that releases it.
+
+    Several may live in one process: each `drawing` block makes its own current first.
+
+    Attributes:
+        backend: "egl" or "osmesa".
+    """
+
+    def __init__(self, ctx: moderngl.Context, backend: str) -> None:
+        self._ctx = ctx
+        self._make_current: Callable[[], object] = ctx.__enter__
+        # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
+        self._ctx.gc_mode = "context_gc"
+        self._programs: dict[tuple[object, ...], Program] = {}
+        self.backend = backend
+        for path in files.resource("shaders").glob("*.glsl"):
+            self._ctx.includes[path.name] = path.read_text(encoding="utf-8")
+
+    def __enter__(self) -> "GlContext":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    @property
+    def renderer(self) -> str:
+        """What draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+        return str(self._ctx.info["GL_RENDERER"])
+
+    @contextlib.contextmanager
+    def drawing(self) -> Iterator[moderngl.Context]:
+        """A block of OpenGL calls: this context current, all switches off, errors raised at the end.
+
+        Other users of OpenGL in the process leave their context current and blending on, and ModernGL would then
+        draw silently wrong pixels.
+
+        Raises:
+            GlError: a call in the block failed.
+        """
+        self._make_current()
+        self._ctx.gc()
+        self._ctx.enable_only(moderngl.NOTHING)
+        while self._ctx.error != "GL_NO_ERROR":
+            pass
+        yield self._ctx
+        error = self._ctx.error
+        if error != "GL_NO_ERROR":
+            raise GlError(f"OpenGL reports {error} ({self.renderer}).")
+
+    def program(self, vertex: str, fragment: str, **constants: int) -> Program:
+        """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`)."""
+        key = vertex, fragment, *sorted(constants.items())
+        if key not in self._programs:
+            self._programs[key] = self._ctx.program(
+                vertex_shader=_source(vertex, constants), fragment_shader=_source(fragment, constants)
+            )
+        return self._programs[key]
+
+    def full_screen(self, fragment: str) -> VertexArray:
+        """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
+        return self._ctx.vertex_array(self.program("full_screen.vert", fragment), [])
+
+    def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
+        """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4" or "i4"."""
+        texture = self._ctx.texture(size, components, dtype=dtype)
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        return texture
+
+    def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:
+        """An sRGB picture (height, width, 3) that is sampled in linear light, bilinear, repeating.
+
+        The hardware's filter weights have 8 bits, so that a sample errs by up to 6e-3 of the local contrast.
+        """
+        height, width = image.shape[:2]
+        pixels = np.ascontiguousarray(image)
+        texture = self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8)
+        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        texture.repeat_x = texture.repeat_y = True
+        return texture
+
+    def framebuffer(self, textures: list[Texture], with_depth: bool) -> Framebuffer:
+        """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
+        depth = self._ctx.depth_renderbuffer(textures[0].size) if with_depth else None
+        return self._ctx.framebuffer(textures, depth)
+
+    def triangles(
+        self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]
+    ) -> VertexArray:
+        """An indexed triangle mesh; attributes (vertices, n) become float32, unused ones are left out."""
+        content = [
+            (self._ctx.buffer(np.ascontiguousarray(values, np.float32)), f"{values.shape[1]}f4", name)
+            for name, values in attributes.items()
+            if name in program
+        ]
+        return self._ctx.vertex_array(program, content, self._ctx.buffer(np.ascontiguousarray(indices, np.uint32)))
+
+    def depth_test(self) -> None:
+        """Draw what is nearest, and at equal depth what comes last, until the end of the `drawing` block."""
+        self._ctx.enable_only(moderngl.DEPTH_TEST)
+        self._ctx.depth_func = "<="
+
+    def release(self) -> None:
+        """Destroy the context and everything in it."""
+        self._programs.clear()
+        self._ctx.release()
+
+
+def _source(name: str, constants: dict[str, int]) -> str:
+    version, text = files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
+    return "\n".join([version, *(f"#define {key} {value}" for key, value in constants.items()), "#line 2", text])
+
+
+def set_uniforms(program: Program, **values: Any) -> None:
+    """Set uniforms by name; those that the compiler found unused are skipped."""
+    for name, value in values.items():
+        uniform: Any = program.get(name, None)
+        if uniform is not None:
+            uniform.value = value
+
+
+def set_matrix(program: Program, name: str, matrix: NDArray[np.float64]) -> None:
+    """Set a square matrix, (n, n) as numpy writes it; OpenGL wants columns first."""
+    uniform: Any = program.get(name, None)
+    if uniform is not None:
+        uniform.write(np.ascontiguousarray(matrix.T, dtype=np.float32))
+
+
+def set_array(program: Program, name: str, rows: Sequence[NDArray[Any]]) -> None:
+    """Set a uniform array of vectors."""
+    uniform: Any = program.get(name, None)
+    if uniform is not None:
+        uniform.write(np.ascontiguousarray(rows, dtype=np.float32))
+
+
+def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
+    """A texture as (height, width, components), or (height, width) if it has one component."""
+    shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())
+    pixels = np.empty(shape, dtype)
+    texture.read_into(pixels, alignment=1)
+    return pixels
+
+
+def open_context(backend: str = "auto") -> GlContext:
+    """Open an OpenGL 4.3 context without a display.
+
+    Do not fork the process afterwards: drivers hang. Spawned workers open their own.
+
+    Args:
+        backend: "egl" (a GPU or Mesa's llvmpipe), "osmesa" (software), or "auto" for the first that opens.
+
+    Raises:
+        MissingGlError: none opens; the sentence says what to install.
+    """
+    reasons = []
+    for name in _OPENERS if backend == "auto" else (backend,):
+        try:
+            return GlContext(_OPENERS[name](), name)
+        except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
+            reasons.append(f"{name}: {error}")
+    raise MissingGlError(
+        f"No OpenGL 4.3 context opens ({'; '.join(reasons)}): install libegl1 and libgl1, or libosmesa6, "
+        "or draw with the CPU backend."
+    )
+
+
+def _open(**settings: Any) -> moderngl.Context:
+    return moderngl.create_context(standalone=True, require=_VERSION, **settings)
+
+
+_OPENERS: dict[str, Callable[[], moderngl.Context]] = {
+    "egl": lambda: _open(backend="egl"),
+    "osmesa": lambda: _open(context=OsMesaContext()),
+}

@@ -1,0 +1,150 @@
+"""Rasterisation of a scene by our own OpenGL pass: colour and inverse depth, and on demand position, normal and ids.
+
+Vertices are carried into the camera frame with a matrix composed in float64, so that a viewpoint far from the world's
+origin costs no precision. Both sides of every triangle are drawn, without multisampling: a pixel shows what its
+centre sees.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import transforms
+from wlr_render.rendering import gl
+from wlr_render.rendering.gpu_image import GpuImage, lens_of, read_rgb
+from wlr_render.rendering.scene import Light, Mesh, Scene
+from wlr_render.rendering.view import GeometryImage, View
+
+NEAR_M = 0.05
+"""Nothing nearer to the viewpoint than this is drawn."""
+
+_EXTRA = {"position": (3, "f4"), "normal": (3, "f4"), "ids": (2, "i4")}
+
+
+@dataclass(frozen=True, eq=False)
+class _MeshOnGpu:
+    vertex_array: gl.VertexArray
+    texture: gl.Texture | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    framebuffer: gl.Framebuffer
+    textures: dict[str, gl.Texture]
+
+
+class GlRaster:
+    """Draws one scene from any view; the meshes are uploaded once, instances of a mesh share them."""
+
+    def __init__(self, context: gl.GlContext, scene: Scene) -> None:
+        self._context = context
+        self._scene = scene
+        self._targets: dict[bool, _Targets] = {}
+        with context.drawing():
+            self._program = context.program("scene.vert", "scene.frag", LIGHT_COUNT=len(scene.lights))
+            self._background = context.full_screen("background.frag")
+            self._meshes = [_upload(context, self._program, mesh) for mesh in scene.meshes]
+
+    def draw(self, view: View, buffers: Collection[str] = ()) -> GeometryImage:
+        """Draw and fetch colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
+        with self._context.drawing():
+            textures = self._draw(view, with_extra=bool(buffers))
+            extra = {name: gl.read(textures[name], _EXTRA[name][1]) for name in buffers}
+            ids = extra.get("ids")
+            return GeometryImage(
+                colour=read_rgb(textures["colour"]),
+                inverse_depth=gl.read(textures["inverse_depth"], np.float32),
+                position=extra.get("position"),
+                normal=extra.get("normal"),
+                instance=None if ids is None else np.ascontiguousarray(ids[..., 0]),
+                triangle=None if ids is None else np.ascontiguousarray(ids[..., 1]),
+            )
+
+    def draw_on_gpu(self, view: View) -> GpuImage:
+        """Draw and leave the picture on the GPU; the next drawing of this object overwrites it."""
+        with self._context.drawing():
+            textures = self._draw(view, with_extra=False)
+        return GpuImage(self._context, view.camera, textures["colour"], textures["inverse_depth"])
+
+    def _draw(self, view: View, with_extra: bool) -> dict[str, gl.Texture]:
+        targets = self._targets_for(view, with_extra)
+        targets.framebuffer.use()
+        # Only the depth matters here: the background is drawn last, at infinity, over what nothing has covered.
+        targets.framebuffer.clear(depth=1.0)
+        self._context.depth_test()
+        self._set_view(view)
+        for index, instance in enumerate(self._scene.instances):
+            self._set_instance(view, index)
+            on_gpu = self._meshes[instance.mesh]
+            if on_gpu.texture is not None:
+                on_gpu.texture.use(0)
+            on_gpu.vertex_array.render()
+        gl.set_uniforms(self._background.program, background=_triple(self._scene.background))
+        self._background.render(vertices=3)
+        return targets.textures
+
+    def _targets_for(self, view: View, with_extra: bool) -> _Targets:
+        size = view.camera.width_px, view.camera.height_px
+        old = self._targets.get(with_extra)
+        if old is not None and old.framebuffer.size == size:
+            return old
+        formats = {"colour": (4, "f1"), "inverse_depth": (1, "f4")} | (_EXTRA if with_extra else {})
+        textures = {name: self._context.target(size, *form) for name, form in formats.items()}
+        targets = _Targets(self._context.framebuffer(list(textures.values()), with_depth=True), textures)
+        self._targets[with_extra] = targets
+        return targets
+
+    def _set_view(self, view: View) -> None:
+        scene, camera = self._scene, view.camera
+        camera_from_world = transforms.inverse(view.world_from_camera)
+        vectors = [_light_in_camera(light, camera_from_world) for light in scene.lights]
+        gl.set_array(self._program, "light_vector", vectors)
+        gl.set_array(self._program, "light_colour", [light.colour for light in scene.lights])
+        gl.set_uniforms(
+            self._program,
+            lens=lens_of(camera),
+            size_px=(camera.width_px, camera.height_px),
+            near=NEAR_M,
+            viewpoint_in_world=_triple(view.viewpoint_in_world),
+            ambient=_triple(scene.ambient),
+            base_texture=0,
+        )
+        gl.set_matrix(self._program, "world_from_camera", view.world_from_camera[:3, :3])
+
+    def _set_instance(self, view: View, index: int) -> None:
+        instance = self._scene.instances[index]
+        mesh = self._scene.mesh_of(instance)
+        camera_from_mesh = transforms.inverse(view.world_from_camera) @ instance.world_from_mesh
+        gl.set_matrix(self._program, "camera_from_mesh", camera_from_mesh)
+        gl.set_matrix(self._program, "camera_from_mesh_normal", np.asarray(np.linalg.inv(camera_from_mesh[:3, :3]).T))
+        gl.set_uniforms(
+            self._program,
+            base_colour=_triple(mesh.base_colour),
+            has_texture=mesh.texture is not None,
+            instance=index,
+        )
+
+
+def _upload(context: gl.GlContext, program: gl.Program, mesh: Mesh) -> _MeshOnGpu:
+    count = len(mesh.position)
+    attributes = {
+        "position": mesh.position,
+        "normal": mesh.normal,
+        "uv": np.zeros((count, 2)) if mesh.uv is None else mesh.uv,
+        "vertex_colour": np.ones((count, 3)) if mesh.vertex_colour is None else mesh.vertex_colour,
+    }
+    texture = None if mesh.texture is None else context.srgb_texture(mesh.texture)
+    return _MeshOnGpu(context.triangles(program, attributes, mesh.triangles), texture)
+
+
+def _light_in_camera(light: Light, camera_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The shader's light vector: (position, 1), or (direction towards the light, 0)."""
+    if light.kind == "point":
+        return np.append(transforms.apply(camera_from_world, light.vector), 1.0)
+    return np.append(-transforms.rotate(camera_from_world, light.vector), 0.0)
+
+
+def _triple(vector: NDArray[np.floating]) -> tuple[float, ...]:
+    return tuple(float(x) for x in vector)
