@@ -1,0 +1,57 @@
+"""A closed-form headset that answers all four questions, for tests that must not depend on the tracer."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from wlr_render.geometry import directions, rays
+from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
+
+
+def mapped(value):
+    status = np.where(np.isfinite(value).all(axis=-1), Status.OK, Status.MISS)
+    return Mapped(value, status.astype(np.uint8))
+
+
+@dataclass(frozen=True)
+class FlatImage:
+    """The panel appears as a flat picture 2 m away, 1.4 m x 1.0 m."""
+
+    panel: Panel
+    distance_m: float = 2.0
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        xy = (np.asarray(pixel) / self.panel.size_px - 0.5) * [1.4, -1.0]
+        point = np.concatenate([xy, np.full((*xy.shape[:-1], 1), -self.distance_m)], axis=-1)
+        return mapped(directions.normalised(point - viewpoint))
+
+    def pixel_of_view_dir(self, view_dir, viewpoint, warm_start=None):
+        depth = np.asarray(viewpoint)[..., 2:] + self.distance_m
+        xy = np.asarray(viewpoint)[..., :2] + depth * directions.tangents_of_dir(np.asarray(view_dir))
+        return mapped((xy / [1.4, -1.0] + 0.5) * self.panel.size_px)
+
+
+@dataclass(frozen=True)
+class PrismPlate:
+    """Parallel rays are offset in proportion to their tangents and bent by a constant."""
+
+    offset_m: float = 0.002
+    prism: float = 0.003
+
+    def real_ray_of_view_dir(self, view_dir, viewpoint, warm_start=None):
+        tangents = directions.tangents_of_dir(np.asarray(view_dir))
+        offset = np.concatenate([self.offset_m * tangents, 0 * tangents[..., :1]], axis=-1)
+        return mapped(rays.pack(viewpoint + offset, directions.dir_of_tangents(tangents + [self.prism, 0.0])))
+
+    def view_dir_of_real_point(self, point, viewpoint, warm_start=None):
+        depth = np.asarray(viewpoint)[..., 2:] - np.asarray(point)[..., 2:]
+        lateral = np.asarray(point)[..., :2] - np.asarray(viewpoint)[..., :2]
+        tangents = (lateral - depth * [self.prism, 0.0]) / (depth + self.offset_m)
+        return mapped(directions.dir_of_tangents(tangents))
+
+
+@pytest.fixture
+def flat_image_headset():
+    box = EyeBox(np.array([0.001, -0.002, 0.01]), np.array([0.010, 0.008, 0.006]))
+    return EyeMappings("flat image", "right", FlatImage(Panel(140, 100)), PrismPlate(), box)

@@ -1,0 +1,156 @@
+"""Mapping against mapping: how far a candidate's answers lie from true ones, in arcminutes and panel pixels.
+
+True answers are asked once, as *sightings*, and any number of candidates is judged by them: exact tracing costs far
+more than a fitted model. Sightings with another `viewpoint` are experiments: `displaced` for errors of eye tracking,
+`moved_back` for viewpoints that see the same rays from farther away.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import directions, rays
+from wlr_render.mappings import DisplayMapping, SeeThroughMapping
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DisplaySightings:
+    """Panel pixels as truly seen.
+
+    Attributes:
+        viewpoint: (n, 3) metres, device frame.
+        pixel: (n, 2).
+        view_dir: (n, 3) in which the pixel is seen from the viewpoint.
+    """
+
+    viewpoint: FloatArray
+    pixel: FloatArray
+    view_dir: FloatArray
+
+
+@dataclass(frozen=True)
+class DisplayError:
+    """Errors of a display mapping, one per sighting; NaN where it has no answer.
+
+    Attributes:
+        forward_arcmin: (n,) between the directions of the pixel.
+        backward_px: (n,) between the pixels of the true direction.
+    """
+
+    forward_arcmin: FloatArray
+    backward_px: FloatArray
+
+
+@dataclass(frozen=True)
+class SeeThroughSightings:
+    """Real points as truly seen.
+
+    Attributes:
+        viewpoint: (n, 3) metres, device frame.
+        view_dir: (n, 3) in which the point is seen from the viewpoint.
+        real_ray: (n, 6) on which the point lies.
+        point: (n, 3).
+    """
+
+    viewpoint: FloatArray
+    view_dir: FloatArray
+    real_ray: FloatArray
+    point: FloatArray
+
+
+@dataclass(frozen=True)
+class SeeThroughError:
+    """Errors of a see-through mapping, one per sighting; NaN where it has no answer.
+
+    Attributes:
+        backward_arcmin: (n,) between the directions in which the point is seen.
+        forward_arcmin: (n,) between the real rays' directions.
+        forward_miss_m: (n,) distance by which the candidate's real ray misses the point.
+    """
+
+    backward_arcmin: FloatArray
+    forward_arcmin: FloatArray
+    forward_miss_m: FloatArray
+
+
+def display_sightings(truth: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray) -> DisplaySightings:
+    """Ask the truth where pixels (..., 2) are seen from viewpoints (..., 3); what it does not see is left out."""
+    seen = truth.view_dir_of_pixel(pixel, viewpoint)
+    kept = seen.usable
+    return DisplaySightings(_rows(viewpoint, kept, 3), _rows(pixel, kept, 2), seen.value[kept])
+
+
+def display_error(candidate: DisplayMapping, sightings: DisplaySightings) -> DisplayError:
+    """Judge a display mapping by true sightings, both ways."""
+    shown = candidate.view_dir_of_pixel(sightings.pixel, sightings.viewpoint)
+    pixel = candidate.pixel_of_view_dir(sightings.view_dir, sightings.viewpoint)
+    return DisplayError(
+        directions.arcmin_between(shown.value, sightings.view_dir),
+        np.linalg.norm(pixel.value - sightings.pixel, axis=-1),
+    )
+
+
+def see_through_sightings(
+    truth: SeeThroughMapping, viewpoint: FloatArray, view_dir: FloatArray, depth_m: FloatArray
+) -> SeeThroughSightings:
+    """Follow directions (..., 3) from viewpoints (..., 3) to points at `depth_m` (...) in front of the viewpoints.
+
+    What the truth does not see is left out. Points must lie beyond the optics.
+    """
+    seen = truth.real_ray_of_view_dir(view_dir, viewpoint)
+    kept = seen.usable
+    viewpoints = _rows(viewpoint, kept, 3)
+    ray = seen.value[kept]
+    depth = np.broadcast_to(depth_m, kept.shape)[kept]
+    point = rays.split(rays.at_z(ray, viewpoints[:, 2] - depth))[0]
+    return SeeThroughSightings(viewpoints, _rows(view_dir, kept, 3), ray, point)
+
+
+def see_through_error(candidate: SeeThroughMapping, sightings: SeeThroughSightings) -> SeeThroughError:
+    """Judge a see-through mapping by true sightings, both ways."""
+    seen = candidate.view_dir_of_real_point(sightings.point, sightings.viewpoint)
+    ray = candidate.real_ray_of_view_dir(sightings.view_dir, sightings.viewpoint).value
+    return SeeThroughError(
+        directions.arcmin_between(seen.value, sightings.view_dir),
+        directions.arcmin_between(rays.split(ray)[1], rays.split(sightings.real_ray)[1]),
+        rays.distance_to_point(ray, sightings.point),
+    )
+
+
+def straight_error(sightings: SeeThroughSightings) -> FloatArray:
+    """(n,) arcminutes by which a world without optics differs: what an uncalibrated device is wrong by."""
+    straight = directions.normalised(sightings.point - sightings.viewpoint)
+    return directions.arcmin_between(straight, sightings.view_dir)
+
+
+def displaced(sightings: DisplaySightings, offset: FloatArray) -> DisplaySightings:
+    """The same sightings, asked at viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
+    return replace(sightings, viewpoint=sightings.viewpoint + offset)
+
+
+def moved_back(sightings: DisplaySightings, distance_m: float) -> DisplaySightings:
+    """The same rays, seen from viewpoints farther back along each of them; the space before the optics is free."""
+    return displaced(sightings, -distance_m * sightings.view_dir)
+
+
+def self_inconsistency_arcmin(
+    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
+) -> FloatArray:
+    """How much a mapping contradicts itself along its own rays.
+
+    The direction that it gives a pixel (..., 2) at a viewpoint (..., 3) is compared with the one that it gives
+    `distance_m` (...) farther back on that very ray, where the direction must be the same.
+
+    Returns:
+        (...) arcminutes, zero for any true display; NaN where it has no answer.
+    """
+    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
+    behind = viewpoint - np.asarray(distance_m)[..., None] * first
+    return directions.arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
+
+
+def _rows(array: FloatArray, kept: NDArray[np.bool_], width: int) -> FloatArray:
+    return np.broadcast_to(array, (*kept.shape, width))[kept]

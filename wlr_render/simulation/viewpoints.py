@@ -1,0 +1,68 @@
+"""Where the bench puts its camera: in one plane, in the eye box, or at its centre; and random viewpoints to test at.
+
+A total-degree polynomial of degree N is determined only by viewpoints with more than N levels on every axis: a k x k
+grid carries no term of degree k in one variable, whatever k^2 is. The designs here therefore give every viewpoint
+its own level, and crowd them towards the edges as Chebyshev points do, where least squares is weakest.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EyeBox
+
+FloatArray = NDArray[np.float64]
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
+    """Viewpoints in the plane z = centre of the eye box: a rank-1 Chebyshev lattice (Cools & Poppe 2011), golden step.
+
+    The region covered is where rays of the display through any viewpoint of the eye box meet the plane; a smaller one
+    would make the projected viewpoints leave the fitted box.
+
+    Args:
+        eye_box: the eye box.
+        reach: (2,) largest |tx| and |ty| of the rays.
+        count: number of viewpoints.
+
+    Returns:
+        (count, 3) device frame, metres.
+    """
+    steps = np.arange(_at_least_one(count))
+    unit = np.stack([(steps + 0.5) / count, (steps * _GOLDEN + 0.5) % 1.0], axis=-1)
+    half = 0.5 * eye_box.size[:2] + 0.5 * eye_box.size[2] * np.asarray(reach)
+    in_plane = _chebyshev_spaced(unit) * half
+    return np.asarray(eye_box.centre + np.concatenate([in_plane, np.zeros((count, 1))], axis=-1))
+
+
+def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
+    """Viewpoints in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced; (count, 3)."""
+    from scipy.stats import qmc
+
+    power = int(np.ceil(np.log2(_at_least_one(count))))
+    unit = qmc.Sobol(3, scramble=False).random_base2(power)[:count] + 0.5 / 2**power
+    return eye_box.at(_chebyshev_spaced(unit))
+
+
+def nominal(eye_box: EyeBox) -> FloatArray:
+    """The centre of the eye box alone, (1, 3): all that a static map is fitted on."""
+    return np.array(eye_box.centre, dtype=np.float64)[None]
+
+
+def random_in_eye_box(eye_box: EyeBox, count: int, rng: np.random.Generator) -> FloatArray:
+    """Uniformly random viewpoints in the eye box, (count, 3): where models are tested, mostly off the plane."""
+    return eye_box.at(rng.uniform(-1.0, 1.0, (_at_least_one(count), 3)))
+
+
+def _chebyshev_spaced(unit: FloatArray) -> FloatArray:
+    """0..1 -> -1..1, crowded towards the ends, stretched so that the outermost points lie on the boundary."""
+    spaced = -np.cos(np.pi * unit)
+    return np.asarray(spaced / np.maximum(np.abs(spaced).max(axis=0), 1e-9))
+
+
+def _at_least_one(count: int) -> int:
+    if count < 1:
+        raise BadInputError(f"the number of viewpoints is {count}; give at least 1.")
+    return count
