@@ -120,5 +120,5 @@ def test_a_panel_that_nobody_sees_is_said(flat_image_headset):
             return replace(seen, value=seen.value * np.nan, status=np.full_like(seen.status, 3))
 
     truth = EyeMappings("dark", "right", Dark(), flat_image_headset.see_through, flat_image_headset.eye_box)
-    with pytest.raises(BadInputError, match="no panel pixel is seen"):
+    with pytest.raises(BadInputError, match="no panel pixel of dark is seen"):
         _ = Bench(truth).field
