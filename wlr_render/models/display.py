@@ -1,6 +1,7 @@
 """The planar display model: polynomials on the base plane behind a projection (paper: f_display over a bundle)."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Mapped, Panel
 from wlr_render.models.bundle_projection import solve_display
-from wlr_render.models.queries import Answer, answer_in_chunks, joined, require_form
+from wlr_render.models.queries import Answer, Forms, answer_in_chunks, joined, require_forms
 from wlr_render.numerics.polynomial import Polynomial
 
 FloatArray = NDArray[np.float64]
@@ -35,9 +36,10 @@ class BundleDisplay:
     forward: Polynomial
     backward: Polynomial
 
+    FORMS: ClassVar[Forms] = {"forward": (4, 2), "backward": (4, 2)}
+
     def __post_init__(self) -> None:
-        require_form("forward", self.forward, variables=4, outputs=2)
-        require_form("backward", self.backward, variables=4, outputs=2)
+        require_forms(self, self.FORMS)
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

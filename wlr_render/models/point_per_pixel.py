@@ -6,13 +6,14 @@ t = (a - w d_xy) / (1 + w d_z), that is a - w q with q = d_xy + d_z t: where the
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EyeBox, Mapped, Panel
-from wlr_render.models.queries import Answer, answer_in_chunks, require_form
+from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
 from wlr_render.numerics.newton import solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -36,8 +37,10 @@ class PointPerPixelDisplay:
     eye_box: EyeBox
     point: Polynomial
 
+    FORMS: ClassVar[Forms] = {"point": (2, 3)}
+
     def __post_init__(self) -> None:
-        require_form("point", self.point, variables=2, outputs=3)
+        require_forms(self, self.FORMS)
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

@@ -108,17 +108,23 @@ def joined(*columns: FloatArray) -> FloatArray:
     return np.concatenate(columns, axis=-1)
 
 
-def require_form(name: str, polynomial: Polynomial, variables: int, outputs: int) -> None:
-    """Check that a polynomial is the one that a model needs.
+Forms = dict[str, tuple[int, int]]
+"""Of a model's polynomials, by attribute: the numbers of variables and outputs."""
+
+
+def require_forms(model: object, forms: Forms) -> None:
+    """Check that a model's polynomials are of the forms that it needs.
 
     Raises:
         BadInputError: other numbers of variables, outputs or terms, or coefficients that are not finite.
     """
-    expected = (term_count(variables, polynomial.degree), outputs)
-    if polynomial.box.low.shape != (variables,) or polynomial.coefficients.shape != expected:
-        raise BadInputError(
-            f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected}, "
-            f"not {len(polynomial.box.low)} and {polynomial.coefficients.shape}."
-        )
-    if not np.isfinite(polynomial.coefficients).all():
-        raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
+    for name, (variables, outputs) in forms.items():
+        polynomial: Polynomial = getattr(model, name)
+        expected = (term_count(variables, polynomial.degree), outputs)
+        if polynomial.box.low.shape != (variables,) or polynomial.coefficients.shape != expected:
+            raise BadInputError(
+                f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected}, "
+                f"not {len(polynomial.box.low)} and {polynomial.coefficients.shape}."
+            )
+        if not np.isfinite(polynomial.coefficients).all():
+            raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")

@@ -8,6 +8,7 @@ two such planes.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Mapped
 from wlr_render.models.bundle_projection import solve_see_through
-from wlr_render.models.queries import Answer, answer_in_chunks, joined, require_form
+from wlr_render.models.queries import Answer, Forms, answer_in_chunks, joined, require_forms
 from wlr_render.numerics.polynomial import Polynomial
 
 FloatArray = NDArray[np.float64]
@@ -42,8 +43,10 @@ class BundleSeeThrough:
     base_plane: BasePlane
     deviation: Polynomial
 
+    FORMS: ClassVar[Forms] = {"deviation": (4, 4)}
+
     def __post_init__(self) -> None:
-        require_form("deviation", self.deviation, variables=4, outputs=4)
+        require_forms(self, self.FORMS)
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

@@ -6,13 +6,14 @@ is drawn from where the eye is.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EyeBox, Mapped, Panel
-from wlr_render.models.queries import Answer, answer_in_chunks, require_form
+from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
 from wlr_render.models.see_through import points_in_front
 from wlr_render.models.volumetric import deviated_ray, deviated_view, straight_tangents
 from wlr_render.numerics.polynomial import Polynomial
@@ -36,9 +37,10 @@ class StaticDisplay:
     forward: Polynomial
     backward: Polynomial
 
+    FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward": (2, 2)}
+
     def __post_init__(self) -> None:
-        require_form("forward", self.forward, variables=2, outputs=2)
-        require_form("backward", self.backward, variables=2, outputs=2)
+        require_forms(self, self.FORMS)
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
@@ -74,9 +76,10 @@ class StaticSeeThrough:
     forward: Polynomial
     backward: Polynomial
 
+    FORMS: ClassVar[Forms] = {"forward": (2, 4), "backward": (2, 4)}
+
     def __post_init__(self) -> None:
-        require_form("forward", self.forward, variables=2, outputs=4)
-        require_form("backward", self.backward, variables=2, outputs=4)
+        require_forms(self, self.FORMS)
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

@@ -4,13 +4,14 @@ Two viewpoints on one ray of a pixel may be told different directions: nothing i
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EyeBox, Mapped, Panel
-from wlr_render.models.queries import Answer, answer_in_chunks, joined, require_form
+from wlr_render.models.queries import Answer, Forms, answer_in_chunks, joined, require_forms
 from wlr_render.models.see_through import points_in_front
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -33,9 +34,10 @@ class VolumetricDisplay:
     forward: Polynomial
     backward: Polynomial
 
+    FORMS: ClassVar[Forms] = {"forward": (5, 2), "backward": (5, 2)}
+
     def __post_init__(self) -> None:
-        require_form("forward", self.forward, variables=5, outputs=2)
-        require_form("backward", self.backward, variables=5, outputs=2)
+        require_forms(self, self.FORMS)
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
@@ -78,9 +80,10 @@ class VolumetricSeeThrough:
     forward: Polynomial
     backward: Polynomial
 
+    FORMS: ClassVar[Forms] = {"forward": (5, 4), "backward": (5, 4)}
+
     def __post_init__(self) -> None:
-        require_form("forward", self.forward, variables=5, outputs=4)
-        require_form("backward", self.backward, variables=5, outputs=4)
+        require_forms(self, self.FORMS)
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

@@ -1,0 +1,176 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from toy_device import (
+    EYE_BOX,
+    PANEL,
+    PLANE,
+    display_captures,
+    grid_in_plane,
+    positions_in_plane,
+    tangents_of,
+)
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.captures.correspondences import concatenate
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+
+UNSEEN = np.random.default_rng(7).uniform([50, 50], [950, 750], (40, 2))
+
+
+def unseen_viewpoints(height):
+    """Viewpoints off the plane with the toy's own answer at `UNSEEN`: viewpoint (40, 3), view_dir (40, 3)."""
+    base = positions_in_plane(40, seed=8)
+    tangents = tangents_of(UNSEEN, base)
+    viewpoint = np.column_stack([base - height * tangents, np.full(40, PLANE.z + height)])
+    return viewpoint, dir_of_tangents(tangents)
+
+
+def rms_arcmin(mapping, height=0.0):
+    viewpoint, view_dir = unseen_viewpoints(height)
+    seen = mapping.view_dir_of_pixel(UNSEEN, viewpoint).value
+    return np.sqrt(np.mean(arcmin_between(seen, view_dir) ** 2))
+
+
+@pytest.mark.parametrize("height", [0.0, 0.003, -0.002])
+def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
+    mapping, report = fit_display(display_captures(positions_in_plane(12), height=height), "planar", 2)
+    for query_height in (0.0, 0.004):
+        viewpoint, view_dir = unseen_viewpoints(query_height)
+        seen = mapping.view_dir_of_pixel(UNSEEN, viewpoint)
+        assert seen.usable.all()
+        np.testing.assert_allclose(seen.value, view_dir, atol=1e-11)
+        np.testing.assert_allclose(mapping.pixel_of_view_dir(view_dir, viewpoint).value, UNSEEN, atol=1e-8)
+    assert report.residual_arcmin.maximum < 1e-7
+    assert report.residual_px.maximum < 1e-8
+    assert report.unsolved == 0
+    assert report.coefficients == {"forward": 30, "backward": 30}
+
+
+def test_base_plane_may_be_chosen():
+    base_plane = dataclasses.replace(PLANE, z=PLANE.z + 0.001)
+    mapping, _ = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane)
+    assert mapping.base_plane == base_plane
+    assert rms_arcmin(mapping) < 0.01
+
+
+def test_point_per_pixel_recovers_an_image_that_crosses_infinity():
+    pixels = PANEL.grid(9, 7).reshape(-1, 2)
+    position = EYE_BOX.at(np.random.default_rng(3).uniform(-1, 1, (6, 3)))
+    capture = np.repeat(np.arange(6), len(pixels))
+    pixel, viewpoint = np.tile(pixels, (6, 1)), position[capture]
+
+    def seen(pixel, viewpoint):
+        nominal = (pixel - 0.5 * PANEL.size_px) * [6e-4, -6e-4]
+        inverse_depth = 0.004 * (pixel[:, :1] - 400)  # 1/m, zero along a column of pixels
+        shift = viewpoint - EYE_BOX.centre
+        return dir_of_tangents((nominal - inverse_depth * shift[:, :2]) / (1 + inverse_depth * shift[:, 2:]))
+
+    captures = dataclasses.replace(
+        display_captures(position[:, :2]), viewpoint=viewpoint, view_dir=seen(pixel, viewpoint)
+    )
+    mapping, report = fit_display(captures, "point-per-pixel", 1)
+    elsewhere = EYE_BOX.at(np.random.default_rng(4).uniform(-1, 1, (40, 3)))
+    truth = seen(UNSEEN, elsewhere)
+    np.testing.assert_allclose(mapping.view_dir_of_pixel(UNSEEN, elsewhere).value, truth, atol=1e-12)
+    np.testing.assert_allclose(mapping.pixel_of_view_dir(truth, elsewhere).value, UNSEEN, atol=1e-7)
+    assert report.residual_px.maximum < 1e-7
+
+
+def test_volumetric_fit_recovers_directions_polynomial_in_all_three_coordinates():
+    position = EYE_BOX.at(np.random.default_rng(3).uniform(-1, 1, (14, 3)))
+    captures = display_captures(position[:, :2])
+    viewpoint = position[captures.capture]
+
+    def tangents(pixel, viewpoint):
+        return tangents_of(pixel, viewpoint[:, :2]) + 20.0 * (viewpoint[:, 2:] - PLANE.z) * (viewpoint[:, :2] - 0.02)
+
+    captures = dataclasses.replace(
+        captures, viewpoint=viewpoint, view_dir=dir_of_tangents(tangents(captures.pixel, viewpoint))
+    )
+    mapping, _ = fit_display(captures, "volumetric", 2)
+    elsewhere = EYE_BOX.at(np.random.default_rng(4).uniform(-1, 1, (40, 3)))
+    view_dir = dir_of_tangents(tangents(UNSEEN, elsewhere))
+    np.testing.assert_allclose(mapping.view_dir_of_pixel(UNSEEN, elsewhere).value, view_dir, atol=1e-12)
+    np.testing.assert_allclose(mapping.pixel_of_view_dir(view_dir, elsewhere).value, UNSEEN, atol=1e-8)
+
+
+def test_static_fit_is_the_view_from_the_camera_nearest_the_centre():
+    nearest = EYE_BOX.centre[:2] + [1e-4, -1e-4]
+    captures = display_captures(np.vstack([positions_in_plane(5), nearest]))
+    mapping, report = fit_display(captures, "static", 1)
+    assert report.viewpoints == 1
+    truth = dir_of_tangents(tangents_of(UNSEEN, np.broadcast_to(nearest, (40, 2))))
+    for viewpoint in EYE_BOX.at(np.array([[0, 0, 0], [1, -1, 1]])):
+        np.testing.assert_allclose(mapping.view_dir_of_pixel(UNSEEN, viewpoint).value, truth, atol=1e-12)
+        np.testing.assert_allclose(mapping.pixel_of_view_dir(truth, viewpoint).value, UNSEEN, atol=1e-9)
+
+
+def on_a_conic(count):
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    return EYE_BOX.centre[:2] + 0.004 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "degree", "positions", "sentence"),
+    [
+        ("planar", 4, positions_in_plane(9), r"degree 4 needs at least 15 viewpoints and there are 9: 6 more"),
+        ("planar", 5, grid_in_plane(5, 6), r"at least 6 levels of x among the viewpoints and there are 5: 1 more"),
+        ("planar", 2, on_a_conic(11), r"the 11 viewpoints lie on one curve of degree 2"),
+        ("planar", None, positions_in_plane(2), r"degree 1 needs at least 3 viewpoints and there are 2: 1 more"),
+        ("volumetric", 3, positions_in_plane(8), r"at least 20 viewpoints and there are 8: 12 more"),
+        ("volumetric", 2, positions_in_plane(12), r"at least 3 levels of z among the viewpoints and there are 1: 2"),
+        ("point-per-pixel", 2, positions_in_plane(1), r"at least 2 viewpoints and there is 1: 1 more"),
+        ("static", 9, positions_in_plane(3), r"at least 55 panel pixels|at least 10 levels of u"),
+        ("static", 7, positions_in_plane(3), r"at least 8 levels of v among the panel pixels and there are 7: 1 more"),
+    ],
+)
+def test_a_design_that_does_not_determine_the_model_is_refused_with_what_is_missing(kind, degree, positions, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        fit_display(display_captures(positions), kind, degree)
+
+
+def test_unknown_kind_is_refused():
+    with pytest.raises(BadInputError, match="'planr' is unknown; choose one of planar"):
+        fit_display(display_captures(positions_in_plane(3)), "planr", 1)
+
+
+def test_held_out_choice_finds_the_devices_own_degree_under_noise():
+    _, report = fit_display(display_captures(positions_in_plane(25), sigma_arcmin=2.0, seed=5))
+    assert report.degree == 2
+    by_degree = {entry.degree: entry.rms for entry in report.held_out_arcmin}
+    assert set(by_degree) == {1, 2, 3, 4}  # 20 positions are left in a fold: not enough for the 21 of degree 5
+    assert by_degree[1] > 5 * by_degree[2]
+    assert by_degree[4] > by_degree[2]
+    # A residual vector has two components of sigma each.
+    assert by_degree[2] == pytest.approx(2.0 * np.sqrt(2.0), rel=0.1)
+    assert report.held_out_at_degree() == report.held_out_arcmin[1]
+    assert report.held_out_px is not None
+
+
+def test_held_out_error_is_missing_where_no_position_can_be_spared():
+    _, report = fit_display(display_captures(positions_in_plane(6)), "planar", 2)
+    assert report.held_out_arcmin == ()
+    assert report.held_out_at_degree() is None
+
+
+def test_weights_follow_sigma():
+    good = display_captures(positions_in_plane(10), sigma_arcmin=0.1, seed=1)
+    poor = display_captures(positions_in_plane(10), sigma_arcmin=20.0, seed=2)
+    weighted, _ = fit_display(concatenate([good, poor]), "planar", 2)
+    both = concatenate([good, poor])
+    unweighted, _ = fit_display(dataclasses.replace(both, sigma_arcmin=1.0), "planar", 2)
+    assert rms_arcmin(weighted) < 0.1
+    assert rms_arcmin(unweighted) > 10 * rms_arcmin(weighted)
+
+
+def test_error_shrinks_with_the_root_of_the_number_of_samples():
+    few, many = PANEL.grid(6, 5).reshape(-1, 2), PANEL.grid(24, 20).reshape(-1, 2)
+
+    def error(pixels):
+        captures = [display_captures(positions_in_plane(12), pixels, sigma_arcmin=3.0, seed=s) for s in range(8)]
+        return np.sqrt(np.mean([rms_arcmin(fit_display(c, "planar", 2)[0]) ** 2 for c in captures]))
+
+    assert error(few) / error(many) == pytest.approx(4.0, rel=0.3)

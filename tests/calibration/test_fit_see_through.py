@@ -1,0 +1,148 @@
+import numpy as np
+import pytest
+from toy_device import EYE_BOX, PLANE, bend_of, positions_in_plane, see_through_captures
+
+from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.captures.correspondences import concatenate, select
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
+from wlr_render.geometry.rays import distance_to_point, split
+
+RNG = np.random.default_rng(9)
+BASE = positions_in_plane(40, seed=8)
+TANGENTS = RNG.uniform([-0.38, -0.28], [0.38, 0.28], (40, 2))
+
+
+def truth_at(depth, height):
+    """Points, viewpoints off the plane and view directions of the toy itself, (40, 3) each."""
+    a, b = bend_of(BASE, TANGENTS)
+    point = np.column_stack([BASE + b + depth * (TANGENTS + a), np.full(40, PLANE.z - depth)])
+    viewpoint = np.column_stack([BASE - height * TANGENTS, np.full(40, PLANE.z + height)])
+    return point, viewpoint, dir_of_tangents(TANGENTS)
+
+
+def straight(base, tangents):
+    return np.zeros_like(base), np.zeros_like(base)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("height", [0.0, 0.004])
+def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt, height):
+    mapping, report = fit_see_through(see_through_captures(positions_in_plane(12), tilt=tilt), "planar", 2)
+    for depth in (0.3, 1.0, 10.0):
+        point, viewpoint, view_dir = truth_at(depth, height)
+        seen = mapping.view_dir_of_real_point(point, viewpoint)
+        assert seen.usable.all()
+        np.testing.assert_allclose(seen.value, view_dir, atol=1e-10)
+        ray = mapping.real_ray_of_view_dir(view_dir, viewpoint).value
+        assert distance_to_point(ray, point).max() < 1e-9
+    assert report.residual_arcmin.maximum < 1e-7
+    assert report.residual_px is None
+
+
+def test_any_number_of_target_poses_goes_into_one_fit():
+    captures = see_through_captures(positions_in_plane(12), depths=(0.4, 0.7, 1.5, 3.0))
+    shuffled = select(captures, RNG.permutation(len(captures))[: len(captures) // 2])
+    mapping, _ = fit_see_through(shuffled, "planar", 2)
+    point, viewpoint, view_dir = truth_at(0.5, 0.0)
+    np.testing.assert_allclose(mapping.view_dir_of_real_point(point, viewpoint).value, view_dir, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["planar", "volumetric", "static"])
+def test_no_optics_is_no_deviation(kind):
+    levels = EYE_BOX.centre[2] + np.linspace(-0.002, 0.002, 12)
+    captures = see_through_captures(positions_in_plane(12), bend=straight)
+    viewpoint = np.column_stack([captures.viewpoint[:, :2], levels[captures.capture]])
+    view_dir = normalised(captures.point - viewpoint)
+    captures = type(captures)(
+        "none", "left", EYE_BOX, viewpoint, view_dir, captures.point, captures.capture, captures.target_pose, 0.0
+    )
+    mapping, _ = fit_see_through(captures, kind, 1)
+    polynomials = [mapping.deviation] if kind == "planar" else [mapping.forward, mapping.backward]
+    for polynomial in polynomials:
+        np.testing.assert_allclose(polynomial.coefficients, 0.0, atol=1e-15)
+
+
+def test_volumetric_fit_comes_close_to_a_device_that_is_polynomial_on_a_plane():
+    positions = positions_in_plane(30)
+    captures = concatenate(
+        [raised(see_through_captures(positions), height) for height in (-0.003, -0.001, 0.001, 0.003)]
+    )
+    mapping, _ = fit_see_through(captures, "volumetric", 3)
+    point, viewpoint, view_dir = truth_at(1.0, 0.002)
+    seen = mapping.view_dir_of_real_point(point, viewpoint).value
+    assert arcmin_between(seen, view_dir).max() < 0.02
+    ray = mapping.real_ray_of_view_dir(view_dir, viewpoint).value
+    assert distance_to_point(ray, point).max() < 1e-5
+
+
+def raised(captures, height):
+    """The same rays, each seen from `height` metres behind the plane."""
+    along = height / -captures.view_dir[:, 2:]
+    moved = captures.viewpoint - along * captures.view_dir
+    return type(captures)(
+        "toy",
+        "right",
+        EYE_BOX,
+        moved,
+        captures.view_dir,
+        captures.point,
+        captures.capture,
+        captures.target_pose,
+        0.0,
+    )
+
+
+def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one():
+    captures = see_through_captures(np.vstack([positions_in_plane(5), EYE_BOX.centre[:2]]))
+    mapping, report = fit_see_through(captures, "static", 2)
+    assert report.viewpoints == 1
+    a, b = bend_of(np.broadcast_to(EYE_BOX.centre[:2], (40, 2)), TANGENTS)
+    for viewpoint in EYE_BOX.at(np.array([[0.0, 0, 0], [1, 1, -1]])):
+        origin, direction = split(mapping.real_ray_of_view_dir(dir_of_tangents(TANGENTS), viewpoint).value)
+        np.testing.assert_allclose(direction, dir_of_tangents(TANGENTS + a), atol=1e-11)
+        np.testing.assert_allclose(origin[:, :2], viewpoint[:2] + b, atol=1e-11)
+        np.testing.assert_allclose(origin[:, 2], viewpoint[2])
+
+
+@pytest.mark.parametrize(
+    ("kind", "degree", "captures", "sentence"),
+    [
+        ("planar", 3, see_through_captures(positions_in_plane(7)), r"at least 10 viewpoints and there are 7: 3 more"),
+        (
+            "planar",
+            2,
+            see_through_captures(positions_in_plane(12), depths=(0.7,)),
+            r"needs a second target depth and there are 1 target pose",
+        ),
+        (
+            "static",
+            2,
+            see_through_captures(positions_in_plane(4), depths=(0.7, 0.7)),
+            r"needs a second target depth and there are 2 target pose",
+        ),
+        ("volumetric", 1, see_through_captures(positions_in_plane(9)), r"at least 2 levels of z"),
+    ],
+)
+def test_a_design_that_does_not_determine_the_model_is_refused_with_what_is_missing(kind, degree, captures, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        fit_see_through(captures, kind, degree)
+
+
+def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
+    captures = see_through_captures(positions_in_plane(6))
+    with pytest.raises(BadInputError, match="lies beyond some target points"):
+        fit_see_through(captures, "planar", 1, type(PLANE)(-0.5))
+    with pytest.raises(BadInputError, match="'point-per-pixel' is unknown"):
+        fit_see_through(captures, "point-per-pixel", 1)
+
+
+def test_held_out_choice_takes_few_terms_under_noise():
+    noisy = see_through_captures(positions_in_plane(25), sigma_arcmin=1.0, seed=2)
+    _, report = fit_see_through(noisy)
+    assert report.degree == 2
+    exact, straight_report = fit_see_through(
+        see_through_captures(positions_in_plane(25), bend=straight, sigma_arcmin=1.0)
+    )
+    assert straight_report.degree == 1
+    assert np.abs(exact.deviation.coefficients).max() < 1e-3

@@ -1,0 +1,95 @@
+"""A device whose maps are polynomials on the plane z = PLANE.z, known in closed form both ways.
+
+Display: t = M (pixel - middle) + g(p~), so the pixel is polynomial in (p~, t) too. See-through: A and B quadratic in
+(p~, t).
+"""
+
+import numpy as np
+
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import EyeBox, Panel
+
+PLANE = BasePlane(0.02)
+EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
+PANEL = Panel(1000, 800)
+_M = np.array([[6e-4, 1e-4], [-5e-5, -7e-4]])
+
+
+def _swim(in_plane):
+    x, y = ((in_plane - EYE_BOX.centre[:2]) / 0.005).T
+    return np.stack([0.03 * x - 0.004 * x * y, 0.02 * y + 0.005 * x**2], axis=-1)
+
+
+def tangents_of(pixel, in_plane):
+    return (pixel - 0.5 * PANEL.size_px) @ _M.T + _swim(in_plane)
+
+
+def bend_of(in_plane, tangents):
+    """Deviation of tangents A (n, 2) and lateral offset B (n, 2) metres."""
+    x, y = ((in_plane - EYE_BOX.centre[:2]) / 0.005).T
+    tx, ty = tangents.T
+    a = np.stack([2e-3 * tx + 1e-3 * x * ty, 3e-3 - 1e-3 * ty**2 + 5e-4 * y], axis=-1)
+    b = np.stack([1e-3 * tx + 1e-4 * x**2, 5e-4 * ty + 2e-4], axis=-1)
+    return a, b
+
+
+def positions_in_plane(count, seed=1):
+    """Scattered over twice the eye box, so that no small count lies on a curve: (count, 2)."""
+    unit = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, 2))
+    return EYE_BOX.centre[:2] + unit * EYE_BOX.size[:2]
+
+
+def grid_in_plane(columns, rows):
+    x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
+    return EYE_BOX.centre[:2] + np.stack([x.ravel(), y.ravel()], axis=-1) * EYE_BOX.size[:2]
+
+
+def scattered(tangents, sigma_arcmin, seed):
+    """Unit directions whose two transverse angles carry noise of sigma (a number or (n,))."""
+    direction = dir_of_tangents(tangents)
+    noise = np.random.default_rng(seed).normal(size=direction.shape) * np.multiply.outer(
+        np.broadcast_to(sigma_arcmin, len(direction)) * ARCMIN, np.ones(3)
+    )
+    noise -= np.sum(noise * direction, axis=1, keepdims=True) * direction
+    moved = direction + noise
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+def display_captures(in_plane, pixels=None, height=0.0, sigma_arcmin=0.0, seed=0):
+    """Each pixel seen from `height` metres off the plane, where its ray through each base-plane point comes by."""
+    pixels = PANEL.grid(9, 7).reshape(-1, 2) if pixels is None else pixels
+    capture = np.repeat(np.arange(len(in_plane)), len(pixels))
+    pixel, base = np.tile(pixels, (len(in_plane), 1)), in_plane[capture]
+    tangents = tangents_of(pixel, base)
+    viewpoint = np.column_stack([base - height * tangents, np.full(len(base), PLANE.z + height)])
+    view_dir = scattered(tangents, sigma_arcmin, seed)
+    return DisplayCaptures("toy", "right", EYE_BOX, PANEL, viewpoint, view_dir, pixel, capture, sigma_arcmin)
+
+
+def see_through_captures(in_plane, depths=(0.4, 3.0), tilt=0.0, bend=bend_of, sigma_arcmin=0.0, seed=0):
+    """Directions on a 9 x 7 grid at each base-plane point, for target depths that grow by `tilt` along tx."""
+    grid = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 7)), axis=-1).reshape(-1, 2)
+    capture = np.repeat(np.arange(len(in_plane)), len(grid))
+    base, tangents = in_plane[capture], np.tile(grid, (len(in_plane), 1))
+    a, b = bend(base, tangents)
+    points, poses = [], []
+    for pose, depth in enumerate(depths):
+        z = depth * (1.0 + tilt * tangents[:, :1])
+        points.append(np.hstack([base + b + z * (tangents + a), PLANE.z - z]))
+        poses.append(np.full(len(base), pose))
+    repeat = len(depths)
+    viewpoint = np.tile(PLANE.lift(base), (repeat, 1))
+    view_dir = scattered(np.tile(tangents, (repeat, 1)), sigma_arcmin, seed)
+    return SeeThroughCaptures(
+        "toy",
+        "right",
+        EYE_BOX,
+        viewpoint,
+        view_dir,
+        np.concatenate(points),
+        np.tile(capture, repeat),
+        np.concatenate(poses),
+        sigma_arcmin,
+    )

@@ -1,0 +1,166 @@
+"""Fit a display model to captures."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.angular import angular_metric, relative_sigma
+from wlr_render.calibration.coverage import shortage
+from wlr_render.calibration.fit_report import FitReport, Residuals
+from wlr_render.calibration.regression import Fitted, Regression, fit
+from wlr_render.captures.correspondences import DisplayCaptures, select
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import DisplayMapping
+from wlr_render.models.display import BundleDisplay
+from wlr_render.models.point_per_pixel import PointPerPixelDisplay
+from wlr_render.models.static import StaticDisplay
+from wlr_render.models.volumetric import VolumetricDisplay
+from wlr_render.numerics.least_squares import RankDeficientError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fitted mapping, the captures it was made from, and its fits by polynomial name; the forward one is first."""
+
+    mapping: DisplayMapping
+    captures: DisplayCaptures
+    fits: dict[str, Fitted]
+
+
+def fit_display(
+    captures: DisplayCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
+) -> tuple[DisplayMapping, FitReport]:
+    """Fit the panel as seen by the eye.
+
+    The forward polynomials minimise angles, the backward ones pixels, both weighted by 1 / sigma.
+
+    Args:
+        captures: what was measured.
+        kind: "planar", "volumetric", "static" (only the camera position nearest to the eye box's centre is used) or
+            "point-per-pixel".
+        degree: total degree N, or None to choose it by held-out camera positions.
+        base_plane: for "planar"; None for the plane through the eye box's centre. Viewpoints off the plane are carried
+            to it along their measured rays.
+
+    Raises:
+        BadInputError: an unknown kind, or captures that do not determine the model; the sentence says what is missing.
+    """
+    if kind not in _KINDS:
+        raise BadInputError(f"the kind of display model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
+    plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
+    try:
+        result = _KINDS[kind](captures, plane, degree)
+    except RankDeficientError as error:
+        reason = _reason(captures, kind, 1 if degree is None else degree)
+        raise BadInputError(f"the captures do not determine a {kind} display model: {reason}.") from error
+    return result.mapping, _report(kind, result)
+
+
+def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _Fit:
+    tangents = tangents_of_dir(captures.view_dir)
+    in_plane = plane.carry(captures.viewpoint, tangents)
+    forward = _forward(captures, np.hstack([captures.pixel, in_plane]), degree)
+    backward = _backward(captures, np.hstack([in_plane, tangents]), forward)
+    mapping = BundleDisplay(captures.panel, captures.eye_box, plane, forward.polynomial, backward.polynomial)
+    return _Fit(mapping, captures, {"forward": forward, "backward": backward})
+
+
+def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
+    forward = _forward(captures, np.hstack([captures.pixel, captures.viewpoint]), degree)
+    backward = _backward(captures, np.hstack([captures.viewpoint, tangents_of_dir(captures.view_dir)]), forward)
+    mapping = VolumetricDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
+    return _Fit(mapping, captures, {"forward": forward, "backward": backward})
+
+
+def _fit_static(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
+    centred = _nominal(captures)
+    forward = _forward(centred, centred.pixel, degree, by_position=False)
+    backward = _backward(centred, tangents_of_dir(centred.view_dir), forward, by_position=False)
+    mapping = StaticDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
+    return _Fit(mapping, centred, {"forward": forward, "backward": backward})
+
+
+def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
+    """t = a - w q is linear in the unknown a and w: q, where the measured ray meets the nominal plane, is known."""
+    tangents = tangents_of_dir(captures.view_dir)
+    centre = captures.eye_box.centre
+    crossing = BasePlane(float(centre[2])).carry(captures.viewpoint, tangents) - centre[:2]
+    multiplier = np.zeros((len(captures), 2, 3))
+    multiplier[:, 0, 0] = multiplier[:, 1, 1] = 1.0
+    multiplier[:, :, 2] = -crossing
+    point = fit(
+        Regression(
+            captures.pixel,
+            tangents[:, :, None],
+            multiplier,
+            angular_metric(tangents),
+            relative_sigma(captures.sigma_arcmin),
+            captures.capture,
+        ),
+        degree,
+    )
+    return _Fit(PointPerPixelDisplay(captures.panel, captures.eye_box, point.polynomial), captures, {"point": point})
+
+
+_KINDS: dict[str, Callable[[DisplayCaptures, BasePlane, int | None], _Fit]] = {
+    "planar": _fit_planar,
+    "volumetric": _fit_volumetric,
+    "static": _fit_static,
+    "point-per-pixel": _fit_point_per_pixel,
+}
+
+
+def _nominal(captures: DisplayCaptures) -> DisplayCaptures:
+    """The captures of the camera position nearest to the eye box's centre."""
+    distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
+    return select(captures, captures.capture == captures.capture[np.argmin(distance)])
+
+
+def _forward(captures: DisplayCaptures, inputs: FloatArray, degree: int | None, by_position: bool = True) -> Fitted:
+    tangents = tangents_of_dir(captures.view_dir)
+    sigma, group = relative_sigma(captures.sigma_arcmin), captures.capture if by_position else np.arange(len(captures))
+    return fit(Regression.plain(inputs, tangents, angular_metric(tangents), sigma, group), degree)
+
+
+def _backward(captures: DisplayCaptures, inputs: FloatArray, forward: Fitted, by_position: bool = True) -> Fitted:
+    """At the degree of the forward fit."""
+    sigma, group = relative_sigma(captures.sigma_arcmin), captures.capture if by_position else np.arange(len(captures))
+    regression = Regression.plain(inputs, captures.pixel, np.ones(len(captures)), sigma, group)
+    return fit(regression, forward.polynomial.degree)
+
+
+def _reason(captures: DisplayCaptures, kind: str, degree: int) -> str:
+    lacks = shortage("panel pixels", captures.pixel, "uv", degree)
+    if kind == "planar":
+        lacks = shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree) or lacks
+    elif kind == "volumetric":
+        lacks = shortage("viewpoints", captures.viewpoint, "xyz", degree) or lacks
+    elif kind == "point-per-pixel" and len(np.unique(captures.viewpoint, axis=0)) == 1:
+        lacks = "a point's distance needs at least 2 viewpoints and there is 1: 1 more"
+    return lacks or "pixels and viewpoints are not spread independently of each other"
+
+
+def _report(kind: str, result: _Fit) -> FitReport:
+    captures, fits = result.captures, list(result.fits.values())
+    seen = result.mapping.view_dir_of_pixel(captures.pixel, captures.viewpoint)
+    shown = result.mapping.pixel_of_view_dir(captures.view_dir, captures.viewpoint)
+    held_out_px = fits[1].held_out if len(fits) > 1 else ()
+    return FitReport(
+        kind=kind,
+        degree=fits[0].polynomial.degree,
+        coefficients={name: fitted.polynomial.coefficients.size for name, fitted in result.fits.items()},
+        condition=max(fitted.condition for fitted in fits),
+        viewpoints=len(np.unique(captures.capture)),
+        samples=len(captures),
+        unsolved=int(np.sum(~(seen.usable & shown.usable))),
+        residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
+        residual_px=Residuals.of(np.linalg.norm(shown.value - captures.pixel, axis=1)),
+        held_out_arcmin=fits[0].held_out,
+        held_out_px=held_out_px[0] if held_out_px else None,
+    )

@@ -1,0 +1,165 @@
+"""Fit a see-through model to captures."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.angular import angular_metric, relative_sigma
+from wlr_render.calibration.coverage import shortage
+from wlr_render.calibration.fit_report import FitReport, Residuals
+from wlr_render.calibration.regression import Fitted, Regression, fit
+from wlr_render.captures.correspondences import SeeThroughCaptures, select
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import SeeThroughMapping
+from wlr_render.models.see_through import BundleSeeThrough
+from wlr_render.models.static import StaticSeeThrough
+from wlr_render.models.volumetric import VolumetricSeeThrough
+from wlr_render.numerics.least_squares import RankDeficientError
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fitted mapping, the captures it was made from, and its fits by polynomial name; the chosen-degree one first."""
+
+    mapping: SeeThroughMapping
+    captures: SeeThroughCaptures
+    fits: dict[str, Fitted]
+
+
+def fit_see_through(
+    captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
+) -> tuple[SeeThroughMapping, FitReport]:
+    """Fit how the optics bend the rays of the world.
+
+    What is fitted is the deviation from the straight ray. A point X seen at depth Z in front of the base plane along t
+    gives (X_xy - p~) / Z - t = A + B / Z, which is linear in the unknown A(p~, t) and B(p~, t): any number of target
+    poses, tilted or not, go into one least-squares problem that minimises angles, weighted by 1 / sigma.
+
+    Args:
+        captures: what was measured.
+        kind: "planar", "volumetric" or "static" (of each target pose, only the camera position nearest to the eye
+            box's centre is used).
+        degree: total degree N, or None to choose it by held-out camera positions.
+        base_plane: for "planar"; None for the plane through the eye box's centre.
+
+    Raises:
+        BadInputError: an unknown kind, a point behind the base plane, or captures that do not determine the model; the
+            sentence says what is missing.
+    """
+    if kind not in _KINDS:
+        raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
+    plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
+    if np.any(plane.depth_of(captures.point) <= 0):
+        raise BadInputError(f"the base plane z = {plane.z:g} m lies beyond some target points; choose a larger z.")
+    try:
+        result = _KINDS[kind](captures, plane, degree)
+    except RankDeficientError as error:
+        reason = _reason(captures, kind, 1 if degree is None else degree)
+        raise BadInputError(f"the captures do not determine a {kind} see-through model: {reason}.") from error
+    return result.mapping, _report(kind, result)
+
+
+def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _Fit:
+    tangents = tangents_of_dir(captures.view_dir)
+    in_plane = plane.carry(captures.viewpoint, tangents)
+    depth = plane.depth_of(captures.point)[:, None]
+    observed = (captures.point[:, :2] - in_plane) / depth - tangents
+    fitted = _deviation(captures, np.hstack([in_plane, tangents]), observed, depth, captures.capture, degree)
+    return _Fit(BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted})
+
+
+def _fit_volumetric(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _Fit:
+    forward, backward = _both_ways(captures, captures.viewpoint, captures.capture, degree)
+    mapping = VolumetricSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
+    return _Fit(mapping, captures, {"backward": backward, "forward": forward})
+
+
+def _fit_static(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _Fit:
+    centred = select(captures, _nominal(captures))
+    forward, backward = _both_ways(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
+    mapping = StaticSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
+    return _Fit(mapping, centred, {"backward": backward, "forward": forward})
+
+
+_KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _Fit]] = {
+    "planar": _fit_planar,
+    "volumetric": _fit_volumetric,
+    "static": _fit_static,
+}
+
+
+def _both_ways(
+    captures: SeeThroughCaptures, position: FloatArray, group: NDArray[np.int64], degree: int | None
+) -> tuple[Fitted, Fitted]:
+    """Forward and backward deviation of models without a base plane; `position` (n, any) is what they know of it."""
+    tangents = tangents_of_dir(captures.view_dir)
+    depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
+    straight = (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth
+    backward = _deviation(captures, np.hstack([position, straight]), tangents - straight, depth, group, degree)
+    chosen = backward.polynomial.degree
+    forward = _deviation(captures, np.hstack([position, tangents]), straight - tangents, depth, group, chosen)
+    return forward, backward
+
+
+def _deviation(
+    captures: SeeThroughCaptures,
+    inputs: FloatArray,
+    observed: FloatArray,
+    depth: FloatArray,
+    group: NDArray[np.int64],
+    degree: int | None,
+) -> Fitted:
+    """Fit observed (n, 2) = A(inputs) + B(inputs) / depth."""
+    multiplier = np.stack([np.ones_like(depth), 1.0 / depth], axis=2)
+    metric = angular_metric(tangents_of_dir(captures.view_dir))
+    sigma = relative_sigma(captures.sigma_arcmin)
+    return fit(Regression(inputs, observed[:, None], multiplier, metric, sigma, group), degree)
+
+
+def _nominal(captures: SeeThroughCaptures) -> BoolArray:
+    """Rows (n,) of each target pose's camera position nearest to the eye box's centre."""
+    distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
+    chosen = np.zeros(len(captures), dtype=bool)
+    for pose in np.unique(captures.target_pose):
+        rows = np.flatnonzero(captures.target_pose == pose)
+        nearest = captures.capture[rows[np.argmin(distance[rows])]]
+        chosen[rows] = captures.capture[rows] == nearest
+    return chosen
+
+
+def _reason(captures: SeeThroughCaptures, kind: str, degree: int) -> str:
+    lacks = None
+    if kind == "planar":
+        lacks = shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
+    elif kind == "volumetric":
+        lacks = shortage("viewpoints", captures.viewpoint, "xyz", degree)
+    lacks = lacks or shortage("view directions", tangents_of_dir(captures.view_dir), "xy", degree)
+    if lacks is not None:
+        return lacks
+    poses = len(np.unique(captures.target_pose))
+    return f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"
+
+
+def _report(kind: str, result: _Fit) -> FitReport:
+    captures, fits = result.captures, list(result.fits.values())
+    seen = result.mapping.view_dir_of_real_point(captures.point, captures.viewpoint)
+    return FitReport(
+        kind=kind,
+        degree=fits[0].polynomial.degree,
+        coefficients={name: fitted.polynomial.coefficients.size for name, fitted in result.fits.items()},
+        condition=max(fitted.condition for fitted in fits),
+        viewpoints=len(np.unique(captures.capture)),
+        samples=len(captures),
+        unsolved=int(np.sum(~seen.usable)),
+        residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
+        residual_px=None,
+        held_out_arcmin=fits[0].held_out,
+        held_out_px=None,
+    )
