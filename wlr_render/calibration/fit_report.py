@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.errors import BadInputError
+
 FloatArray = NDArray[np.float64]
 
 
@@ -19,10 +21,14 @@ class Residuals:
 
     @classmethod
     def of(cls, size: FloatArray) -> "Residuals":
-        """Of residual lengths (n,); elements without a value (NaN) do not count, and all are NaN where none has one."""
+        """Of residual lengths (n,); elements without a value (NaN) do not count.
+
+        Raises:
+            BadInputError: none has a value.
+        """
         known = size[np.isfinite(size)]
         if known.size == 0:
-            return cls(np.nan, np.nan, np.nan)
+            raise BadInputError("the fitted model answers none of the captures it was made from; use a lower degree.")
         return cls(float(np.sqrt(np.mean(known**2))), float(np.quantile(known, 0.95)), float(known.max()))
 
 

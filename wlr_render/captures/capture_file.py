@@ -11,6 +11,7 @@ and one array per attribute, named `display_viewpoint`, `display_pixel`, ..., `s
 
 import json
 import zipfile
+import zlib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -103,16 +104,11 @@ def _parts(prefix: str, kind: type, arrays: dict[str, NDArray[Any]], path: str |
 
 def _read_archive(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise BadInputError(f"{path}: is a single array, not a capture file (.npz with a header).")
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except OSError as error:
-        reason = error.strerror or "it is no .npz archive"
-        raise BadInputError(f"{path}: cannot be read as a capture file ({reason}).") from error
-    except (zipfile.BadZipFile, EOFError, ValueError, KeyError) as error:
-        if isinstance(error, BadInputError):
-            raise
+        raise BadInputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError) as error:
         raise BadInputError(f"{path}: is cut short or is not a capture file (.npz); write it again.") from error
 
 

@@ -69,8 +69,9 @@ def answer_in_chunks(
             rows = slice(first, first + _CHUNK)
             answer = query(subject[rows], viewpoint[rows], None if start is None else start[rows])
             parts.append(_mapped(answer, subject[rows], viewpoint[rows], eye_box))
+    value = np.concatenate([part.value for part in parts])
     return Mapped(
-        np.concatenate([part.value for part in parts]).reshape(*lead, -1),
+        value.reshape(*lead, value.shape[1]),
         np.concatenate([part.status for part in parts]).reshape(lead),
         _joined_starts(parts, lead),
     )

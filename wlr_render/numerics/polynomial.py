@@ -113,7 +113,7 @@ class Polynomial:
         for start in range(0, flat.shape[0], _CHUNK):
             rows = slice(start, start + _CHUNK)
             result[rows] = basis(flat[rows], self.degree, self.box) @ self.coefficients
-        return result.reshape(*inputs.shape[:-1], -1)
+        return result.reshape(*inputs.shape[:-1], result.shape[1])
 
     def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(..., variables) -> value (..., outputs) and Jacobian (..., outputs, variables), in the inputs' units."""

@@ -1,0 +1,158 @@
+"""The projection: closed form and solves against slow plain ones, and the structure that it guarantees."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.optimize
+from toy_models import (
+    EYE_BOX,
+    IN_PLANE,
+    PIXELS,
+    PLANE,
+    TANGENTS,
+    bend,
+    box,
+    bundle_display,
+    bundle_see_through,
+    polynomial,
+    seen,
+    volumetric_display,
+)
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.rays import at_z, distance_to_point, split
+from wlr_render.mappings import Status
+from wlr_render.models.bundle_projection import TOLERANCE, solve_display, solve_see_through
+from wlr_render.numerics.polynomial import Polynomial
+
+RNG = np.random.default_rng(3)
+PIXEL = RNG.uniform([100, 100], [900, 700], (25, 2))
+VIEWPOINT = EYE_BOX.at(RNG.uniform(-1, 1, (25, 3)))
+POINT = np.column_stack([VIEWPOINT[:, :2] + RNG.uniform(-0.1, 0.1, (25, 2)), RNG.uniform(-3, -0.3, 25)])
+
+
+def test_display_solve_equals_a_general_root_finder():
+    display = bundle_display()
+    root = solve_display(display.forward, PLANE, PIXEL, VIEWPOINT, None)
+    assert root.converged.all()
+    for pixel, viewpoint, found in zip(PIXEL, VIEWPOINT, root.unknown, strict=True):
+
+        def miss(point, pixel=pixel, viewpoint=viewpoint):
+            tangents = seen(np.concatenate([pixel, point])[None])[0]
+            return point - viewpoint[:2] - (viewpoint[2] - PLANE.z) * tangents
+
+        slow = scipy.optimize.fsolve(miss, viewpoint[:2], xtol=1e-13)
+        np.testing.assert_allclose(found, slow, atol=1e-12)
+
+
+def test_see_through_solve_equals_a_general_root_finder():
+    root = solve_see_through(bundle_see_through().deviation, PLANE, POINT, VIEWPOINT, None)
+    assert root.converged.all()
+    for point, viewpoint, found in zip(POINT, VIEWPOINT, root.unknown, strict=True):
+
+        def miss(tangents, point=point, viewpoint=viewpoint):
+            in_plane = viewpoint[:2] + (viewpoint[2] - PLANE.z) * tangents
+            bent = bend(np.concatenate([in_plane, tangents])[None])[0]
+            return in_plane + bent[2:] + (PLANE.z - point[2]) * (tangents + bent[:2]) - point[:2]
+
+        slow = scipy.optimize.fsolve(miss, (point[:2] - viewpoint[:2]) / (viewpoint[2] - point[2]), xtol=1e-13)
+        np.testing.assert_allclose(found, slow, atol=1e-11)
+
+
+def strong(model):
+    """The same model with all its tangents or bends tripled: a projection that takes work."""
+    return dataclasses.replace(model, coefficients=3.0 * model.coefficients)
+
+
+def test_cold_solves_take_a_handful_of_steps_and_warm_ones_fewer_to_the_same_answer():
+    far = VIEWPOINT + [0.0, 0.0, 0.02]
+    for solve, model, subject in (
+        (solve_display, strong(bundle_display().forward), PIXEL),
+        (solve_see_through, strong(strong(bundle_see_through().deviation)), POINT),
+    ):
+        earlier = solve(model, PLANE, subject, far - 1e-7, None)
+        cold = solve(model, PLANE, subject, far, None)
+        warm = solve(model, PLANE, subject, far, earlier.unknown)
+        assert warm.iterations < cold.iterations <= 6
+        np.testing.assert_allclose(warm.unknown, cold.unknown, atol=10 * TOLERANCE)
+
+
+def test_a_useless_warm_start_costs_nothing_but_time():
+    display = bundle_display()
+    cold = display.view_dir_of_pixel(PIXEL, VIEWPOINT)
+    start = cold.warm_start.copy()
+    start[::3], start[1::3] = np.nan, 1e6
+    warm = display.view_dir_of_pixel(PIXEL, VIEWPOINT, start)
+    assert warm.ok.all()
+    np.testing.assert_allclose(warm.value, cold.value, atol=1e-10)
+
+
+def along_one_ray(display):
+    """Directions in which two viewpoints on the ray of a pixel see that pixel."""
+    view_dir = display.view_dir_of_pixel(PIXEL, EYE_BOX.at(np.array([0.2, -0.3, -0.8]))).value
+    behind = EYE_BOX.at(np.array([0.2, -0.3, -0.8])) - 0.004 * view_dir
+    return view_dir, display.view_dir_of_pixel(PIXEL, behind).value
+
+
+def test_viewpoints_along_one_ray_agree_by_construction_and_not_without():
+    assert arcmin_between(*along_one_ray(bundle_display())).max() < 1e-7
+    assert arcmin_between(*along_one_ray(volumetric_display())).max() > 1.0
+
+
+def test_a_viewpoint_in_the_plane_needs_no_projection():
+    viewpoint = PLANE.lift(VIEWPOINT[:, :2])
+    tangents = seen(np.hstack([PIXEL, VIEWPOINT[:, :2]]))
+    value = bundle_display().view_dir_of_pixel(PIXEL, viewpoint).value
+    np.testing.assert_allclose(tangents_of_dir(value), tangents, atol=1e-14)
+    see_through = bundle_see_through()
+    answer = see_through.view_dir_of_real_point(POINT, viewpoint)
+    assert answer.ok.all()
+    assert distance_to_point(see_through.real_ray_of_view_dir(answer.value, viewpoint).value, POINT).max() < 1e-11
+
+
+def test_see_through_deviation_is_the_papers_two_points_on_two_planes():
+    """p_real+ and p_real- as sums of straight ray and deviation, on planes at two depths before the base plane."""
+    tangents = RNG.uniform(-0.4, 0.4, (25, 2))
+    ray = bundle_see_through().real_ray_of_view_dir(dir_of_tangents(tangents), VIEWPOINT).value
+    in_plane = PLANE.carry(VIEWPOINT, tangents)
+    bent = bend(np.hstack([in_plane, tangents]))
+    for depth in (0.4, 3.0):
+        expected = in_plane + depth * tangents + (bent[:, 2:] + depth * bent[:, :2])
+        np.testing.assert_allclose(split(at_z(ray, PLANE.z - depth))[0][:, :2], expected, atol=1e-12)
+
+
+def test_zero_coefficients_are_no_optics():
+    model = bundle_see_through()
+    none = dataclasses.replace(
+        model, deviation=dataclasses.replace(model.deviation, coefficients=0.0 * model.deviation.coefficients)
+    )
+    view_dir = none.view_dir_of_real_point(POINT, VIEWPOINT).value
+    straight = POINT - VIEWPOINT
+    np.testing.assert_allclose(view_dir, straight / np.linalg.norm(straight, axis=1, keepdims=True), atol=1e-15)
+    assert distance_to_point(none.real_ray_of_view_dir(view_dir, VIEWPOINT).value, VIEWPOINT).max() < 1e-15
+
+
+def test_a_projection_without_a_solution_is_nan_and_says_so():
+    """t = (x - 0.03)^2 / 1e-6 + 200: 4 mm behind the plane no real p~ satisfies the projection."""
+
+    def wild(inputs):
+        x = 1e3 * (inputs[:, 2] - 0.03)
+        return np.stack([200.0 + x**2, 0.0 * x], axis=-1)
+
+    display = dataclasses.replace(bundle_display(), forward=polynomial(wild, box(PIXELS, IN_PLANE), 2))
+    answer = display.view_dir_of_pixel(PIXEL, EYE_BOX.centre + [0.0, 0.0, 0.003])
+    assert (answer.status == Status.NOT_CONVERGED).all()
+    assert np.isnan(answer.value).all()
+    assert np.isnan(answer.warm_start).all()
+
+
+def test_polynomials_of_another_form_are_refused():
+    display = bundle_display()
+    with pytest.raises(BadInputError, match="'forward' must have 4 variables and coefficients of shape"):
+        dataclasses.replace(display, forward=polynomial(bend, box(IN_PLANE, TANGENTS), 1))
+    spoilt = display.backward.coefficients.copy()
+    spoilt[3, 1] = np.inf
+    with pytest.raises(BadInputError, match="'backward' has coefficients that are not finite"):
+        dataclasses.replace(display, backward=Polynomial(2, display.backward.box, spoilt))
