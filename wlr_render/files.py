@@ -106,6 +106,7 @@ class Table:
     def __init__(self, content: dict[str, Any], where: str) -> None:
         self._content = content
         self._read: set[str] = set()
+        self._asked_for: set[str] = set()
         self.where = where
 
     def fail(self, sentence: str) -> BadInputError:
@@ -114,6 +115,7 @@ class Table:
 
     def has(self, key: str) -> bool:
         """Whether the key is present."""
+        self._asked_for.add(key)
         return key in self._content
 
     def _get(self, key: str) -> Any:
@@ -193,7 +195,7 @@ class Table:
         """Refuse keys that nobody asked for: a typing mistake must not be silently ignored."""
         for key in self._content:
             if key not in self._read:
-                close = difflib.get_close_matches(key, sorted(self._read), 1)
+                close = difflib.get_close_matches(key, sorted(self._read | self._asked_for), 1)
                 remedy = f"did you mean '{close[0]}'?" if close else "remove it."
                 raise self.fail(f"unknown key '{key}'; {remedy}")
 

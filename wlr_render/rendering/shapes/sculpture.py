@@ -1,0 +1,92 @@
+"""The centrepiece: a fluted, twisted, rippled trefoil knot with an inlaid skin, and the plinth that it stands on."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.rendering.scene import Mesh
+from wlr_render.rendering.shapes import surfaces, textures
+
+FloatArray = NDArray[np.float64]
+
+_FLUTES = 7
+_TWISTS = 9
+_RIPPLES = 54
+_TILES = (18, 3)  # repeats of the texture along and around the tube
+
+
+def sculpture(height_m: float = 0.2, around: int = 96, along: int = 1200) -> Mesh:
+    """A trefoil knot standing on two of its lobes, origin at the middle of its foot, facing +z.
+
+    Args:
+        height_m: overall height.
+        around, along: quads around and along the tube; by default 230,400 triangles.
+    """
+    t, phi = np.meshgrid(np.linspace(0, 2 * np.pi, along + 1), np.linspace(0, 2 * np.pi, around + 1))
+    relief = _relief(t, phi)
+    position, normal = _surface(t, phi, relief)
+    uv = np.stack([t, phi], axis=-1) / (2 * np.pi) * _TILES
+    mesh = surfaces.from_grid("sculpture", position, normal, uv)
+    low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
+    foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
+    scale = height_m / (high[1] - low[1])
+    # The valleys between the flutes get less of the light from around.
+    shade = (0.4 + 0.6 * relief).reshape(-1, 1)
+    return Mesh(
+        "sculpture",
+        ((mesh.position - foot) * scale).astype(np.float32),
+        mesh.normal,
+        mesh.triangles,
+        uv=mesh.uv,
+        texture=textures.inlay(),
+        vertex_colour=np.repeat(shade, 3, axis=1).astype(np.float32),
+    )
+
+
+def _relief(t: FloatArray, phi: FloatArray) -> FloatArray:
+    """Height of the skin's relief in 0..1: flutes that wind around the tube, crossed by ripples."""
+    flutes = 0.5 + 0.5 * np.cos(_FLUTES * phi + _TWISTS * t)
+    ripples = 0.5 + 0.5 * np.cos(_RIPPLES * t - 2 * phi)
+    return np.asarray(0.8 * flutes + 0.2 * ripples)
+
+
+def _centre_line(t: FloatArray) -> FloatArray:
+    """The trefoil (2, 3) on a torus of radii 2 and 1, one lobe up, (..., 3)."""
+    ring = 2 + np.cos(3 * t)
+    return np.stack([-ring * np.sin(2 * t), ring * np.cos(2 * t), np.sin(3 * t)], axis=-1)
+
+
+def _surface(t: FloatArray, phi: FloatArray, relief: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions and normals, (rows, columns, 3), before scaling."""
+    step = 1e-5
+    tangent = _centre_line(t + step) - _centre_line(t - step)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    # The normal of the torus that carries the knot: it comes back to itself after one round, without a seam.
+    outward = np.stack([-np.cos(3 * t) * np.sin(2 * t), np.cos(3 * t) * np.cos(2 * t), np.sin(3 * t)], axis=-1)
+    sideways = np.cross(tangent, outward)
+    radius = (0.5 + 0.17 * relief)[..., None]
+    position = _centre_line(t) + radius * (np.cos(phi)[..., None] * outward + np.sin(phi)[..., None] * sideways)
+    along = _periodic_difference(position, axis=1)
+    around = _periodic_difference(position, axis=0)
+    return position, np.cross(around, along)
+
+
+def _periodic_difference(position: FloatArray, axis: int) -> FloatArray:
+    """Central differences on a grid whose last row or column repeats the first."""
+    rolled = np.moveaxis(position, axis, 0)[:-1]
+    difference = np.roll(rolled, -1, axis=0) - np.roll(rolled, 1, axis=0)
+    return np.moveaxis(np.concatenate([difference, difference[:1]]), 0, axis)
+
+
+def plinth(radius_m: float = 0.11, height_m: float = 0.1) -> Mesh:
+    """A turned stone plinth, origin at the middle of its foot."""
+    relative = [(0, 1), (0.9, 1), (0.95, 0.97), (0.95, 0.86), (0.82, 0.82), (0.78, 0.74), (0.78, 0.3), (0.84, 0.22)]
+    relative += [(0.98, 0.18), (1, 0.14), (1, 0.02), (0.98, 0), (0, 0)]
+    profile = np.array(relative) * [radius_m, height_m]
+    stone = surfaces.revolved("plinth", profile, segments=96)
+    x, y, z = stone.position.T
+    flat = np.abs(stone.normal[:, 1]) > 0.7
+    round_the_side = radius_m * np.arctan2(x, z)
+    uv = np.stack([np.where(flat, x, round_the_side), np.where(flat, z, -y)], axis=-1) * 4
+    return Mesh(
+        "plinth", stone.position, stone.normal, stone.triangles, uv=uv.astype(np.float32), texture=textures.marble()
+    )

@@ -1,0 +1,143 @@
+"""How procedural meshes are made: grids of points, revolved profiles, tubes, boxes, and meshes put together.
+
+Triangles run counter-clockwise seen from outside, normals point outwards, metres. A texture's uv is (0, 0) at its
+top-left corner.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import transforms
+from wlr_render.rendering.scene import Mesh
+
+FloatArray = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+
+def from_grid(name: str, position: FloatArray, normal: FloatArray, uv: FloatArray | None = None) -> Mesh:
+    """A grid of points as a mesh, its outside where the columns run right and the rows run down.
+
+    Args:
+        name: for messages.
+        position, normal: (rows, columns, 3); normals are scaled to unit length here.
+        uv: (rows, columns, 2), by default 0..1 over the grid.
+    """
+    rows, columns = position.shape[:2]
+    if uv is None:
+        uv = np.stack(np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows)), axis=-1)
+    index = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    quads = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2)
+    return _mesh(name, position.reshape(-1, 3), normal.reshape(-1, 3), quads.reshape(-1, 3), uv.reshape(-1, 2))
+
+
+def _mesh(name: str, position: FloatArray, normal: FloatArray, triangles: NDArray[np.uint32], uv: FloatArray) -> Mesh:
+    """Assemble a mesh; triangles that a pole of the grid has shrunk to a line are dropped."""
+    corners = position[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    unit = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    kept = triangles[area > 1e-14]
+    return Mesh(name, position.astype(np.float32), unit.astype(np.float32), kept, uv=uv.astype(np.float32))
+
+
+def revolved(name: str, profile: FloatArray, segments: int = 64, smooth: bool = False) -> Mesh:
+    """Turn a profile about the y axis.
+
+    Args:
+        name: for messages.
+        profile: (n, 2) radius and height, listed from the top down on the outside, so that the outside is to its left.
+        segments: around the axis.
+        smooth: one rounded surface; otherwise each stretch of the profile has its own edge-to-edge shading.
+    """
+    if not smooth:
+        stretches = [revolved(name, profile[i : i + 2], segments, smooth=True) for i in range(len(profile) - 1)]
+        return merged(name, stretches)
+    angle = np.linspace(0, 2 * np.pi, segments + 1)
+    ring = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=-1)
+    up = np.array([0.0, 1.0, 0.0])
+    position = profile[:, None, :1] * ring + profile[:, None, 1:] * up
+    slope = np.gradient(profile, axis=0)
+    normal = -slope[:, None, 1:] * ring + slope[:, None, :1] * up
+    return from_grid(name, position, normal)
+
+
+def tube(name: str, path: FloatArray, radius: float, segments: int = 16) -> Mesh:
+    """A round tube along an open path (n, 3) in a plane z = constant."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    out = np.array([0.0, 0.0, 1.0])
+    side = np.cross(tangent, out)
+    angle = np.linspace(0, 2 * np.pi, segments + 1)[:, None, None]
+    normal = np.cos(angle) * side - np.sin(angle) * out
+    return from_grid(name, path + radius * normal, normal)
+
+
+def rectangle(name: str, width: float, height: float) -> Mesh:
+    """A rectangle facing +z, centred at the origin, texture upright."""
+    x, y = 0.5 * width, 0.5 * height
+    position = np.array([[[-x, y, 0], [x, y, 0]], [[-x, -y, 0], [x, -y, 0]]])
+    return from_grid(name, position, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
+
+
+_FACES = {"front": (0, 0), "back": (0, 180), "right": (0, 90), "left": (0, -90), "top": (-90, 0), "bottom": (90, 0)}
+
+
+def cuboid(name: str, size: Sequence[float], faces: Sequence[str] = tuple(_FACES)) -> Mesh:
+    """A box with its origin in the middle of its bottom; each face carries the whole texture, upright.
+
+    Args:
+        name: for messages.
+        size: width (x), height (y), depth (z).
+        faces: which of "front" (+z), "back", "right" (+x), "left", "top", "bottom" to make.
+    """
+    extent = dict(zip("xyz", size, strict=True))
+    parts = []
+    for face in faces:
+        about_x, about_y = np.deg2rad(_FACES[face])
+        flat, tall, out = "xzy" if about_x else "zyx" if face in ("left", "right") else "xyz"
+        panel = rectangle(name, extent[flat], extent[tall])
+        outward = moved(panel, translation=(0, 0, 0.5 * extent[out]))
+        parts.append(moved(turned(outward, about_x, about_y), translation=(0, 0.5 * extent["y"], 0)))
+    return merged(name, parts)
+
+
+def moved(mesh: Mesh, translation: Sequence[float]) -> Mesh:
+    """The mesh, shifted."""
+    return replace(mesh, position=(mesh.position + np.asarray(translation)).astype(np.float32))
+
+
+def turned(mesh: Mesh, about_x: float = 0.0, about_y: float = 0.0, about_z: float = 0.0) -> Mesh:
+    """The mesh, turned by angles in radians about z, then x, then y."""
+    rotation = turn(about_x, about_y, about_z)
+    position, normal = mesh.position @ rotation.T, mesh.normal @ rotation.T
+    return replace(mesh, position=position.astype(np.float32), normal=normal.astype(np.float32))
+
+
+def coloured(mesh: Mesh, colour: Colour) -> Mesh:
+    """The mesh with one linear RGB colour at all its vertices, so that it can be merged with others."""
+    return replace(mesh, vertex_colour=np.tile(np.array(colour, np.float32), (len(mesh.position), 1)))
+
+
+def merged(name: str, parts: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one; they share the first one's material, and either all or none have vertex colours."""
+    starts = np.cumsum([0] + [len(part.position) for part in parts[:-1]])
+    shifted = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
+    colours = [part.vertex_colour for part in parts if part.vertex_colour is not None]
+    return replace(
+        parts[0],
+        name=name,
+        position=np.concatenate([part.position for part in parts]),
+        normal=np.concatenate([part.normal for part in parts]),
+        triangles=np.concatenate(shifted).astype(np.uint32),
+        uv=np.concatenate([part.uv for part in parts if part.uv is not None]),
+        vertex_colour=np.concatenate(colours) if colours else None,
+    )
+
+
+def turn(about_x: float, about_y: float, about_z: float) -> FloatArray:
+    """Rotation (3, 3) by angles in radians about the fixed axes z, then x, then y: roll, pitch, yaw."""
+    about = transforms.rotation_about
+    return about("y", about_y) @ about("x", about_x) @ about("z", about_z)
