@@ -32,18 +32,11 @@ vec2 pixel_shift_of_offset(vec2 offset, vec4 lens)
     return lens.xy * vec2(offset.x, -offset.y);
 }
 
-// The texel that holds a pixel position.
-ivec2 texel_of_pixel(vec2 pixel)
+// The four texels around a pixel position: the upper left one is `base`, `weight` the share of the right, lower ones.
+void bilinear_taps(vec2 pixel, out vec2 base, out vec2 weight)
 {
-    return ivec2(floor(pixel));
-}
-
-// The four texels around a pixel position start at `base`; `weight` is the share of the right and lower ones.
-void bilinear_taps(vec2 pixel, out ivec2 base, out vec2 weight)
-{
-    vec2 corner = floor(pixel - 0.5);
-    base = ivec2(corner);
-    weight = pixel - 0.5 - corner;
+    base = floor(pixel - 0.5);
+    weight = pixel - 0.5 - base;
 }
 
 // The same row counted from the other end, for images that other software drew upwards.

@@ -34,10 +34,10 @@ def test_a_failed_call_raises_at_the_end_of_the_block(gl_context):
 def test_every_block_makes_its_own_context_current(gl_context):
     with gl_context.drawing():
         mine = gl_context.target((4, 3), 4, "f1")
-        gl_context.framebuffer([mine], with_depth=False).clear(1.0, 0.0, 0.0, 1.0)
+        gl_context.framebuffer([mine]).clear(1.0, 0.0, 0.0, 1.0)
     with gl.open_context("egl" if gl_context.backend == "egl" else "osmesa") as other, other.drawing():
         theirs = other.target((4, 3), 4, "f1")
-        other.framebuffer([theirs], with_depth=False).clear(0.0, 1.0, 0.0, 1.0)
+        other.framebuffer([theirs]).clear(0.0, 1.0, 0.0, 1.0)
         with gl_context.drawing():
             assert (gl.read(mine, np.uint8) == [255, 0, 0, 255]).all()
 

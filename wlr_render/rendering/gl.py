@@ -18,7 +18,6 @@ from wlr_render.errors import MissingGlError
 from wlr_render.rendering.osmesa import OsMesaContext
 
 Texture = moderngl.Texture
-TextureArray = moderngl.TextureArray
 Framebuffer = moderngl.Framebuffer
 Program = moderngl.Program
 VertexArray = moderngl.VertexArray
@@ -83,7 +82,7 @@ class GlContext:
         if error != "GL_NO_ERROR":
             raise GlError(f"OpenGL reports {error} ({self.renderer}).")
 
-    def program(self, vertex: str, fragment: str, **constants: int) -> Program:
+    def program(self, vertex: str, fragment: str, **constants: float) -> Program:
         """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`)."""
         key = vertex, fragment, *sorted(constants.items())
         if key not in self._programs:
@@ -92,14 +91,15 @@ class GlContext:
             )
         return self._programs[key]
 
-    def full_screen(self, fragment: str) -> VertexArray:
+    def full_screen(self, fragment: str, **constants: float) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self._ctx.vertex_array(self.program("full_screen.vert", fragment), [])
+        return self._ctx.vertex_array(self.program("full_screen.vert", fragment, **constants), [])
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
         """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4" or "i4"."""
         texture = self._ctx.texture(size, components, dtype=dtype)
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        texture.repeat_x = texture.repeat_y = False
         return texture
 
     def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:
@@ -114,7 +114,7 @@ class GlContext:
         texture.repeat_x = texture.repeat_y = True
         return texture
 
-    def framebuffer(self, textures: list[Texture], with_depth: bool) -> Framebuffer:
+    def framebuffer(self, textures: list[Texture], with_depth: bool = False) -> Framebuffer:
         """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
         depth = self._ctx.depth_renderbuffer(textures[0].size) if with_depth else None
         return self._ctx.framebuffer(textures, depth)
@@ -141,7 +141,7 @@ class GlContext:
         self._ctx.release()
 
 
-def _source(name: str, constants: dict[str, int]) -> str:
+def _source(name: str, constants: dict[str, float]) -> str:
     version, text = files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
     return "\n".join([version, *(f"#define {key} {value}" for key, value in constants.items()), "#line 2", text])
 
@@ -166,6 +166,13 @@ def set_array(program: Program, name: str, rows: Sequence[NDArray[Any]]) -> None
     uniform: Any = program.get(name, None)
     if uniform is not None:
         uniform.write(np.ascontiguousarray(rows, dtype=np.float32))
+
+
+def bind_textures(program: Program, **textures: Texture) -> None:
+    """Give each sampler of a program its texture."""
+    for unit, (name, texture) in enumerate(textures.items()):
+        texture.use(unit)
+        set_uniforms(program, **{name: unit})
 
 
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:

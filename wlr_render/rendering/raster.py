@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
-from wlr_render.rendering.gpu_image import GpuImage, lens_of, read_rgb
+from wlr_render.rendering.gpu_image import GpuImage, lens_of, rgb_of_rgba
 from wlr_render.rendering.scene import Light, Mesh, Scene
 from wlr_render.rendering.view import GeometryImage, View
 
@@ -49,12 +50,15 @@ class GlRaster:
 
     def draw(self, view: View, buffers: Collection[str] = ()) -> GeometryImage:
         """Draw and fetch colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
+        for name in buffers:
+            if name not in _EXTRA:
+                raise BadInputError(f"There is no buffer '{name}'; ask for some of {', '.join(_EXTRA)}.")
         with self._context.drawing():
             textures = self._draw(view, with_extra=bool(buffers))
             extra = {name: gl.read(textures[name], _EXTRA[name][1]) for name in buffers}
             ids = extra.get("ids")
             return GeometryImage(
-                colour=read_rgb(textures["colour"]),
+                colour=rgb_of_rgba(gl.read(textures["colour"], np.uint8)),
                 inverse_depth=gl.read(textures["inverse_depth"], np.float32),
                 position=extra.get("position"),
                 normal=extra.get("normal"),
