@@ -12,7 +12,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.rendering.mesh_file import load_meshes, save_glb
 from wlr_render.rendering.scene import Instance, Light, Mesh, Scene, world_positions
 from wlr_render.rendering.shapes import basic, furniture
-from wlr_render.rendering.shapes.surfaces import turn
+from wlr_render.rendering.shapes.construction import turn
 
 CORNERS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8).reshape(2, 2, 3)
 """Red and green above, blue and yellow below."""

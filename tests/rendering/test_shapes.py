@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering.shapes import basic, furniture, sculpture, surfaces
+from wlr_render.rendering.shapes import basic, construction, furniture, sculpture
 from wlr_render.rendering.shapes.catalogue import SHAPES
 
 SOLID = ("ball", "box", "sphere", "plinth", "sculpture", "tabletop", "monitor", "book", "lamp")
@@ -79,11 +79,11 @@ def test_a_box_stands_on_its_origin_with_upright_textures():
 
 
 def test_a_revolved_profile_and_a_tube_have_the_expected_volumes():
-    disc = surfaces.revolved("", np.array([(0, 0.3), (0.1, 0.3), (0.1, 0), (0, 0.0)]), segments=256)
+    disc = construction.revolved("", np.array([(0, 0.3), (0.1, 0.3), (0.1, 0), (0, 0.0)]), segments=256)
     assert signed_volume(disc) == pytest.approx(np.pi * 0.01 * 0.3, rel=1e-3)
     angle = np.linspace(0, 2 * np.pi, 257)
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
-    assert signed_volume(surfaces.tube("", ring, 0.1, 64)) == pytest.approx(2 * np.pi**2 * 0.01, rel=5e-3)
+    assert signed_volume(construction.tube("", ring, 0.1, 64)) == pytest.approx(2 * np.pi**2 * 0.01, rel=5e-3)
 
 
 def test_the_sculpture_is_fine_closed_and_stands_on_its_origin():

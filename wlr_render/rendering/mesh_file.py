@@ -18,6 +18,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import written_whole
 from wlr_render.rendering import gltf_lights
 from wlr_render.rendering.scene import Float32Array, Instance, Light, Mesh, Scene
+from wlr_render.rendering.srgb import decode_srgb
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 _GLTF = (".glb", ".gltf")
@@ -178,21 +179,16 @@ def _material(path: Path, name: str, visual: Any) -> tuple[Float32Array, Float32
 
 def _vertex_colour(path: Path, visual: Any) -> Float32Array | None:
     """Linear colours (vertices, 3), or None."""
+    gltf = path.suffix.lower() in _GLTF
     if visual.kind in ("vertex", "face"):
-        stored = np.asarray(visual.vertex_colors)
-    elif "color" in getattr(visual, "vertex_attributes", {}):
-        stored = np.asarray(visual.vertex_attributes["color"])
-    else:
+        byte = np.asarray(visual.vertex_colors)[:, :3]
+        return (byte / 255).astype(np.float32) if gltf else decode_srgb(byte)
+    # Only glTF has colours and a material at once; they are floats, or integers of which the greatest means 1.
+    stored = getattr(visual, "vertex_attributes", {}).get("color")
+    if stored is None:
         return None
-    scale = 1.0 if stored.dtype.kind == "f" else float(np.iinfo(stored.dtype).max)
-    colour = stored[:, :3] / scale
-    linear = colour if path.suffix.lower() in _GLTF else linear_of_srgb(colour)
-    return np.asarray(linear, dtype=np.float32)
-
-
-def linear_of_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sRGB values in 0..1 to linear ones (IEC 61966-2-1)."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    whole = 1.0 if stored.dtype.kind == "f" else float(np.iinfo(stored.dtype).max)
+    return (np.asarray(stored)[:, :3] / whole).astype(np.float32)
 
 
 def save_glb(scene: Scene, path: str | Path) -> Path:

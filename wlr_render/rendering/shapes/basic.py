@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering.scene import Mesh
-from wlr_render.rendering.shapes import surfaces, textures
-from wlr_render.rendering.shapes.surfaces import Colour
+from wlr_render.rendering.shapes import construction, textures
+from wlr_render.rendering.shapes.construction import Colour
 
 FloatArray = NDArray[np.float64]
 
@@ -17,12 +17,12 @@ _TEXELS_PER_PITCH = 40
 
 def plane(width_m: float = 1.0, height_m: float = 1.0, colour: Colour = (0.7, 0.7, 0.7)) -> Mesh:
     """A rectangle facing +z, origin at its centre."""
-    return replace(surfaces.rectangle("plane", width_m, height_m), base_colour=np.array(colour, np.float32))
+    return replace(construction.rectangle("plane", width_m, height_m), base_colour=np.array(colour, np.float32))
 
 
 def box(size_m: Colour = (0.1, 0.1, 0.1), colour: Colour = (0.7, 0.7, 0.7)) -> Mesh:
     """A box of width, height, depth, origin at the middle of its bottom."""
-    return replace(surfaces.cuboid("box", size_m), base_colour=np.array(colour, np.float32))
+    return replace(construction.cuboid("box", size_m), base_colour=np.array(colour, np.float32))
 
 
 def sphere(radius_m: float = 0.05, colour: Colour = (0.7, 0.7, 0.7), segments: int = 64) -> Mesh:
@@ -43,7 +43,7 @@ def _globe(name: str, radius: float, segments: int) -> Mesh:
     y = np.repeat(np.sin(latitude)[:, None], segments + 1, axis=1)
     z = np.cos(latitude)[:, None] * np.cos(longitude)
     normal = np.stack([x, y, z], axis=-1)
-    return surfaces.from_grid(name, radius * normal, normal)
+    return construction.from_grid(name, radius * normal, normal)
 
 
 def dot_centres(columns: int, rows: int, pitch_m: float) -> FloatArray:
@@ -84,5 +84,5 @@ def dot_board(
     row_index = np.clip(np.rint(y), 0, rows - 1).astype(int)
     distance = np.hypot(x - column_index, y - row_index) - 0.5 * diameter[row_index, column_index] / pitch_m
     paint = 1 - textures.inside(distance, 1 / _TEXELS_PER_PITCH)
-    board = surfaces.rectangle("dot_board", (columns + 1) * pitch_m, (rows + 1) * pitch_m)
+    board = construction.rectangle("dot_board", (columns + 1) * pitch_m, (rows + 1) * pitch_m)
     return replace(board, texture=textures.encoded(np.repeat(paint[..., None], 3, axis=-1)))

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.rendering.scene import Mesh
-from wlr_render.rendering.shapes import surfaces, textures
-from wlr_render.rendering.shapes.surfaces import Colour, coloured, cuboid, merged, moved, revolved, tube, turned
+from wlr_render.rendering.shapes import construction, textures
+from wlr_render.rendering.shapes.construction import Colour, coloured, cuboid, merged, moved, revolved, tube, turned
 
 FloatArray = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def monitor(width_m: float = 0.52) -> Mesh:
 def monitor_screen(width_m: float = 0.52) -> Mesh:
     """The picture of a `monitor` of the same width at the same place."""
     height = width_m * 9 / 16
-    panel = moved(surfaces.rectangle("monitor_screen", width_m, height), (0, 0.12 + 0.5 * height, 0))
+    panel = moved(construction.rectangle("monitor_screen", width_m, height), (0, 0.12 + 0.5 * height, 0))
     return replace(panel, texture=textures.screen())
 
 
@@ -116,10 +116,10 @@ def _leaf(length: float, droop: float) -> Mesh:
     half_width = 0.011 * np.sin(np.pi * np.clip(0.12 + 0.88 * along, 0, 1)) ** 0.8 + 1e-4
     position = np.stack([np.stack([s * half_width, y, z], axis=-1) for s in (1.0, -1.0)], axis=1)
     normal = np.stack([np.zeros_like(y), -np.sin(angle), np.cos(angle)], axis=-1)
-    return surfaces.from_grid("", position, np.repeat(normal[:, None], 2, axis=1))
+    return construction.from_grid("", position, np.repeat(normal[:, None], 2, axis=1))
 
 
 def picture(width_m: float = 0.7) -> Mesh:
     """A painting, 0.7 times as high as wide, origin at its centre."""
-    canvas = surfaces.rectangle("picture", width_m, 0.711 * width_m)
+    canvas = construction.rectangle("picture", width_m, 0.711 * width_m)
     return replace(canvas, texture=textures.painting())

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.rendering.scene import Mesh
-from wlr_render.rendering.shapes import surfaces, textures
+from wlr_render.rendering.shapes import construction, textures
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def sculpture(height_m: float = 0.2, around: int = 96, along: int = 1200) -> Mes
     relief = _relief(t, phi)
     position, normal = _surface(t, phi, relief)
     uv = np.stack([t, phi], axis=-1) / (2 * np.pi) * _TILES
-    mesh = surfaces.from_grid("sculpture", position, normal, uv)
+    mesh = construction.from_grid("sculpture", position, normal, uv)
     low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
     foot = np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     scale = height_m / (high[1] - low[1])
@@ -82,7 +82,7 @@ def plinth(radius_m: float = 0.11, height_m: float = 0.1) -> Mesh:
     relative = [(0, 1), (0.9, 1), (0.95, 0.97), (0.95, 0.86), (0.82, 0.82), (0.78, 0.74), (0.78, 0.3), (0.84, 0.22)]
     relative += [(0.98, 0.18), (1, 0.14), (1, 0.02), (0.98, 0), (0, 0)]
     profile = np.array(relative) * [radius_m, height_m]
-    stone = surfaces.revolved("plinth", profile, segments=96)
+    stone = construction.revolved("plinth", profile, segments=96)
     x, y, z = stone.position.T
     flat = np.abs(stone.normal[:, 1]) > 0.7
     round_the_side = radius_m * np.arctan2(x, z)
