@@ -44,6 +44,7 @@ def test_jacobian_is_the_derivative_for_every_batch_shape(lead):
         shift = step * np.eye(4)[axis]
         slope = (model(x + shift) - model(x - shift)) / (2 * step)
         np.testing.assert_allclose(jacobian[..., axis], slope, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(model.with_jacobian(x, axes=(3, 1))[1], jacobian[..., [3, 1]])
 
 
 def test_least_squares_recovers_coefficients_and_weights_matter():

@@ -39,9 +39,9 @@ def solve_display(
     depth = viewpoint[:, 2] - plane.z
 
     def residual(point: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        tangents, jacobian = tangents_of.with_jacobian(np.concatenate([pixel[index], point], axis=1))
+        tangents, jacobian = tangents_of.with_jacobian(np.concatenate([pixel[index], point], axis=1), axes=(2, 3))
         dz = depth[index, None]
-        return point - viewpoint[index, :2] - dz * tangents, np.eye(2) - dz[..., None] * jacobian[..., 2:]
+        return point - viewpoint[index, :2] - dz * tangents, np.eye(2) - dz[..., None] * jacobian
 
     return _solve(residual, start, viewpoint[:, :2])
 

@@ -5,6 +5,7 @@ monomials and stays well conditioned at degree 7 and above, so that a rank check
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import comb
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_CHUNK = 16_384  # rows per block: keeps the basis (rows x terms) in the processor's cache
+_CHUNK = 2_048  # rows per block: keeps the basis (rows x terms) in the processor's cache
 
 
 def term_count(variables: int, degree: int) -> int:
@@ -65,20 +66,21 @@ class Box:
 
 
 def _chebyshev_tables(scaled: FloatArray, degree: int, derivative: bool) -> tuple[FloatArray, FloatArray | None]:
-    """T_k and dT_k/dx for k = 0..degree: each (degree + 1, n, variables)."""
-    t = np.empty((degree + 1, *scaled.shape))
+    """T_k and dT_k/dx for k = 0..degree: each (degree + 1, variables, n)."""
+    x = np.ascontiguousarray(scaled.T)
+    t = np.empty((degree + 1, *x.shape))
     t[0] = 1.0
     if degree >= 1:
-        t[1] = scaled
+        t[1] = x
     for k in range(2, degree + 1):
-        t[k] = 2.0 * scaled * t[k - 1] - t[k - 2]
+        t[k] = 2.0 * x * t[k - 1] - t[k - 2]
     if not derivative:
         return t, None
     d = np.zeros_like(t)
     if degree >= 1:
         d[1] = 1.0
     for k in range(2, degree + 1):
-        d[k] = 2.0 * t[k - 1] + 2.0 * scaled * d[k - 1] - d[k - 2]
+        d[k] = 2.0 * t[k - 1] + 2.0 * x * d[k - 1] - d[k - 2]
     return t, d
 
 
@@ -86,9 +88,9 @@ def basis(inputs: FloatArray, degree: int, box: Box) -> FloatArray:
     """Design matrix (n, terms) of samples (n, variables)."""
     orders = exponents(inputs.shape[-1], degree)
     t, _ = _chebyshev_tables(box.scaled(inputs), degree, derivative=False)
-    result = t[orders[:, 0], :, 0]
+    result = t[orders[:, 0], 0]
     for axis in range(1, orders.shape[1]):
-        result = result * t[orders[:, axis], :, axis]
+        result *= t[orders[:, axis], axis]
     return np.ascontiguousarray(result.T)
 
 
@@ -115,30 +117,35 @@ class Polynomial:
             result[rows] = basis(flat[rows], self.degree, self.box) @ self.coefficients
         return result.reshape(*inputs.shape[:-1], result.shape[1])
 
-    def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(..., variables) -> value (..., outputs) and Jacobian (..., outputs, variables), in the inputs' units."""
-        variables, outputs = inputs.shape[-1], self.coefficients.shape[1]
-        flat = inputs.reshape(-1, variables)
+    def with_jacobian(self, inputs: FloatArray, axes: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
+        """Value (..., outputs) and Jacobian (..., outputs, axes) of (..., variables), in the inputs' units.
+
+        Args:
+            inputs: (..., variables).
+            axes: the variables to differentiate by, or None for all.
+        """
+        by, outputs = range(inputs.shape[-1]) if axes is None else axes, self.coefficients.shape[1]
+        flat = inputs.reshape(-1, inputs.shape[-1])
         value = np.empty((flat.shape[0], outputs))
-        jacobian = np.empty((flat.shape[0], outputs, variables))
+        jacobian = np.empty((flat.shape[0], outputs, len(by)))
         for start in range(0, flat.shape[0], _CHUNK):
             rows = slice(start, start + _CHUNK)
-            value[rows], jacobian[rows] = self._block(flat[rows])
+            value[rows], jacobian[rows] = self._block(flat[rows], by)
         lead = inputs.shape[:-1]
-        return value.reshape(*lead, outputs), jacobian.reshape(*lead, outputs, variables)
+        return value.reshape(*lead, outputs), jacobian.reshape(*lead, outputs, len(by))
 
-    def _block(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _block(self, inputs: FloatArray, axes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         orders = exponents(inputs.shape[1], self.degree)
         t, d = _chebyshev_tables(self.box.scaled(inputs), self.degree, derivative=True)
         assert d is not None
         per_unit = 2.0 / (self.box.high - self.box.low)
-        factors = [t[orders[:, axis], :, axis] for axis in range(orders.shape[1])]
+        factors = [t[orders[:, axis], axis] for axis in range(orders.shape[1])]
         columns = []
-        for axis in range(orders.shape[1]):
-            product = d[orders[:, axis], :, axis]
+        for axis in axes:
+            product = d[orders[:, axis], axis]
             for other, factor in enumerate(factors):
                 if other != axis:
-                    product = product * factor
+                    product *= factor
             columns.append(per_unit[axis] * (product.T @ self.coefficients))
         whole = factors[0]
         for factor in factors[1:]:
