@@ -1,0 +1,171 @@
+"""A headset as the tracer needs it: placed surfaces, paths of light, panel and eye box. Metres, device frame."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry.transforms import inverse
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.optics.media import Medium
+from wlr_render.optics.surfaces import Shape
+
+FloatArray = NDArray[np.float64]
+
+MIRROR_X = np.diag([-1.0, 1.0, 1.0, 1.0])
+"""Takes one eye's half of the device to the other eye's."""
+
+
+class Interaction(StrEnum):
+    """What a ray does at a surface."""
+
+    REFRACT = "refract"
+    REFLECT = "reflect"
+    TOTAL_REFLECT = "total_reflect"
+
+
+@dataclass(frozen=True, eq=False)
+class ClearAperture:
+    """The used part of a surface: a box in the surface's own frame, in metres; infinite where it is open."""
+
+    low: FloatArray
+    high: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSurface:
+    """A shape at its place in the device.
+
+    Attributes:
+        name: unique within an eye.
+        shape: in its own frame.
+        device_from_surface: (4, 4); orthogonal, and improper (a reflection) in a mirrored eye.
+        aperture: which part is used; it also tells the right one of several intersections.
+    """
+
+    name: str
+    shape: Shape
+    device_from_surface: FloatArray
+    aperture: ClearAperture
+
+    @cached_property
+    def surface_from_device(self) -> FloatArray:
+        """Inverse of `device_from_surface`, (4, 4)."""
+        return inverse(self.device_from_surface)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One encounter of a path.
+
+    Attributes:
+        surface: where.
+        interaction: what happens.
+        medium: in which the ray goes on; only a refraction changes it.
+    """
+
+    surface: PlacedSurface
+    interaction: Interaction
+    medium: Medium
+
+
+@dataclass(frozen=True)
+class Path:
+    """The encounters of a ray in order, from the eye outwards; it starts in air. No steps: a straight line."""
+
+    steps: tuple[Step, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPanel:
+    """A flat panel at its place in the device.
+
+    Attributes:
+        device_from_panel: (4, 4) rigid; origin in the panel's centre, x along u, y along v (down the picture).
+        size: (2,) metres, width and height of the lit area.
+        pixels: its pixel counts.
+    """
+
+    device_from_panel: FloatArray
+    size: FloatArray
+    pixels: Panel
+
+    @cached_property
+    def panel_from_device(self) -> FloatArray:
+        """Inverse of `device_from_panel`, (4, 4)."""
+        return inverse(self.device_from_panel)
+
+    def pixel_of_local(self, point_in_panel: FloatArray) -> FloatArray:
+        """(..., 2) metres in the panel's frame -> (..., 2) pixels."""
+        return np.asarray((point_in_panel / self.size + 0.5) * self.pixels.size_px)
+
+    def point_of_pixel(self, pixel: FloatArray) -> FloatArray:
+        """(..., 2) pixels -> (..., 3) metres, device frame."""
+        local = (pixel / self.pixels.size_px - 0.5) * self.size
+        axes = self.device_from_panel[:3, :2]
+        return np.asarray(local @ axes.T + self.device_from_panel[:3, 3])
+
+
+@dataclass(frozen=True, eq=False)
+class EyeOptics:
+    """What lies before one eye.
+
+    Attributes:
+        display: from the eye to the panel.
+        see_through: from the eye to the world.
+        panel: the display panel.
+        eye_box: where the pupil may be; its centre is the nominal viewpoint.
+    """
+
+    display: Path
+    see_through: Path
+    panel: PlacedPanel
+    eye_box: EyeBox
+
+    def surfaces(self) -> tuple[PlacedSurface, ...]:
+        """All surfaces that either path meets, each once, in order of first encounter."""
+        steps = self.display.steps + self.see_through.steps
+        return tuple({step.surface.name: step.surface for step in steps}.values())
+
+    def with_surfaces(self, change: Callable[[PlacedSurface], PlacedSurface]) -> "EyeOptics":
+        """A copy with every surface changed, in both paths alike."""
+        changed = {surface.name: change(surface) for surface in self.surfaces()}
+
+        def rebuilt(path: Path) -> Path:
+            return Path(tuple(replace(step, surface=changed[step.surface.name]) for step in path.steps))
+
+        return replace(self, display=rebuilt(self.display), see_through=rebuilt(self.see_through))
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """A headset.
+
+    Attributes:
+        name: short name.
+        source: where its numbers come from.
+        eyes: by "left" and "right"; a device may have only one.
+    """
+
+    name: str
+    source: str
+    eyes: dict[str, EyeOptics]
+
+
+def mirrored(eye: EyeOptics) -> EyeOptics:
+    """The same optics before the other eye: x -> -x.
+
+    The panel's u keeps running to the wearer's right, so pixel (u, v) of one eye is (width - u, v) of the other.
+    """
+    reflected = eye.with_surfaces(lambda s: replace(s, device_from_surface=MIRROR_X @ s.device_from_surface))
+    # Two reflections make the panel's pose rigid again, and turn u round.
+    device_from_panel = MIRROR_X @ eye.panel.device_from_panel @ MIRROR_X
+    box = eye.eye_box
+    return replace(
+        reflected,
+        panel=replace(eye.panel, device_from_panel=device_from_panel),
+        eye_box=EyeBox(MIRROR_X[:3, :3] @ box.centre, box.size),
+    )

@@ -1,0 +1,186 @@
+"""Shapes given as a height z = sag(x, y), met by Newton's method: toroid, XY polynomial, anamorphic asphere.
+
+Same frame, units and column layout as `surfaces`.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from wlr_render.optics.surfaces import FloatArray, Hits, unit
+
+_MAX_STEPS = 25
+# Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
+_LAST_STEP = 1e-10
+
+
+class _Sag(Protocol):
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
+
+
+def _meet(shape: _Sag, origin: FloatArray, direction: FloatArray) -> Hits:
+    """Newton along each ray from where it crosses z = 0; one root."""
+    (ox, oy, oz), (dx, dy, dz) = origin, direction
+    distance = -oz / dz
+    step = distance
+    for _ in range(_MAX_STEPS):
+        z, slope_x, slope_y = shape.sag_and_slopes(ox + distance * dx, oy + distance * dy)
+        step = (oz + distance * dz - z) / (dz - slope_x * dx - slope_y * dy)
+        distance = distance - step
+        if not (np.abs(step) > _LAST_STEP).any():
+            break
+    return Hits(distance[None], ~(np.abs(step) > _LAST_STEP))
+
+
+def _normal(shape: _Sag, point: FloatArray) -> FloatArray:
+    _, slope_x, slope_y = shape.sag_and_slopes(point[0], point[1])
+    return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]))
+
+
+@dataclass(frozen=True)
+class Toroid:
+    """A circle in the y-z plane, turned about an axis parallel to y.
+
+    Attributes:
+        radius_x: metres from the vertex to the axis of rotation, positive towards +z.
+        radius_y: metres, radius of the circle, positive with its centre at +z.
+    """
+
+    radius_x: float
+    radius_y: float
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `_Sag`."""
+        curvature = 1.0 / self.radius_y
+        root = np.sqrt(1.0 - curvature * curvature * y * y)
+        profile = curvature * y * y / (1.0 + root)
+        arm = self.radius_x - profile
+        height = np.copysign(np.sqrt(arm * arm - x * x), self.radius_x)
+        return profile + x * x / (arm + height), x / height, arm / height * curvature * y / root
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """See `surfaces.Shape`."""
+        return _meet(self, origin, direction)
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `surfaces.Shape`; points to +z at the vertex."""
+        return _normal(self, point)
+
+
+def _conicoid(
+    x: FloatArray, y: FloatArray, curvature: tuple[float, float], conic: tuple[float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Biconic sag (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2)) and its slopes."""
+    (cx, cy), (kx, ky) = curvature, conic
+    px, py = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
+    root = np.sqrt(1.0 - px * x * x - py * y * y)
+    below = 1.0 / (1.0 + root)
+    sag = (cx * x * x + cy * y * y) * below
+    bend = sag * below / root
+    return sag, x * (2.0 * cx * below + px * bend), y * (2.0 * cy * below + py * bend)
+
+
+@dataclass(frozen=True)
+class XYPolynomial:
+    """Sum of C[m, n] x^m y^n, on a conic base.
+
+    Attributes:
+        coefficients: (M + 1, N + 1); C[m, n] in metres^(1 - m - n).
+        curvature: of the conic base in 1/m; 0 is none.
+        conic: k of the conic base.
+    """
+
+    coefficients: FloatArray
+    curvature: float = 0.0
+    conic: float = 0.0
+
+    @cached_property
+    def _columns(self) -> list[list[float]]:
+        """Per power of y, the coefficients by power of x without their trailing zeros."""
+        return [np.trim_zeros(column, "b").tolist() for column in self.coefficients.T]
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `_Sag`; nested Horner, in x within powers of y."""
+        sag, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+        for column in reversed(self._columns):
+            value, slope = _horner(column, x)
+            slope_y = slope_y * y + sag
+            sag = sag * y + value
+            slope_x = slope_x * y + slope
+        if self.curvature == 0.0:
+            return sag, slope_x, slope_y
+        base = _conicoid(x, y, (self.curvature, self.curvature), (self.conic, self.conic))
+        return sag + base[0], slope_x + base[1], slope_y + base[2]
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """See `surfaces.Shape`."""
+        return _meet(self, origin, direction)
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `surfaces.Shape`; points to +z."""
+        return _normal(self, point)
+
+
+def _horner(coefficients: list[float], x: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
+    """Value and derivative of a polynomial, lowest power first; plain numbers where it is constant."""
+    if not coefficients:
+        return 0.0, 0.0
+    value: FloatArray | float = coefficients[-1]
+    slope: FloatArray | float = 0.0
+    for coefficient in reversed(coefficients[:-1]):
+        slope = slope * x + value
+        value = value * x + coefficient
+    return value, slope
+
+
+@dataclass(frozen=True)
+class AnamorphicTerm:
+    """A ((1 - P) x^2 + (1 + P) y^2)^k.
+
+    Attributes:
+        amplitude: A in metres^(1 - 2 k).
+        asymmetry: P.
+        power: k, at least 2.
+    """
+
+    amplitude: float
+    asymmetry: float
+    power: int
+
+
+@dataclass(frozen=True)
+class AnamorphicAsphere:
+    """A biconic with terms of unequal strength in x and y (as in US patent 5,701,202).
+
+    Attributes:
+        curvature: (cx, cy) in 1/m.
+        conic: (kx, ky).
+        terms: added to the biconic sag.
+    """
+
+    curvature: tuple[float, float]
+    conic: tuple[float, float] = (0.0, 0.0)
+    terms: tuple[AnamorphicTerm, ...] = ()
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `_Sag`."""
+        sag, slope_x, slope_y = _conicoid(x, y, self.curvature, self.conic)
+        for term in self.terms:
+            ax, ay = 1.0 - term.asymmetry, 1.0 + term.asymmetry
+            inner = ax * x * x + ay * y * y
+            rest = term.amplitude * inner ** (term.power - 1)
+            sag = sag + rest * inner
+            slope_x = slope_x + 2.0 * term.power * ax * rest * x
+            slope_y = slope_y + 2.0 * term.power * ay * rest * y
+        return sag, slope_x, slope_y
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """See `surfaces.Shape`."""
+        return _meet(self, origin, direction)
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `surfaces.Shape`; points to +z at the vertex."""
+        return _normal(self, point)

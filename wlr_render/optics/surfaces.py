@@ -1,0 +1,162 @@
+"""Surface shapes in closed form, and parallel offsets of any shape.
+
+A shape lives in its own frame, in metres. Inside the tracer rays are columns: points and directions are (3, n)
+arrays, so that each coordinate is contiguous. Shapes know nothing of apertures and poses (see `device`).
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where rays meet a shape.
+
+    Attributes:
+        distance: (k, n) distances along the rays, ascending over k, of either sign; NaN where there is no such root.
+        converged: (n,) bool; False where an iteration did not settle, which is not the same as a miss.
+    """
+
+    distance: FloatArray
+    converged: BoolArray
+
+
+class Shape(Protocol):
+    """A surface without edges, in its own frame."""
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """All distances at which rays (3, n) with unit directions (3, n) may meet the surface."""
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """Unit normals (3, n) at points (3, n) of the surface."""
+
+
+def unit(vector: FloatArray) -> FloatArray:
+    """Columns (3, n) scaled to unit length."""
+    x, y, z = vector
+    return np.asarray(vector / np.sqrt(x * x + y * y + z * z))
+
+
+def dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Scalar products of the columns of two (3, n) arrays, (n,)."""
+    return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
+
+
+def _quadratic_roots(a: FloatArray, half_b: FloatArray, c: FloatArray) -> FloatArray:
+    """Both roots of a t^2 + 2 half_b t + c, ascending, (2, n); without cancellation, also where a is 0."""
+    q = -(half_b + np.copysign(np.sqrt(half_b * half_b - a * c), half_b))
+    first, second = q / a, c / q
+    first[~np.isfinite(first)] = np.nan
+    # fmin and fmax: a single root takes both places, and NaN only stays where there is none.
+    return np.stack([np.fmin(first, second), np.fmax(first, second)])
+
+
+@dataclass(frozen=True)
+class Conic:
+    """Plane, sphere or conicoid of revolution, through the origin with its axis along z.
+
+    Sag z = c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)); only this sheet counts, not the rest of the quadric.
+
+    Attributes:
+        curvature: c in 1/m, positive with the centre of curvature at +z; 0 is a plane.
+        conic: k; -1 is a paraboloid, -1 < k < 0 a prolate ellipsoid.
+    """
+
+    curvature: float
+    conic: float = 0.0
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """See `Shape`; the equation is c (x^2 + y^2 + (1 + k) z^2) - 2 z = 0."""
+        c, p = self.curvature, 1.0 + self.conic
+        (ox, oy, oz), (dx, dy, dz) = origin, direction
+        a = c * (dx * dx + dy * dy + p * dz * dz)
+        half_b = c * (ox * dx + oy * dy + p * oz * dz) - dz
+        distance = _quadratic_roots(a, half_b, c * (ox * ox + oy * oy + p * oz * oz) - 2.0 * oz)
+        if c != 0.0:
+            distance[p * c * (oz + distance * dz) > 1.0] = np.nan
+        return Hits(distance, np.ones(ox.shape, dtype=bool))
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `Shape`; points to +z at the vertex."""
+        c = self.curvature
+        x, y, z = point
+        return unit(np.stack([-c * x, -c * y, 1.0 - (1.0 + self.conic) * c * z]))
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """A whole ellipsoid about the origin.
+
+    Attributes:
+        semi_axes: (3,) metres, along the frame's axes.
+    """
+
+    semi_axes: FloatArray
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """See `Shape`; |o / s + t d / s| = 1."""
+        scale = self.semi_axes[:, None]
+        o, d = origin / scale, direction / scale
+        distance = _quadratic_roots(dot(d, d), dot(o, d), dot(o, o) - 1.0)
+        return Hits(distance, np.ones(distance.shape[1], dtype=bool))
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `Shape`; points outwards."""
+        return unit(point / (self.semi_axes * self.semi_axes)[:, None])
+
+
+@dataclass(frozen=True)
+class Offset:
+    """The true parallel surface of another shape: all points at a signed distance along its unit normal.
+
+    Attributes:
+        base: the shape it is parallel to; `distance` must stay below its radii of curvature.
+        distance: metres, positive along the base's normal.
+    """
+
+    base: Shape
+    distance: float
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> Hits:
+        """See `Shape`.
+
+        A ray meets the offset surface at q + h n(q) where the ray shifted by -h n(q) meets the base at q. Repeating
+        that with the last n contracts by about h / radius of curvature a turn.
+        """
+        start = self.base.meet(origin, direction)
+        rows = [self._settle(row, origin, direction) for row in range(len(start.distance))]
+        distance = np.stack([distance for distance, _ in rows])
+        converged = np.logical_and.reduce([start.converged, *(settled for _, settled in rows)])
+        return Hits(distance, np.asarray(converged))
+
+    def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Follow one root of the base to the offset surface: distance (n,), and where it settled (n,)."""
+        shift = np.zeros_like(origin)
+        for _ in range(_MAX_TURNS):
+            shifted = origin - shift
+            distance = self.base.meet(shifted, direction).distance[row]
+            new_shift = self.distance * self.base.normal(shifted + distance * direction)
+            moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
+            shift = new_shift
+            if not moving.any():
+                break
+        return distance, ~moving
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `Shape`; the base's normal at the foot of the point, found by the same contraction."""
+        normal = self.base.normal(point)
+        for _ in range(_MAX_TURNS):
+            previous, normal = normal, self.base.normal(point - self.distance * normal)
+            if not (np.abs(normal - previous).max(axis=0) > _SETTLED / abs(self.distance)).any():
+                break
+        return normal
+
+
+_MAX_TURNS = 40
+_SETTLED = 1e-17  # metres, some ten rounding units of a shift of a few millimetres

@@ -1,0 +1,205 @@
+"""Exact mappings of an eye by ray tracing: the ground truth that fitted models are measured against.
+
+The two maps that start with a view direction are one trace each. The other two are solved by Newton's method for the
+two tangents of the view direction, with a Jacobian from forward differences of exact traces.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import rays
+from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
+from wlr_render.mappings import EyeMappings, Mapped, Panel, Status, StatusArray
+from wlr_render.numerics import newton
+from wlr_render.optics.device import Device, EyeOptics, FloatArray
+from wlr_render.optics.display_start import DisplayStart, fit_display_start
+from wlr_render.optics.tracer import trace
+
+_BLOCK = 65_536  # queries solved at a time: bounds the memory that a whole panel takes
+_TANGENT_STEP = 1e-7  # of the forward differences
+_PIXEL_TOLERANCE = 1e-9  # pixels
+_ANGLE_TOLERANCE = 1e-13  # radians
+_EDGE_PX = 1e-6  # by so much a pixel may lie outside the panel, so that its very edge survives rounding
+
+Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
+"""(tangents (k, m, 2), index (m,) into the queries) -> by how much the rays miss their targets, (k, m, 2)."""
+
+
+def traced_eye(device: Device, eye: str = "right", wavelength_um: float = 0.55) -> EyeMappings:
+    """Mappings of one eye of a device at one vacuum wavelength in micrometres.
+
+    Raises:
+        BadInputError: the device has no such eye.
+    """
+    if eye not in device.eyes:
+        raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
+    optics = device.eyes[eye]
+    display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
+    return EyeMappings(f"{device.name} (traced)", eye, display, see_through, optics.eye_box)
+
+
+@dataclass(frozen=True, eq=False)
+class TracedDisplay:
+    """Exact `mappings.DisplayMapping`.
+
+    Attributes:
+        optics: the eye.
+        wavelength_um: micrometres.
+    """
+
+    optics: EyeOptics
+    wavelength_um: float
+
+    @property
+    def panel(self) -> Panel:
+        """See `DisplayMapping`."""
+        return self.optics.panel.pixels
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """See `DisplayMapping`: one trace. CLIPPED outside the panel, MISS where it is never met."""
+        pixel, status = self._pixel(view_dir, viewpoint)
+        outside = ~self._on_panel(pixel)
+        return _mapped(pixel, np.where((status == Status.OK) & outside, Status.CLIPPED, status))
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """See `DisplayMapping`: solved to 1e-9 pixels; CLIPPED for pixels outside the panel."""
+        lead = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
+        wanted, eyes = _flat(pixel, lead), _flat(viewpoint, lead)
+        outside = ~self._on_panel(wanted)
+
+        def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+            return self._pixel(dir_of_tangents(tangents), eyes[index])[0] - wanted[index]
+
+        cold = np.where(outside[:, None], np.nan, self._start(wanted, eyes))
+        tangents, converged = _shoot(miss, _start(warm_start, cold), _PIXEL_TOLERANCE)
+        view_dir = dir_of_tangents(tangents)
+        status = np.where(converged, self._pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
+        status = np.where(outside, Status.CLIPPED, status)
+        return _mapped(view_dir.reshape(*lead, 3), status.reshape(lead), tangents.reshape(*lead, 2))
+
+    def _on_panel(self, pixel: FloatArray) -> NDArray[np.bool_]:
+        return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
+
+    def _pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
+        """Pixel on the panel's unbounded plane, (..., 2), and status; CLIPPED rays keep their value."""
+        traced = trace(self.optics.display, viewpoint, view_dir, self.wavelength_um)
+        pose = self.optics.panel.panel_from_device
+        origin = traced.origin @ pose[:3, :3].T + pose[:3, 3]
+        direction = traced.direction @ pose[:3, :3].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = -origin[..., 2] / direction[..., 2]
+        along[~(np.isfinite(along) & (along > 0.0))] = np.nan
+        local = origin[..., :2] + along[..., None] * direction[..., :2]
+        status = np.where(np.isnan(along) & (traced.status == Status.OK), Status.MISS, traced.status)
+        return self.optics.panel.pixel_of_local(local), status
+
+    @cached_property
+    def _start(self) -> DisplayStart:
+        return fit_display_start(self._pixel, self.panel, self.optics.eye_box)
+
+
+@dataclass(frozen=True, eq=False)
+class TracedSeeThrough:
+    """Exact `mappings.SeeThroughMapping`.
+
+    Attributes:
+        optics: the eye.
+        wavelength_um: micrometres.
+    """
+
+    optics: EyeOptics
+    wavelength_um: float
+
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """See `SeeThroughMapping`: one trace; the ray's point lies on the last surface."""
+        traced = trace(self.optics.see_through, viewpoint, view_dir, self.wavelength_um)
+        return _mapped(rays.pack(traced.origin, traced.direction), traced.status)
+
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> Mapped:
+        """See `SeeThroughMapping`: solved to 1e-13 rad as seen from the viewpoint, starting with the straight line.
+
+        MISS for points that are not in front of the eye or not beyond the optics.
+        """
+        lead = np.broadcast_shapes(point.shape[:-1], viewpoint.shape[:-1])
+        wanted, eyes = _flat(point, lead), _flat(viewpoint, lead)
+        ahead = wanted[:, 2] < eyes[:, 2]
+        sight = np.where(ahead[:, None], wanted - eyes, [0.0, 0.0, -1.0])
+        distance = np.linalg.norm(sight, axis=-1)
+        across = _across(sight / distance[:, None])
+
+        def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+            past, _, _ = self._passing(dir_of_tangents(tangents), eyes[index], wanted[index])
+            return np.asarray(np.einsum("mij,...mj->...mi", across[index], past) / distance[index, None])
+
+        cold = np.where(ahead[:, None], tangents_of_dir(sight / distance[:, None]), np.nan)
+        tangents, converged = _shoot(miss, _start(warm_start, cold), _ANGLE_TOLERANCE)
+        view_dir = dir_of_tangents(tangents)
+        _, along, status = self._passing(view_dir, eyes, wanted)
+        status = np.where((status == Status.OK) & ~(along > 0.0), Status.MISS, status)
+        status = np.where(ahead, np.where(converged, status, Status.NOT_CONVERGED), Status.MISS)
+        return _mapped(view_dir.reshape(*lead, 3), status.reshape(lead), tangents.reshape(*lead, 2))
+
+    def _passing(
+        self, view_dir: FloatArray, viewpoint: FloatArray, point: FloatArray
+    ) -> tuple[FloatArray, FloatArray, StatusArray]:
+        """How the world rays pass points: offset of the nearest place from the point, distance to it, status."""
+        traced = trace(self.optics.see_through, viewpoint, view_dir, self.wavelength_um)
+        gap = traced.origin - point
+        along = -np.sum(gap * traced.direction, axis=-1)
+        return gap + along[..., None] * traced.direction, along, traced.status
+
+
+def _across(direction: FloatArray) -> FloatArray:
+    """Two unit vectors across each direction (n, 3) that looks forward, z < 0: (n, 2, 3)."""
+    x, _, z = np.moveaxis(direction, -1, 0)
+    first = normalised(np.stack([-z, np.zeros_like(x), x], axis=-1))
+    return np.stack([first, np.cross(first, direction)], axis=-2)
+
+
+def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
+    return np.broadcast_to(array, (*lead, array.shape[-1])).reshape(-1, array.shape[-1])
+
+
+def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
+    """The caller's warm start where there is one, else the cold start, (n, 2)."""
+    if warm_start is None:
+        return cold
+    warm = np.reshape(warm_start, cold.shape)
+    usable = np.isfinite(warm).all(axis=-1) & np.isfinite(cold).all(axis=-1)
+    return np.where(usable[:, None], warm, cold)
+
+
+def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Tangents (n, 2) for which `miss` vanishes, and where that was reached, block by block."""
+    tangents, converged = np.empty_like(start), np.empty(len(start), dtype=bool)
+    shifts = _TANGENT_STEP * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
+    for first in range(0, len(start), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+
+        def residual(
+            unknown: FloatArray, index: NDArray[np.int64], first: int = first
+        ) -> tuple[FloatArray, FloatArray]:
+            value = miss(unknown + shifts, index + first)
+            return value[0], np.stack([value[1] - value[0], value[2] - value[0]], axis=-1) / _TANGENT_STEP
+
+        root = newton.solve_2x2(residual, start[rows], tolerance)
+        tangents[rows], converged[rows] = root.unknown, root.converged
+    return tangents, converged
+
+
+def _mapped(value: FloatArray, status: NDArray[np.integer], warm_start: FloatArray | None = None) -> Mapped:
+    lost = np.expand_dims(status != Status.OK, -1)
+    return Mapped(np.where(lost, np.nan, value), np.asarray(status, dtype=np.uint8), warm_start)

@@ -1,0 +1,160 @@
+"""Exact sequential ray tracing in float64: the laws of reflection and refraction along a path, no approximation.
+
+G. H. Spencer and M. V. R. K. Murty, "General Ray-Tracing Procedure", J. Opt. Soc. Am. 52 (1962) 672, with the root
+chosen by its place along the ray and the clear aperture.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.mappings import Status, StatusArray
+from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface
+from wlr_render.optics.media import AIR
+from wlr_render.optics.surfaces import BoolArray, FloatArray, dot
+
+_CHUNK = 4096  # rays at a time: their columns stay in the processor's cache
+_FORWARD = 1e-12  # metres; a root must lie this far ahead
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What became of rays.
+
+    Attributes:
+        points: (..., steps, 3) where they meet the path's surfaces.
+        origin: (..., 3) the last of these points, or the start where the path has no steps.
+        direction: (..., 3) unit directions after the last step.
+        status: (...) uint8 `Status`. CLIPPED rays carry on as if the surface had no edge, so that a solver may
+            cross it; all other failures are NaN from that surface on.
+    """
+
+    points: FloatArray
+    origin: FloatArray
+    direction: FloatArray
+    status: StatusArray
+
+
+def trace(path: Path, origin: FloatArray, direction: FloatArray, wavelength_um: float) -> Trace:
+    """Follow rays along a path.
+
+    Args:
+        path: the encounters, in order.
+        origin: (..., 3) metres, device frame; broadcasts against `direction`.
+        direction: (..., 3) unit.
+        wavelength_um: vacuum wavelength in micrometres.
+    """
+    lead = np.broadcast_shapes(origin.shape[:-1], direction.shape[:-1])
+    starts = np.broadcast_to(origin, (*lead, 3)).reshape(-1, 3)
+    heads = np.broadcast_to(direction, (*lead, 3)).reshape(-1, 3)
+    count, steps = len(starts), len(path.steps)
+    points, end, status = np.empty((count, steps, 3)), np.empty((count, 3)), np.empty(count, dtype=np.uint8)
+    for first in range(0, count, _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        _follow(
+            path, starts[rows].T.copy(), heads[rows].T.copy(), wavelength_um, (points[rows], end[rows], status[rows])
+        )
+    last = points[:, -1] if steps else starts
+    return Trace(points.reshape(*lead, steps, 3), last.reshape(*lead, 3), end.reshape(*lead, 3), status.reshape(lead))
+
+
+def _follow(
+    path: Path,
+    origin: FloatArray,
+    direction: FloatArray,
+    wavelength_um: float,
+    result: tuple[FloatArray, FloatArray, StatusArray],
+) -> None:
+    """Trace one chunk of columns (3, n) into `result`: points (n, steps, 3), directions (n, 3), status (n,)."""
+    points, end, status = result
+    # A NaN in the start is no ray; it must not come out as OK where the path is empty.
+    status[:] = np.where(np.isfinite(origin).all(axis=0) & np.isfinite(direction).all(axis=0), Status.OK, Status.MISS)
+    index = AIR.index(wavelength_um)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for number, step in enumerate(path.steps):
+            origin, normal, found = _meet(step.surface, origin, direction)
+            _keep_first(status, found)
+            points[:, number] = origin.T
+            next_index = step.medium.index(wavelength_um)
+            if step.interaction is Interaction.REFRACT:
+                direction = _refracted(direction, normal, index / next_index)
+                index = next_index
+                _keep_first(status, np.where(np.isnan(direction[0]), Status.TOTAL_REFLECTION, Status.OK))
+                continue
+            if step.interaction is Interaction.TOTAL_REFLECT:
+                _keep_first(status, np.where(_is_total(direction, normal, index), Status.OK, Status.CLIPPED))
+            direction = direction - 2.0 * dot(direction, normal) * normal
+    end[:] = direction.T
+
+
+def _keep_first(status: StatusArray, found: NDArray[np.integer]) -> None:
+    """Let a ray keep the first failure that it met."""
+    np.copyto(status, found, where=status == Status.OK, casting="unsafe")
+
+
+def _refracted(direction: FloatArray, normal: FloatArray, ratio: float) -> FloatArray:
+    """Snell's law in vector form, `ratio` = n before / n after; NaN where the ray is totally reflected."""
+    cosine = dot(direction, normal)
+    root = np.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
+    return np.asarray(ratio * direction + (np.copysign(root, cosine) - ratio * cosine) * normal)
+
+
+def _is_total(direction: FloatArray, normal: FloatArray, index: float) -> BoolArray:
+    """Whether rays are totally reflected against air.
+
+    Where they are not, most of the light leaves: the surface is no mirror there, so that its clear aperture for
+    this step ends, and the ray is CLIPPED.
+    """
+    cosine = dot(direction, normal)
+    return np.asarray(index * index * (1.0 - cosine * cosine) >= 1.0)
+
+
+def _meet(
+    surface: PlacedSurface, origin: FloatArray, direction: FloatArray
+) -> tuple[FloatArray, FloatArray, StatusArray]:
+    """Meet one surface: points (3, n) and normals (3, n) in the device frame, and status (n,).
+
+    Of the roots ahead, the first one inside the clear aperture counts; if there is none, the one that is least far
+    outside, as CLIPPED.
+    """
+    pose = surface.surface_from_device
+    local_origin = pose[:3, :3] @ origin + pose[:3, 3:]
+    local_direction = pose[:3, :3] @ direction
+    hits = surface.shape.meet(local_origin, local_direction)
+    ahead = np.where((hits.distance > _FORWARD) & hits.converged, hits.distance, np.nan)
+    distance, point, excess = _choose(surface.aperture, ahead, local_origin, local_direction)
+    status = np.where(excess > 0.0, Status.CLIPPED, Status.OK)
+    status[np.isnan(distance)] = Status.MISS
+    status[~hits.converged] = Status.NOT_CONVERGED
+    normal = pose[:3, :3].T @ surface.shape.normal(point)
+    return origin + distance * direction, normal, status.astype(np.uint8)
+
+
+def _choose(
+    aperture: ClearAperture, ahead: FloatArray, origin: FloatArray, direction: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of roots (k, n), NaN where not ahead, the one in use: distance (n,), local point (3, n), excess (n,)."""
+    distance = ahead[0].copy()
+    for other in ahead[1:]:
+        np.copyto(distance, other, where=np.isnan(distance))
+    point = origin + distance * direction
+    excess = _excess(aperture, point)
+    for other in ahead:
+        again = np.flatnonzero((excess > 0.0) & (other != distance) & ~np.isnan(other))
+        if again.size == 0:
+            continue
+        other_point = origin[:, again] + other[again] * direction[:, again]
+        other_excess = _excess(aperture, other_point)
+        better = other_excess < excess[again]
+        chosen = again[better]
+        distance[chosen] = other[chosen]
+        point[:, chosen] = other_point[:, better]
+        excess[chosen] = other_excess[better]
+    return distance, point, excess
+
+
+def _excess(aperture: ClearAperture, point: FloatArray) -> FloatArray:
+    """How far points (3, n) lie outside the aperture's box, along its worst axis; at most 0 inside."""
+    outside = np.maximum(aperture.low[:, None] - point, point - aperture.high[:, None])
+    return np.asarray(outside.max(axis=0))
