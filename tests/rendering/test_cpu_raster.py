@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+from gl_scenes import OFF_CENTRE, at, cube, lit, quad, unlit, view
+
+from wlr_render.geometry import directions, transforms
+from wlr_render.rendering.cpu_raster import CpuRaster
+from wlr_render.rendering.raster import GlRaster
+from wlr_render.rendering.ray_render import RayRenderer
+
+
+def test_a_rectangle_lands_on_its_analytic_pixels_right_way_up():
+    corners = OFF_CENTRE.tangents_of_pixel(np.array([[10.0, 20.0], [30.0, 5.0]])) * 2.0
+    red = quad(*corners, base_colour=np.array([1, 0, 0], np.float32))
+    image = CpuRaster(unlit((red, at(0, 0, -2)), background=(0, 1, 0))).draw(view(), ("ids",))
+    expected = np.zeros((48, 64), bool)
+    expected[5:20, 10:30] = True
+    np.testing.assert_array_equal(image.inverse_depth > 0, expected)
+    np.testing.assert_array_equal(image.instance == 0, expected)
+    np.testing.assert_array_equal(image.colour, np.where(expected[..., None], [255, 0, 0], [0, 255, 0]))
+
+
+@pytest.mark.parametrize("viewpoint", [(0.0, 0.0, 0.0), (0.03, -0.02, 0.01)])
+def test_inverse_depth_of_a_tilted_plane_is_the_closed_form(viewpoint):
+    turn = transforms.rotation_about("y", 0.7) @ transforms.rotation_about("x", -0.4)
+    head = transforms.rigid(transforms.rotation_about("y", 0.2), np.array([1.0, 1.6, -2.5]))
+    wall = head @ at(0.1, 0.2, -1.5, turn)
+    image = CpuRaster(unlit((quad((-4, -4), (4, 4)), wall))).draw(view(OFF_CENTRE, viewpoint, head))
+    # In the camera frame: normal . (tx, ty, -1) / w = normal . point.
+    normal, point = turn[:, 2], np.array([0.1, 0.2, -1.5]) - viewpoint
+    expected = (OFF_CENTRE.pixel_centre_tangents() @ normal[:2] - normal[2]) / (normal @ point)
+    np.testing.assert_allclose(image.inverse_depth, expected, rtol=1e-5)
+
+
+def two_cubes():
+    box = cube()
+    return lit(
+        (box, at(-0.3, 0.1, -2.0, transforms.rotation_about("y", 0.6))),
+        (box, at(0.4, -0.2, -2.6, transforms.rotation_about("x", 0.4))),
+    )
+
+
+def test_it_sees_what_the_views_own_pixel_rays_see():
+    head = transforms.rigid(transforms.rotation_about("x", 0.1), np.array([0.0, 0.1, 0.2]))
+    frame = view(OFF_CENTRE, (0.01, 0.0, 0.02), head)
+    buffers = ("position", "normal", "ids")
+    image = CpuRaster(two_cubes()).draw(frame, buffers)
+    traced = RayRenderer(two_cubes()).render_rays(*frame.pixel_rays(), buffers)
+    seen = traced.instance >= 0
+    np.testing.assert_array_equal(image.instance, traced.instance)
+    np.testing.assert_array_equal(image.triangle, traced.triangle)
+    np.testing.assert_allclose(image.position, traced.position, atol=3e-6)
+    np.testing.assert_allclose(image.normal, traced.normal, atol=1e-6)
+    assert np.abs(image.colour.astype(int) - traced.colour).max() <= 1
+    in_camera = transforms.apply(np.linalg.inv(frame.world_from_camera), traced.position[seen].astype(float))
+    np.testing.assert_allclose(image.inverse_depth[seen], -1 / in_camera[:, 2], rtol=1e-5)
+    assert (image.inverse_depth[~seen] == 0).all()
+
+
+@pytest.mark.gl
+def test_it_draws_what_opengl_draws(gl_context):
+    frame = view(OFF_CENTRE, (0.01, 0.0, 0.02))
+    buffers = ("position", "normal", "ids")
+    ours, theirs = CpuRaster(two_cubes()).draw(frame, buffers), GlRaster(gl_context, two_cubes()).draw(frame, buffers)
+    same = ours.instance == theirs.instance
+    # Pixel centres within rounding of a silhouette may fall to either side.
+    assert same.mean() > 0.998
+    np.testing.assert_allclose(ours.inverse_depth[same], theirs.inverse_depth[same], rtol=2e-5)
+    inside = same & (ours.triangle == theirs.triangle) & (ours.instance >= 0)
+    np.testing.assert_allclose(ours.position[inside], theirs.position[inside], atol=1e-5)
+    np.testing.assert_allclose(ours.normal[inside], theirs.normal[inside], atol=1e-5)
+    assert np.abs(ours.colour[inside].astype(int) - theirs.colour[inside]).max() <= 1
+
+
+def test_a_wide_view_has_depth_along_the_axis_not_along_the_ray():
+    image = CpuRaster(unlit((quad((-9, -9), (9, 9)), at(0, 0, -2)))).draw(view())
+    np.testing.assert_allclose(image.inverse_depth, 0.5, rtol=1e-6)
+    slant = directions.dir_of_tangents(OFF_CENTRE.pixel_centre_tangents())[..., 2].max()
+    assert slant > -0.95
