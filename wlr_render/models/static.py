@@ -16,7 +16,7 @@ from wlr_render.mappings import EyeBox, Mapped, Panel
 from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
 from wlr_render.models.see_through import points_in_front
 from wlr_render.models.volumetric import deviated_ray, deviated_view, straight_tangents
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 FloatArray = NDArray[np.float64]
 
@@ -99,3 +99,10 @@ class StaticSeeThrough:
     def _backward(self, point: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         tangents, depth = straight_tangents(point, viewpoint)
         return deviated_view(self.backward, tangents, tangents, depth)
+
+
+def undeviated(eye_box: EyeBox) -> StaticSeeThrough:
+    """See-through of no optics at all: straight rays, for the baseline that ignores the combiner."""
+    everywhere = Box(np.full(2, -10.0), np.full(2, 10.0))
+    nothing = Polynomial(0, everywhere, np.zeros((1, 4)))
+    return StaticSeeThrough(eye_box, nothing, nothing)

@@ -1,0 +1,218 @@
+"""Frames of one eye: what its panel must show for a viewpoint and a head pose, by ray tracing or by raster and warp."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.rasteriser import Rasteriser
+from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, ray_field
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.sampling import remap
+from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.view import GeometryImage, View
+
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one eye's panel must show.
+
+    Attributes:
+        colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
+        field: the world rays; `field.status` says why a pixel has none, `field.warm_start` starts the next frame.
+        position: (height, width, 3) float32, the world point that each pixel shows, NaN where none; on request.
+        source: (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the intermediate image
+            and the inverse depth found there (1/m), NaN where none; on request, None for a ray-traced frame.
+        view, intermediate: the intermediate image of a warped frame and from where it was drawn; on request.
+    """
+
+    colour: NDArray[np.uint8]
+    field: RayField
+    position: Float32Array | None = None
+    source: Float32Array | None = None
+    view: View | None = None
+    intermediate: GeometryImage | None = None
+
+
+class Painter(Protocol):
+    """Makes the frames of one eye, scene and way of drawing."""
+
+    def paint(
+        self,
+        viewpoint: FloatArray,
+        world_from_device: FloatArray,
+        warm_start: WarmStart | None = None,
+        with_geometry: bool = False,
+    ) -> Frame:
+        """One frame.
+
+        Args:
+            viewpoint: (3,) entrance pupil, device frame.
+            world_from_device: (4, 4) head pose.
+            warm_start: `frame.field.warm_start` of this eye's last frame.
+            with_geometry: also give what `Frame` has on request.
+        """
+
+
+class TracedPainter:
+    """Every display pixel's world ray is a primary ray."""
+
+    def __init__(
+        self, mappings: EyeMappings, renderer: RayRenderer, supersample: int = 1, shadows: bool = False
+    ) -> None:
+        """Prepare.
+
+        Args:
+            mappings: any pair.
+            renderer: of the scene.
+            supersample: rays per pixel along each axis; geometry is always that of the pixel centre.
+            shadows: whether surfaces cast shadows.
+        """
+        self._mappings = mappings
+        self._renderer = renderer
+        self._shadows = shadows
+        self._plan = choose_plan(mappings)
+        self._sample_plans = _sample_plans(self._plan, supersample)
+
+    def paint(
+        self,
+        viewpoint: FloatArray,
+        world_from_device: FloatArray,
+        warm_start: WarmStart | None = None,
+        with_geometry: bool = False,
+    ) -> Frame:
+        """See `Painter`."""
+        field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
+        image = None
+        if with_geometry or not self._sample_plans:
+            buffers = ("position",) if with_geometry else ()
+            image = self._renderer.render_blocks(
+                field.shape, lambda rows: field.world_rays(world_from_device, rows), buffers, self._shadows
+            )
+        if not self._sample_plans:
+            assert image is not None
+            return Frame(image.colour, field, image.position)
+        fields = (ray_field(self._mappings, viewpoint, plan, field.warm_start) for plan in self._sample_plans)
+        samples = ((lambda rows, f=f: f.world_rays(world_from_device, rows)) for f in fields)
+        colour = self._renderer.render_supersampled(field.shape, samples, self._shadows)
+        return Frame(colour, field, image.position if image is not None else None)
+
+
+def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
+    if supersample == 1:
+        return []
+    steps = (np.arange(supersample) + 0.5) / supersample - 0.5
+    return [FieldPlan.with_nodes(plan.panel, plan.node_pixel.shape[0], np.array([u, v])) for v in steps for u in steps]
+
+
+class WarpedPainter:
+    """An intermediate image at the viewpoint, pulled into display pixels by the per-frame warp map."""
+
+    def __init__(self, mappings: EyeMappings, rasteriser: Rasteriser, resolution: float = 1.0) -> None:
+        """Prepare.
+
+        Args:
+            mappings: any pair.
+            rasteriser: of the scene.
+            resolution: pixels of the intermediate image per display pixel, where the display is densest.
+        """
+        self._mappings = mappings
+        self._rasteriser = rasteriser
+        self._plan = choose_plan(mappings)
+        self._camera = covering_camera(mappings, self._plan, resolution)
+
+    @property
+    def camera(self) -> Pinhole:
+        """The intermediate image's camera for all viewpoints in the eye box."""
+        return self._camera
+
+    def paint(
+        self,
+        viewpoint: FloatArray,
+        world_from_device: FloatArray,
+        warm_start: WarmStart | None = None,
+        with_geometry: bool = False,
+    ) -> Frame:
+        """See `Painter`."""
+        field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
+        view = View(self._camera, viewpoint, world_from_device)
+        warped = self._rasteriser.draw_warped(view, field.bend, with_geometry)
+        if warped.intermediate is None or warped.image.source is None:
+            return Frame(warped.image.colour, field)
+        source = with_inverse_depth(warped.intermediate, warped.image.source)
+        return Frame(warped.image.colour, field, position_of_source(view, source), source, view, warped.intermediate)
+
+
+class MeshWarpedPainter:
+    """As `WarpedPainter`, but the warp map comes from the mesh: Embree meets each world ray with the scene itself.
+
+    The map is right everywhere; where the intermediate image hides a point, its colour is that of what hides it.
+    """
+
+    def __init__(self, mappings: EyeMappings, rasteriser: Rasteriser, renderer: RayRenderer) -> None:
+        self._plain = WarpedPainter(mappings, rasteriser)
+        self._traced = TracedPainter(mappings, renderer)
+        self._rasteriser = rasteriser
+        self._background = encode_srgb(renderer.scene.background)
+
+    def paint(
+        self,
+        viewpoint: FloatArray,
+        world_from_device: FloatArray,
+        warm_start: WarmStart | None = None,
+        with_geometry: bool = False,
+    ) -> Frame:
+        """See `Painter`."""
+        traced = self._traced.paint(viewpoint, world_from_device, warm_start, with_geometry=True)
+        assert traced.position is not None
+        view = View(self._plain.camera, viewpoint, world_from_device)
+        intermediate = self._rasteriser.draw(view)
+        source = source_of_position(view, traced.position)
+        colour, _ = remap(intermediate.colour, source[..., :2], self._background)
+        return Frame(np.asarray(colour, np.uint8), traced.field, traced.position, source, view, intermediate)
+
+
+def source_of_position(view: View, position: Float32Array) -> Float32Array:
+    """World points (height, width, 3) -> where the view's camera sees them and their inverse depth; NaN stays NaN."""
+    in_camera = transforms.apply(transforms.inverse(view.world_from_camera), position.astype(np.float64))
+    inverse = -1.0 / in_camera[..., 2]
+    pixel = view.camera.pixel_of_tangents(in_camera[..., :2] * inverse[..., None])
+    return np.concatenate([pixel, inverse[..., None]], axis=-1).astype(np.float32)
+
+
+def covering_camera(mappings: EyeMappings, plan: FieldPlan, resolution: float) -> Pinhole:
+    """The raster field that the warp will ask for, found from the mappings at the corners of the eye box.
+
+    Its pixels are as dense as the display's are at their densest, times `resolution`.
+    """
+    box = mappings.eye_box
+    corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+    fields = [ray_field(mappings, box.at(corner), plan) for corner in [np.zeros(3), *corners]]
+    tangents = np.concatenate([field.tangents for field in fields])
+    a, b = fields[0].bend[0], fields[0].bend[1]
+    pixel_size = np.nanpercentile(np.hypot(np.diff(a[::16], axis=1), np.diff(b[::16], axis=1)), 5)
+    return Pinhole.covering(tangents, resolution / float(pixel_size), margin_px=4)
+
+
+def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:
+    """Pull map (height, width, 2) -> (height, width, 3) with the inverse depth found at the source."""
+    from wlr_render.rendering.cpu_warp import inverse_depth_at
+
+    found = np.isfinite(source[..., 0])
+    depth = np.full(source.shape[:2], np.nan, np.float32)
+    depth[found] = inverse_depth_at(intermediate.inverse_depth, source[found])
+    return np.concatenate([source, depth[..., None]], axis=-1)
+
+
+def position_of_source(view: View, source: Float32Array) -> Float32Array:
+    """World points (height, width, 3) that a pull map with inverse depths shows; NaN where there is none."""
+    inverse = np.where(source[..., 2] > 0, source[..., 2], np.nan).astype(np.float64)
+    tangents = view.camera.tangents_of_pixel(source[..., :2].astype(np.float64))
+    in_camera = np.concatenate([tangents, -np.ones((*inverse.shape, 1))], axis=-1) / inverse[..., None]
+    return transforms.apply(view.world_from_camera, in_camera).astype(np.float32)

@@ -1,0 +1,118 @@
+"""Drawing an intermediate image and warping it, by whichever backend works here."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.rendering.scene import Scene
+from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.view import GeometryImage, View
+from wlr_render.rendering.warped_image import WarpedImage
+
+BACKENDS = ("auto", "egl", "osmesa", "cpu")
+MATERIALS = ("own", "gltf")
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """A warped picture and, when asked for, the intermediate image that it was made of."""
+
+    image: WarpedImage
+    intermediate: GeometryImage | None
+
+
+class Rasteriser(Protocol):
+    """Draws one scene from any view and pulls the picture into display pixels."""
+
+    @property
+    def backend(self) -> str:
+        """ "egl", "osmesa" or "cpu"."""
+
+    def draw(self, view: View) -> GeometryImage:
+        """Draw `view` and fetch colour and inverse depth."""
+
+    def draw_warped(self, view: View, bend: NDArray[np.float32], with_geometry: bool = False) -> Warped:
+        """Draw `view` and warp it along the bent rays (4, height, width) of a ray field.
+
+        `with_geometry` also gives the pull map and the intermediate image.
+        """
+
+
+def open_rasteriser(scene: Scene, backend: str = "auto", materials: str = "own") -> Rasteriser:
+    """A rasteriser for one scene.
+
+    Args:
+        scene: what to draw.
+        backend: "egl", "osmesa", "cpu", or "auto" for the first that works, in that order.
+        materials: "own" for the shading model of docs/conventions.md, "gltf" for pyrender's physically based one,
+            which needs OpenGL.
+
+    Raises:
+        MissingGlError: OpenGL was asked for by name, or for "gltf" materials, and does not open.
+    """
+    if backend not in BACKENDS or materials not in MATERIALS:
+        raise BadInputError(f"'{backend}' with '{materials}' materials: choose from {BACKENDS} and {MATERIALS}.")
+    if backend == "cpu" and materials == "gltf":
+        raise BadInputError("glTF materials need OpenGL: choose the backend egl or osmesa, or our own materials.")
+    if backend != "cpu":
+        try:
+            return _GlRasteriser(scene, backend, materials)
+        except MissingGlError:
+            if backend != "auto" or materials == "gltf":
+                raise
+    return _CpuRasteriser(scene)
+
+
+class _GlRasteriser:
+    def __init__(self, scene: Scene, backend: str, materials: str) -> None:
+        from wlr_render.rendering.gl import open_context
+        from wlr_render.rendering.gl_warp import GlWarp
+
+        self._context = open_context(backend)
+        self.backend = self._context.backend
+        self._background = _background_code(scene)
+        self._warp = GlWarp(self._context)
+        if materials == "gltf":
+            from wlr_render.rendering.intermediate_view import PyrenderView
+
+            self._draw_on_gpu = PyrenderView(self._context, scene).draw_on_gpu
+        else:
+            from wlr_render.rendering.raster import GlRaster
+
+            self._draw_on_gpu = GlRaster(self._context, scene).draw_on_gpu
+
+    def draw(self, view: View) -> GeometryImage:
+        return self._draw_on_gpu(view).read()
+
+    def draw_warped(self, view: View, bend: NDArray[np.float32], with_geometry: bool = False) -> Warped:
+        image = self._draw_on_gpu(view)
+        warped = self._warp.warp(image, bend, self._background, with_source=with_geometry)
+        return Warped(warped, image.read() if with_geometry else None)
+
+
+class _CpuRasteriser:
+    backend = "cpu"
+
+    def __init__(self, scene: Scene) -> None:
+        from wlr_render.rendering.cpu_raster import CpuRaster
+        from wlr_render.rendering.ray_render import RayRenderer
+
+        self._background = _background_code(scene)
+        self._raster = CpuRaster(RayRenderer(scene))
+
+    def draw(self, view: View) -> GeometryImage:
+        return self._raster.draw(view)
+
+    def draw_warped(self, view: View, bend: NDArray[np.float32], with_geometry: bool = False) -> Warped:
+        from wlr_render.rendering.cpu_warp import warp_on_cpu
+
+        image = self._raster.draw(view)
+        return Warped(warp_on_cpu(image, view.camera, bend, self._background), image if with_geometry else None)
+
+
+def _background_code(scene: Scene) -> tuple[int, int, int]:
+    red, green, blue = (int(x) for x in encode_srgb(scene.background))
+    return red, green, blue

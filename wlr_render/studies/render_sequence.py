@@ -1,0 +1,237 @@
+"""Frames for a moving wearer: head poses and eye positions over time, one PNG per eye and moment.
+
+Frames are written whole, so that an interrupted sequence resumes where it stopped; `sequence.json` beside them says of
+which job they are and when, from where and how each was drawn.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder, write_text
+from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
+from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.ray_field import WarmStart
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.scene import Scene
+from wlr_render.rendering.scene_file import load_scene
+from wlr_render.studies.headset import open_eye, require_in_eye_box
+from wlr_render.studies.progress import Progress, silent
+from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
+from wlr_render.tracking.head_trajectory_file import read_head_trajectory
+from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
+
+METHODS = ("raster", "raytrace")
+MAP_SUFFIXES = ("tiff", "pfm")
+
+
+@dataclass(frozen=True)
+class Options:
+    """One job.
+
+    Attributes:
+        headset: a device, or a model file per eye.
+        scene: a shipped scene, a scene file or a mesh.
+        head: trajectory file (TUM or EuRoC); None for a head at rest at the world's origin.
+        eyes_file: eye trajectory file; None for pupils at rest at the centres of the eye boxes.
+        eyes: which eyes to draw.
+        method: "raster" (intermediate image and warp) or "raytrace".
+        frames_per_second: of the sequence; the moments run over what both trajectories cover.
+        frame_limit: at most so many frames; None for all.
+        supersample: rays per pixel and axis ("raytrace").
+        shadows: whether surfaces cast shadows ("raytrace").
+        materials: "own" or "gltf" ("raster").
+        maps: also write the warp map of each frame ("raster"), as "tiff" or "pfm"; None for none.
+        video: also write EYE.mp4.
+        backend: who rasterises.
+        out: folder.
+    """
+
+    headset: tuple[str, ...]
+    scene: str
+    head: Path | None = None
+    eyes_file: Path | None = None
+    eyes: tuple[str, ...] = ("right",)
+    method: str = "raster"
+    frames_per_second: float = 30.0
+    frame_limit: int | None = None
+    supersample: int = 1
+    shadows: bool = False
+    materials: str = "own"
+    maps: str | None = None
+    video: bool = False
+    backend: str = "auto"
+    out: Path = Path("out/render")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One frame to draw."""
+
+    index: int
+    time_s: float
+    eye: str
+    viewpoint: FloatArray
+    world_from_device: FloatArray
+
+    @property
+    def stem(self) -> str:
+        """Name of its files without the suffix."""
+        return f"{self.eye}-{self.index:06d}"
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What a run did."""
+
+    drawn: int
+    kept: int
+    folder: Path
+    videos: tuple[Path, ...]
+
+
+def run(options: Options, progress: Progress = silent) -> Rendered:
+    """Draw what is not there yet.
+
+    Raises:
+        BadInputError: faulty files, a viewpoint outside the eye box, a folder that holds frames of another job, or
+            options that contradict each other; nothing is written then.
+    """
+    _require_consistent(options)
+    mappings = {eye: open_eye(_headset_of(options, number), eye) for number, eye in enumerate(options.eyes)}
+    moments = planned_moments(options, mappings)
+    scene = load_scene(options.scene)
+    folder = output_folder(options.out)
+    _claim(folder, options, moments)
+    missing = [moment for moment in moments if not _is_done(folder, moment, options)]
+    if missing:
+        painters = _painters(options, mappings, scene)
+        for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
+            pass
+    videos = tuple(_video(folder, eye, moments, options) for eye in options.eyes) if options.video else ()
+    return Rendered(len(missing), len(moments) - len(missing), folder, videos)
+
+
+def _require_consistent(options: Options) -> None:
+    if len(options.headset) not in (1, len(options.eyes)):
+        raise BadInputError(
+            f"{len(options.headset)} headsets are given for {len(options.eyes)} eyes; give one device, or one model "
+            "file per eye in the order of the eyes."
+        )
+    if options.method == "raytrace" and (options.maps or options.materials != "own"):
+        raise BadInputError(
+            "A ray-traced frame has no warp map and our own materials; use the method raster for those."
+        )
+    if options.method == "raster" and (options.supersample != 1 or options.shadows):
+        raise BadInputError("Supersampling and shadows need the method raytrace.")
+    if not options.frames_per_second > 0:
+        raise BadInputError(f"The frame rate is {options.frames_per_second}; it must be positive.")
+
+
+def _headset_of(options: Options, number: int) -> str:
+    return options.headset[number if len(options.headset) > 1 else 0]
+
+
+def planned_moments(options: Options, mappings: dict[str, EyeMappings]) -> list[Moment]:
+    """When and from where each frame is drawn, in time order.
+
+    Raises:
+        BadInputError: trajectories that do not overlap in time, or a viewpoint outside the eye box.
+    """
+    head = read_head_trajectory(options.head) if options.head else None
+    eyes = read_eye_trajectory(options.eyes_file) if options.eyes_file else None
+    moments = []
+    for index, time_s in enumerate(_times(options, head, eyes)):
+        pose = head.at(time_s) if head else np.eye(4)
+        for eye in options.eyes:
+            viewpoint = eyes.viewpoint_at(eye, time_s) if eyes else mappings[eye].eye_box.centre
+            require_in_eye_box(mappings[eye], viewpoint, f"{options.eyes_file} at {time_s:.4f} s, {eye} eye")
+            moments.append(Moment(index, float(time_s), eye, viewpoint, pose))
+    return moments
+
+
+def _times(options: Options, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
+    tracks = [head] if head else []
+    spans = [(track.time_s[0], track.time_s[-1]) for track in tracks]
+    if eyes:
+        spans += [(track.time_s[0], track.time_s[-1]) for eye, track in eyes.tracks.items() if eye in options.eyes]
+    if not spans:
+        return np.zeros(1)
+    start, end = max(first for first, _ in spans), min(last for _, last in spans)
+    if end < start:
+        raise BadInputError(f"{options.head} and {options.eyes_file} do not overlap in time; record them together.")
+    times = start + np.arange(int((end - start) * options.frames_per_second + 1e-9) + 1) / options.frames_per_second
+    return np.asarray(times[: options.frame_limit])
+
+
+def _claim(folder: Path, options: Options, moments: list[Moment]) -> None:
+    """Write down what the folder's frames are, or refuse a folder that holds others."""
+    job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
+    for key in ("out", "video", "frame_limit", "backend"):  # these do not change what a frame shows
+        job.pop(key)
+    frames = [
+        {
+            "file": f"{m.stem}.png",
+            "time_s": m.time_s,
+            "viewpoint_in_device_m": m.viewpoint.tolist(),
+            "world_from_device": m.world_from_device.tolist(),
+        }
+        for m in moments
+    ]
+    path = folder / "sequence.json"
+    job = json.loads(json.dumps(job))
+    if path.exists() and _job_of(path) != job:
+        raise BadInputError(
+            f"{folder}: holds the frames of another job ({path.name}); choose another folder or empty it."
+        )
+    record = {"format": "wlr-sequence", "version": 1, "frame": "openxr", "job": job, "frames": frames}
+    write_text(path, json.dumps(record, indent=1) + "\n")
+
+
+def _job_of(path: Path) -> object:
+    try:
+        return json.loads(path.read_text(encoding="utf-8")).get("job")
+    except (json.JSONDecodeError, UnicodeDecodeError, AttributeError):
+        return None
+
+
+def _files(folder: Path, moment: Moment, options: Options) -> list[Path]:
+    suffixes = ["png"] if options.maps is None else [options.maps, "png"]
+    return [folder / f"{moment.stem}.{suffix}" for suffix in suffixes]
+
+
+def _is_done(folder: Path, moment: Moment, options: Options) -> bool:
+    return all(path.exists() for path in _files(folder, moment, options))
+
+
+def _painters(options: Options, mappings: dict[str, EyeMappings], scene: Scene) -> dict[str, Painter]:
+    if options.method == "raytrace":
+        renderer = RayRenderer(scene)
+        return {e: TracedPainter(m, renderer, options.supersample, options.shadows) for e, m in mappings.items()}
+    rasteriser = open_rasteriser(scene, options.backend, options.materials)
+    return {eye: WarpedPainter(m, rasteriser) for eye, m in mappings.items()}
+
+
+def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments: list[Moment]) -> Iterator[Moment]:
+    last: dict[str, WarmStart | None] = {}
+    for moment in moments:
+        frame = painters[moment.eye].paint(
+            moment.viewpoint, moment.world_from_device, last.get(moment.eye), with_geometry=options.maps is not None
+        )
+        last[moment.eye] = frame.field.warm_start
+        *map_path, picture_path = _files(folder, moment, options)
+        if map_path and frame.source is not None:
+            write_map(map_path[0], frame.source)
+        write_png(picture_path, frame.colour)
+        yield moment
+
+
+def _video(folder: Path, eye: str, moments: list[Moment], options: Options) -> Path:
+    pictures = (read_png(folder / f"{moment.stem}.png") for moment in moments if moment.eye == eye)
+    return write_video(folder / f"{eye}.mp4", pictures, options.frames_per_second)
