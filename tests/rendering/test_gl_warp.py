@@ -4,6 +4,7 @@ from gl_scenes import at, cube, lit, quad, unlit, view
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering.cpu_warp import warp_on_cpu
 from wlr_render.rendering.gl_warp import GlWarp
 from wlr_render.rendering.raster import GlRaster
 from wlr_render.rendering.warped_image import WarpStatus
@@ -136,3 +137,17 @@ def test_a_display_and_a_camera_of_new_sizes_are_followed(gl_context, busy_pictu
 
 def test_every_status_has_a_sentence():
     assert len({status.sentence for status in WarpStatus}) == len(WarpStatus)
+
+
+def test_the_cpu_path_finds_the_same_sources(gl_context, busy_picture):
+    bend = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
+    bend[:, 3:9, 5:8] = np.nan
+    fast = GlWarp(gl_context).warp(busy_picture, bend, (9, 8, 7), with_source=True)
+    slow = warp_on_cpu(busy_picture.read(), CAMERA, bend, (9, 8, 7))
+    same = fast.status == slow.status
+    assert same.mean() > 0.995
+    found = same & (fast.status == WarpStatus.SEEN)
+    distance = np.linalg.norm(fast.source - slow.source, axis=-1)[found]
+    assert np.percentile(distance, 99.5) < 1e-3
+    difference = np.abs(fast.colour.astype(int) - slow.colour)[found]
+    assert np.percentile(difference, 99.5) <= 1

@@ -3,8 +3,10 @@ import numpy as np
 import pytest
 from gl_scenes import at, cube, quad, unlit, view
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering.cpu_raster import CpuRaster
 from wlr_render.rendering.raster import GlRaster
 
 pytestmark = pytest.mark.gl
@@ -144,3 +146,25 @@ def test_normals_under_a_non_uniform_scale_stay_perpendicular(gl_context):
     slope = np.abs(np.sum(directions.normalised(along[inside]) * image.normal[:, 1:][inside], -1))
     assert inside.sum() > 500
     assert slope.max() < 1e-3
+
+
+def test_colour_and_geometry_agree_with_the_cpu_path(gl_context):
+    texture = np.random.default_rng(5).integers(0, 256, (16, 16, 3), dtype=np.uint8)
+    wall = (quad((-3, -3), (3, 3), texture=texture), at(0.2, 0, -4, transforms.rotation_about("y", -0.6)))
+    scene = gl_scenes.lit(wall, (cube(0.6), at(0, 0, -1.5, transforms.rotation_about("x", 0.4))))
+    frame = view(CAMERA, (0.02, 0.01, 0.0), at(0.5, 1.0, 2.0))
+    drawn = GlRaster(gl_context, scene).draw(frame, ("position", "normal", "ids"))
+    traced = CpuRaster(scene).draw(frame, ("position", "normal", "ids"))
+    same = (drawn.instance == traced.instance) & (drawn.triangle == traced.triangle)
+    assert same.mean() > 0.995
+    np.testing.assert_allclose(drawn.inverse_depth[same], traced.inverse_depth[same], rtol=1e-4)
+    np.testing.assert_allclose(drawn.position[same], traced.position[same], atol=1e-4)
+    np.testing.assert_allclose(drawn.normal[same], traced.normal[same], atol=1e-4)
+    difference = np.abs(drawn.colour.astype(int) - traced.colour)[same]
+    assert difference.mean() < 0.5
+    assert np.percentile(difference, 99) <= 3  # the texture unit's 8-bit weights
+
+
+def test_an_unknown_buffer_is_refused_in_a_sentence(gl_context):
+    with pytest.raises(BadInputError, match="There is no buffer 'depth'; ask for some of position, normal, ids"):
+        GlRaster(gl_context, unlit((cube(), at(0, 0, -2)))).draw(view(), ("depth",))

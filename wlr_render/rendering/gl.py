@@ -114,10 +114,19 @@ class GlContext:
         texture.repeat_x = texture.repeat_y = True
         return texture
 
-    def framebuffer(self, textures: list[Texture], with_depth: bool = False) -> Framebuffer:
+    def depth_target(self, size: tuple[int, int]) -> Texture:
+        """An empty depth texture of (width, height), 24 bits, read as plain values."""
+        texture = self._ctx.depth_texture(size)
+        texture.compare_func = ""
+        return texture
+
+    def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
         """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
-        depth = self._ctx.depth_renderbuffer(textures[0].size) if with_depth else None
         return self._ctx.framebuffer(textures, depth)
+
+    def copy_foreign_framebuffer(self, number: int, target: Framebuffer) -> None:
+        """Copy colour and depth of a framebuffer that other software made in this context."""
+        self._ctx.copy_framebuffer(target, self._ctx.detect_framebuffer(number))
 
     def triangles(
         self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]

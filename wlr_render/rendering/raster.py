@@ -96,7 +96,9 @@ class GlRaster:
             return old
         formats = {"colour": (4, "f1"), "inverse_depth": (1, "f4")} | (_EXTRA if with_extra else {})
         textures = {name: self._context.target(size, *form) for name, form in formats.items()}
-        targets = _Targets(self._context.framebuffer(list(textures.values()), with_depth=True), textures)
+        targets = _Targets(
+            self._context.framebuffer(list(textures.values()), self._context.depth_target(size)), textures
+        )
         self._targets[with_extra] = targets
         return targets
 
