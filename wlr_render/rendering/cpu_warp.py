@@ -90,7 +90,7 @@ class _Lines:
         return np.asarray(self.at_infinity + inverse_depth * self.shift)
 
     def some(self, index: NDArray[np.intp]) -> "_Lines":
-        return _Lines(self.at_infinity[:, index], self.shift[:, index], self.missing[index])
+        return _Lines(self.at_infinity.take(index, axis=1), self.shift.take(index, axis=1), self.missing.take(index))
 
 
 def _follow(depths: "_InverseDepths", lines: _Lines) -> tuple[Float32Array, NDArray[np.uint8]]:
@@ -101,19 +101,26 @@ def _follow(depths: "_InverseDepths", lines: _Lines) -> tuple[Float32Array, NDAr
     open_rays = np.arange(count)
     seen = np.full(count, depths.largest, np.float32)
     pixel = lines.at(seen)
-    for step in range(MAX_STEPS):
+    for _ in range(MAX_STEPS):
         previous, previously_seen = pixel, seen
         seen = depths.at(previous)
         pixel = lines.at(seen)
-        result[:, open_rays] = pixel
-        unsettled = np.flatnonzero(np.square(pixel - previous).sum(axis=0) >= np.float32(SETTLED_PX**2))
-        if step == MAX_STEPS - 1:
-            behind = unsettled[seen[unsettled] < previously_seen[unsettled]]
-            result[:, open_rays[behind]] = previous[:, behind]
-        open_rays, lines = open_rays[unsettled], lines.some(unsettled)
-        pixel, seen = pixel[:, unsettled], seen[unsettled]
+        moved = np.square(pixel - previous).sum(axis=0) >= np.float32(SETTLED_PX**2)
+        settled, unsettled = np.flatnonzero(~moved), np.flatnonzero(moved)
+        _put(result, open_rays.take(settled), pixel.take(settled, axis=1))
+        # Few rays are left after two or three steps.
+        open_rays, lines = open_rays.take(unsettled), lines.some(unsettled)
+        pixel, previous = pixel.take(unsettled, axis=1), previous.take(unsettled, axis=1)
+        seen, previously_seen = seen.take(unsettled), previously_seen.take(unsettled)
+    _put(result, open_rays, np.where(seen < previously_seen, previous, pixel))
     status[open_rays] = WarpStatus.DISOCCLUDED
     return result, status
+
+
+def _put(target: Float32Array, index: NDArray[np.intp], values: Float32Array) -> None:
+    """target[:, index] = values, but faster."""
+    for row, row_values in zip(target, values, strict=True):
+        row[index] = row_values
 
 
 def _outside(pixel: Float32Array, camera: Pinhole) -> NDArray[np.bool_]:
@@ -139,7 +146,7 @@ def _write_block(
     colour.reshape(-1, 3)[lost] = background
     warped.colour[rows] = colour
     warped.status[rows] = status.reshape(shape)
-    warped.source[rows] = pixel.T.reshape(*shape, 2)
+    warped.source[rows, :, 0], warped.source[rows, :, 1] = pixel.reshape(2, *shape)
 
 
 @dataclass(frozen=True, eq=False)
