@@ -1,21 +1,31 @@
-// The shading model of docs/conventions.md, "Colour"; rendering/shading.py is its twin.
+// The shading model of docs/conventions.md, "Colour"; rendering/shading.py is its twin. Camera frame.
+//
+// The numbers of lights are constants: software renderers are many times slower with a loop of unknown length.
 
-// LIGHT_COUNT is set by the loader: software renderers are many times slower when the loop's length is not known.
-#if LIGHT_COUNT > 0
-uniform vec4 light_vector[LIGHT_COUNT];  // camera frame: (position, 1) or (direction towards the light, 0)
-uniform vec3 light_colour[LIGHT_COUNT];
+#if POINT_LIGHTS > 0
+uniform vec3 point_light_position[POINT_LIGHTS];
+uniform vec3 point_light_colour[POINT_LIGHTS];
+#endif
+#if DIRECTIONAL_LIGHTS > 0
+uniform vec3 towards_directional_light[DIRECTIONAL_LIGHTS];  // unit
+uniform vec3 directional_light_colour[DIRECTIONAL_LIGHTS];
 #endif
 uniform vec3 ambient;
 
 vec3 irradiance(vec3 point, vec3 normal)
 {
     vec3 sum = ambient;
-#if LIGHT_COUNT > 0
-    for (int i = 0; i < LIGHT_COUNT; ++i) {
-        vec3 towards = light_vector[i].xyz - light_vector[i].w * point;
-        float squared = dot(towards, towards);
-        float falloff = light_vector[i].w > 0.0 ? 1.0 / squared : 1.0;
-        sum += light_colour[i] * (falloff * max(0.0, dot(normal, towards) * inversesqrt(squared)));
+#if POINT_LIGHTS > 0
+    for (int i = 0; i < POINT_LIGHTS; ++i) {
+        vec3 towards = point_light_position[i] - point;
+        float per_distance = inversesqrt(dot(towards, towards));
+        float falloff = per_distance * per_distance * per_distance;  // the third one makes `towards` a unit vector
+        sum += point_light_colour[i] * (falloff * max(0.0, dot(normal, towards)));
+    }
+#endif
+#if DIRECTIONAL_LIGHTS > 0
+    for (int i = 0; i < DIRECTIONAL_LIGHTS; ++i) {
+        sum += directional_light_colour[i] * max(0.0, dot(normal, towards_directional_light[i]));
     }
 #endif
     return sum;

@@ -15,7 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
 from wlr_render.rendering.gpu_image import GpuImage, lens_of, rgb_of_rgba
-from wlr_render.rendering.scene import Light, Mesh, Scene
+from wlr_render.rendering.scene import Mesh, Scene
 from wlr_render.rendering.view import GeometryImage, View
 
 NEAR_M = 0.05
@@ -42,9 +42,13 @@ class GlRaster:
     def __init__(self, context: gl.GlContext, scene: Scene) -> None:
         self._context = context
         self._scene = scene
+        self._lamps = [light for light in scene.lights if light.kind == "point"]
+        self._suns = [light for light in scene.lights if light.kind == "directional"]
         self._targets: dict[bool, _Targets] = {}
         with context.drawing():
-            self._program = context.program("scene.vert", "scene.frag", LIGHT_COUNT=len(scene.lights))
+            self._program = context.program(
+                "scene.vert", "scene.frag", POINT_LIGHTS=len(self._lamps), DIRECTIONAL_LIGHTS=len(self._suns)
+            )
             self._background = context.full_screen("background.frag")
             self._meshes = [_upload(context, self._program, mesh) for mesh in scene.meshes]
 
@@ -105,9 +109,12 @@ class GlRaster:
     def _set_view(self, view: View) -> None:
         scene, camera = self._scene, view.camera
         camera_from_world = transforms.inverse(view.world_from_camera)
-        vectors = [_light_in_camera(light, camera_from_world) for light in scene.lights]
-        gl.set_array(self._program, "light_vector", vectors)
-        gl.set_array(self._program, "light_colour", [light.colour for light in scene.lights])
+        lamps = [transforms.apply(camera_from_world, light.vector) for light in self._lamps]
+        suns = [-transforms.rotate(camera_from_world, light.vector) for light in self._suns]
+        gl.set_array(self._program, "point_light_position", lamps)
+        gl.set_array(self._program, "point_light_colour", [light.colour for light in self._lamps])
+        gl.set_array(self._program, "towards_directional_light", suns)
+        gl.set_array(self._program, "directional_light_colour", [light.colour for light in self._suns])
         gl.set_uniforms(
             self._program,
             lens=lens_of(camera),
@@ -143,13 +150,6 @@ def _upload(context: gl.GlContext, program: gl.Program, mesh: Mesh) -> _MeshOnGp
     }
     texture = None if mesh.texture is None else context.srgb_texture(mesh.texture)
     return _MeshOnGpu(context.triangles(program, attributes, mesh.triangles), texture)
-
-
-def _light_in_camera(light: Light, camera_from_world: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The shader's light vector: (position, 1), or (direction towards the light, 0)."""
-    if light.kind == "point":
-        return np.append(transforms.apply(camera_from_world, light.vector), 1.0)
-    return np.append(-transforms.rotate(camera_from_world, light.vector), 0.0)
 
 
 def _triple(vector: NDArray[np.floating]) -> tuple[float, ...]:
