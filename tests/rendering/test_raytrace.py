@@ -5,7 +5,7 @@ from gl_scenes import at, cube, quad, unlit
 from wlr_render.geometry import directions, transforms
 from wlr_render.rendering import raytrace
 from wlr_render.rendering.raytrace import SceneTracer
-from wlr_render.rendering.scene import world_positions
+from wlr_render.rendering.scene import Mesh, world_positions
 
 
 def squashed(x, y, z):
@@ -149,6 +149,19 @@ def test_the_last_hit_of_a_ray_occludes_what_lies_beyond_it_only():
     np.testing.assert_array_equal(tracer.occluded(origin, direction, np.inf), hit)
     assert tracer.occluded(origin, direction, distance * 1.001)[hit].all()
     assert not tracer.occluded(origin, direction, np.where(hit, distance * 0.999, 1.0)).any()
+
+
+def test_no_ray_slips_through_an_edge():
+    # A closed tent around the origin with many edges, and rays from within aimed at the middles of those.
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    position = np.concatenate([ring, [[0.1, 0.2, 0.9], [0.0, -0.1, -0.8]]]).astype(np.float32)
+    here, there = np.arange(400), (np.arange(400) + 1) % 400
+    sides = [np.stack([here, there, np.full(400, tip)], axis=1) for tip in (400, 401)]
+    tent = Mesh("tent", position, directions.normalised(position), np.concatenate(sides).astype(np.uint32))
+    aim = [position[here] + position[there]] + [position[here] + position[tip] for tip in (400, 401)]
+    hits = SceneTracer(unlit((tent, np.eye(4)))).intersect(np.zeros(3), np.concatenate(aim))
+    assert (hits.instance == 0).all()
 
 
 def test_blocks_and_threads_change_nothing(monkeypatch):
