@@ -19,8 +19,8 @@ PixelOfViewDir = Callable[[FloatArray, FloatArray], tuple[FloatArray, StatusArra
 """(view_dir, viewpoint) -> pixel (..., 2), not cut off at the panel's edge, and status."""
 
 _DEGREE = 4
-_VIEWPOINTS = 80
-_SEARCH = np.linspace(-2.0, 2.0, 81)  # tangents in which the panel is looked for: 63 degrees to each side
+_VIEWPOINTS = 60
+_SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents in which the panel is looked for: 63 degrees to each side
 _GRID = 15  # directions per axis and viewpoint
 _MARGIN = 0.1  # of the field, for it moves with the viewpoint
 

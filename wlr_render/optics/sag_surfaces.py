@@ -21,6 +21,7 @@ class _Sag(Protocol):
         """Height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
 
 
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
 def _meet(shape: _Sag, origin: FloatArray, direction: FloatArray) -> Hits:
     """Newton along each ray from where it crosses z = 0; one root."""
     (ox, oy, oz), (dx, dy, dz) = origin, direction

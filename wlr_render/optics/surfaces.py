@@ -48,6 +48,7 @@ def dot(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
 
 
+@np.errstate(invalid="ignore", divide="ignore")  # what has no root becomes NaN
 def _quadratic_roots(a: FloatArray, half_b: FloatArray, c: FloatArray) -> FloatArray:
     """Both roots of a t^2 + 2 half_b t + c, ascending, (2, n); without cancellation, also where a is 0."""
     q = -(half_b + np.copysign(np.sqrt(half_b * half_b - a * c), half_b))
@@ -130,10 +131,13 @@ class Offset:
         that with the last n contracts by about h / radius of curvature a turn.
         """
         start = self.base.meet(origin, direction)
-        rows = [self._settle(row, origin, direction) for row in range(len(start.distance))]
-        distance = np.stack([distance for distance, _ in rows])
-        converged = np.logical_and.reduce([start.converged, *(settled for _, settled in rows)])
-        return Hits(distance, np.asarray(converged))
+        distance, converged = start.distance.copy(), start.converged.copy()
+        for row in range(len(distance)):
+            # A root so far behind stays behind, unless the ray grazes at under six degrees, and is of no use.
+            if (distance[row] > -10.0 * abs(self.distance)).any():
+                distance[row], settled = self._settle(row, origin, direction)
+                converged &= settled
+        return Hits(distance, converged)
 
     def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Follow one root of the base to the offset surface: distance (n,), and where it settled (n,)."""

@@ -97,7 +97,7 @@ class TracedDisplay:
         direction = traced.direction @ pose[:3, :3].T
         with np.errstate(divide="ignore", invalid="ignore"):
             along = -origin[..., 2] / direction[..., 2]
-        along[~(np.isfinite(along) & (along > 0.0))] = np.nan
+        along = np.where(np.isfinite(along) & (along > 0.0), along, np.nan)
         local = origin[..., :2] + along[..., None] * direction[..., :2]
         status = np.where(np.isnan(along) & (traced.status == Status.OK), Status.MISS, traced.status)
         return self.optics.panel.pixel_of_local(local), status
@@ -177,9 +177,9 @@ def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
     """The caller's warm start where there is one, else the cold start, (n, 2)."""
     if warm_start is None:
         return cold
-    warm = np.reshape(warm_start, cold.shape)
-    usable = np.isfinite(warm).all(axis=-1) & np.isfinite(cold).all(axis=-1)
-    return np.where(usable[:, None], warm, cold)
+    warm = warm_start.reshape(cold.shape)
+    usable = np.isfinite(warm + cold).all(axis=-1, keepdims=True)
+    return np.where(usable, warm, cold)
 
 
 def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray, NDArray[np.bool_]]:

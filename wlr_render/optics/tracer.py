@@ -14,7 +14,7 @@ from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSur
 from wlr_render.optics.media import AIR
 from wlr_render.optics.surfaces import BoolArray, FloatArray, dot
 
-_CHUNK = 4096  # rays at a time: their columns stay in the processor's cache
+_CHUNK = 8192  # rays at a time: their columns stay in the processor's cache
 _FORWARD = 1e-12  # metres; a root must lie this far ahead
 
 
@@ -71,20 +71,19 @@ def _follow(
     # A NaN in the start is no ray; it must not come out as OK where the path is empty.
     status[:] = np.where(np.isfinite(origin).all(axis=0) & np.isfinite(direction).all(axis=0), Status.OK, Status.MISS)
     index = AIR.index(wavelength_um)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for number, step in enumerate(path.steps):
-            origin, normal, found = _meet(step.surface, origin, direction)
-            _keep_first(status, found)
-            points[:, number] = origin.T
-            next_index = step.medium.index(wavelength_um)
-            if step.interaction is Interaction.REFRACT:
-                direction = _refracted(direction, normal, index / next_index)
-                index = next_index
-                _keep_first(status, np.where(np.isnan(direction[0]), Status.TOTAL_REFLECTION, Status.OK))
-                continue
-            if step.interaction is Interaction.TOTAL_REFLECT:
-                _keep_first(status, np.where(_is_total(direction, normal, index), Status.OK, Status.CLIPPED))
-            direction = direction - 2.0 * dot(direction, normal) * normal
+    for number, step in enumerate(path.steps):
+        origin, normal, found = _meet(step.surface, origin, direction)
+        _keep_first(status, found)
+        points[:, number] = origin.T
+        next_index = step.medium.index(wavelength_um)
+        if step.interaction is Interaction.REFRACT:
+            direction = _refracted(direction, normal, index / next_index)
+            index = next_index
+            _keep_first(status, np.where(np.isnan(direction[0]), Status.TOTAL_REFLECTION, Status.OK))
+            continue
+        if step.interaction is Interaction.TOTAL_REFLECT:
+            _keep_first(status, np.where(_is_total(direction, normal, index), Status.OK, Status.CLIPPED))
+        direction = direction - 2.0 * dot(direction, normal) * normal
     end[:] = direction.T
 
 
@@ -93,6 +92,7 @@ def _keep_first(status: StatusArray, found: NDArray[np.integer]) -> None:
     np.copyto(status, found, where=status == Status.OK, casting="unsafe")
 
 
+@np.errstate(invalid="ignore")
 def _refracted(direction: FloatArray, normal: FloatArray, ratio: float) -> FloatArray:
     """Snell's law in vector form, `ratio` = n before / n after; NaN where the ray is totally reflected."""
     cosine = dot(direction, normal)

@@ -1,0 +1,184 @@
+"""Prescriptions: the shipped ones are whole, units and frames are right, and faults are named in one sentence."""
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import shipped_names
+from wlr_render.optics.device import Interaction
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Toroid, XYPolynomial
+from wlr_render.optics.surfaces import Offset
+
+GOOD = """
+name = "toy"
+source = "test"
+frame = "opencv"
+
+[[medium]]
+name = "glass"
+index = 1.5
+
+[[eye]]
+side = "right"
+display_path = [{ at = "front", do = "reflect" }]
+see_through_path = [{ at = "front", do = "refract", into = "glass" }, { at = "back", do = "refract", into = "air" }]
+eye_box = { centre_mm = [30, 1, 2], size_mm = [10, 8, 6] }
+
+[eye.panel]
+centre_mm = [30, -40, 50]
+size_mm = [40, 20]
+pixels = [800, 400]
+u_axis = [1, 0, 0]
+v_axis = [0, 0, -1]
+
+[[eye.surface]]
+name = "front"
+shape = "conic"
+radius_mm = -80
+conic = -0.5
+origin_mm = [30, 2, 50]
+rotate_x_deg = -45
+aperture_x_mm = [-30, 30]
+aperture_y_mm = [-20, 25]
+
+[[eye.surface]]
+name = "back"
+shape = "offset"
+of = "front"
+distance_mm = 3
+aperture_x_mm = [-31, 31]
+aperture_y_mm = [-21, 26]
+"""
+
+
+def load(tmp_path, text):
+    path = tmp_path / "toy.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_device(path)
+
+
+@pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
+def test_shipped_devices_load_and_state_their_source(name):
+    device = load_device(name)
+    assert device.name == name
+    assert device.source
+    for eye in device.eyes.values():
+        np.testing.assert_allclose(
+            np.linalg.det(eye.panel.device_from_panel), 1.0, atol=1e-12, err_msg="a panel's pose is rigid"
+        )
+
+
+def test_millimetres_degrees_and_the_opencv_frame_are_converted(tmp_path):
+    eye = load(tmp_path, GOOD).eyes["right"]
+    np.testing.assert_allclose(eye.eye_box.centre, [0.030, -0.001, -0.002])
+    np.testing.assert_allclose(eye.panel.point_of_pixel(np.array([800.0, 0.0])), [0.05, 0.04, -0.06])
+    front, back = eye.surfaces()
+    assert front.shape.curvature == pytest.approx(-12.5)
+    np.testing.assert_allclose(front.device_from_surface[:3, 3], [0.03, -0.002, -0.05])
+    # x right, y down, z forward turned by -45 degrees about x: the surface's z points up and forward.
+    np.testing.assert_allclose(front.device_from_surface[:3, 2], [0, -np.sqrt(0.5), -np.sqrt(0.5)], atol=1e-15)
+    np.testing.assert_allclose(front.aperture.high, [0.03, 0.025, np.inf])
+    assert isinstance(back.shape, Offset)
+    assert back.shape.distance == pytest.approx(0.003)
+    assert [step.interaction for step in eye.see_through.steps] == [Interaction.REFRACT] * 2
+    assert [step.medium.name for step in eye.see_through.steps] == ["glass", "air"]
+
+
+def test_the_same_numbers_in_the_openxr_frame_are_taken_as_they_are(tmp_path):
+    eye = load(tmp_path, GOOD.replace('"opencv"', '"openxr"')).eyes["right"]
+    np.testing.assert_allclose(eye.eye_box.centre, [0.030, 0.001, 0.002])
+
+
+def test_coefficients_in_millimetres_keep_the_sag(tmp_path):
+    """z mm = 1e-3 x^2 y + 2e-4 y^3 at x = 10 mm, y = 20 mm is 3.6 mm."""
+    text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', 'shape = "xy_polynomial"')
+    text = text.replace("aperture_y_mm = [-20, 25]", "aperture_y_mm = [-20, 25]\nsag_mm = { x2y = 1e-3, y3 = 2e-4 }")
+    shape = load(tmp_path, text).eyes["right"].surfaces()[0].shape
+    assert isinstance(shape, XYPolynomial)
+    assert shape.sag_and_slopes(np.array([0.01]), np.array([0.02]))[0] == pytest.approx(3.6e-3)
+
+
+@pytest.mark.parametrize(
+    ("lines", "kind", "sag_mm"),
+    [
+        # 2e-6 (1.5 * 100 + 0.5 * 400)^2 = 0.245 beside an all but flat biconic
+        (
+            'shape = "anamorphic"\nradius_x_mm = 1e9\nradius_y_mm = 1e9\n'
+            "term = [{ order = 4, sag_mm = 2e-6, asymmetry = -0.5 }]",
+            AnamorphicAsphere,
+            0.245,
+        ),
+        # 100 - sqrt(100^2 - 10^2) with a straight profile in y
+        ('shape = "toroid"\nradius_x_mm = 100\nradius_y_mm = 1e9', Toroid, 100 - np.sqrt(9900)),
+    ],
+)
+def test_other_sag_shapes_in_millimetres(tmp_path, lines, kind, sag_mm):
+    text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', lines)
+    shape = load(tmp_path, text).eyes["right"].surfaces()[0].shape
+    assert isinstance(shape, kind)
+    # The first term's larger half is along x for a negative asymmetry.
+    x, y = np.array([0.01]), np.array([0.02])
+    assert shape.sag_and_slopes(x, y)[0] == pytest.approx(1e-3 * sag_mm, abs=1e-9)
+
+
+def test_other_eye_is_mirrored(tmp_path):
+    device = load(tmp_path, GOOD.replace('side = "right"', 'side = "right"\nalso_mirrored = true'))
+    right, left = device.eyes["right"], device.eyes["left"]
+    np.testing.assert_allclose(left.eye_box.centre, right.eye_box.centre * [-1, 1, 1])
+    pixel = np.array([123.0, 45.0])
+    other = np.array([800.0 - 123.0, 45.0])
+    np.testing.assert_allclose(
+        left.panel.point_of_pixel(pixel), right.panel.point_of_pixel(other) * [-1, 1, 1], atol=1e-16
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("conic = -0.5", "conik = -0.5", r"surface\]\] number 1: unknown key 'conik'; did you mean 'conic'"),
+        ("radius_mm = -80", "radius_m = -0.08", "key 'radius_mm' is missing .found 'radius_m' instead"),
+        ("radius_mm = -80", "radius_mm = 0", "'radius_mm' must not be 0"),
+        ('at = "back"', 'at = "bak"', "'at' names the surface 'bak', which is not defined .front, back"),
+        ('into = "glass"', 'into = "glas"', "'into' names the medium 'glas', which is not defined .air, glass"),
+        ('of = "front"', 'of = "rear"', "'of' names the earlier surface 'rear', which is not defined .front"),
+        ('do = "reflect"', 'do = "bounce"', "'do' is 'bounce'; it must be one of refract, reflect, total_reflect"),
+        ('shape = "conic"', 'shape = "cone"', "'shape' is 'cone'; it must be one of plane"),
+        ('frame = "opencv"', 'frame = "opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
+        ("index = 1.5", "index = -1.5", "'index' must be positive"),
+        ("pixels = [800, 400]", "pixels = [800, 400.5]", "'pixels' must be two whole numbers"),
+        ("size_mm = [40, 20]", "size_mm = [40, 0]", "'size_mm' must be positive"),
+        ("size_mm = [10, 8, 6]", "size_mm = [10, 8, -6]", "'size_mm' must be positive"),
+        ("v_axis = [0, 0, -1]", "v_axis = [1, 0, -1]", "'u_axis' and 'v_axis' must be perpendicular"),
+        ("aperture_x_mm = [-30, 30]", "aperture_x_mm = [30, -30]", "low below high"),
+        ('name = "back"', 'name = "front"', "there is already a surface 'front'"),
+        ('{ at = "back", do = "refract", into = "air" }', '{ at = "back", do = "reflect" }', "must end in air"),
+        (', { at = "back", do = "refract", into = "air" }', "", "must end in air"),
+    ],
+)
+def test_faults_are_named(tmp_path, old, new, sentence):
+    assert old in GOOD
+    with pytest.raises(BadInputError, match=sentence):
+        load(tmp_path, GOOD.replace(old, new))
+
+
+def test_unused_surfaces_double_eyes_and_no_eye_are_refused(tmp_path):
+    lonely = GOOD[GOOD.index("[[eye.surface]]") : GOOD.index('[[eye.surface]]\nname = "back"')]
+    with pytest.raises(BadInputError, match="surface 'third' is in no path"):
+        load(tmp_path, GOOD + lonely.replace('"front"', '"third"'))
+    with pytest.raises(BadInputError, match="the right eye is already given"):
+        load(tmp_path, GOOD + GOOD[GOOD.index("[[eye]]") :])
+    with pytest.raises(BadInputError, match=r"there is no \[\[eye\]\]"):
+        load(tmp_path, GOOD[: GOOD.index("[[medium]]")] + "eye = []\n")
+
+
+@pytest.mark.parametrize(("term", "sentence"), [("{ z2 = 1.0 }", "'z2' is no term"), ("{}", "no coefficient")])
+def test_terms_of_a_polynomial_are_checked(tmp_path, term, sentence):
+    text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', f'shape = "xy_polynomial"\nsag_mm = {term}')
+    with pytest.raises(BadInputError, match=sentence):
+        load(tmp_path, text)
+
+
+def test_unknown_name_lists_the_shipped_ones():
+    with pytest.raises(BadInputError, match="northstar"):
+        load_device("northstat")

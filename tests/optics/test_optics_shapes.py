@@ -1,0 +1,166 @@
+"""Every shape against its own equation written down a second time, and against what is known in closed form."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from wlr_render.optics.media import AIR, FORMULAS, Medium
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
+
+COEFFICIENTS = np.array([[0.0, 0.02, -1.5, 30.0], [-0.01, 0.3, -8.0, 0.0], [-2.0, 10.0, 0.0, 0.0]])
+
+
+def conic_sag(x, y, c, k):
+    r2 = x * x + y * y
+    return c * r2 / (1 + np.sqrt(1 - (1 + k) * c * c * r2))
+
+
+def toroid_level(p, rx=-0.08, ry=0.06):
+    profile = rx + np.hypot(p[0], rx - p[2])  # sag of the circle at this distance from the axis
+    return np.hypot(profile - ry, p[1]) - abs(ry)
+
+
+def polynomial_level(p):
+    terms = (COEFFICIENTS[m, n] * p[0] ** m * p[1] ** n for m in range(3) for n in range(4))
+    return p[2] - sum(terms) - conic_sag(p[0], p[1], -5.0, 0.4)
+
+
+def anamorphic_level(p):
+    x, y, z = p
+    root = np.sqrt(1 - 0.9 * (x / 0.06) ** 2 - 0.8 * (y / 0.09) ** 2)
+    base = (-(x**2) / 0.06 - y**2 / 0.09) / (1 + root)
+    return z - base - 500.0 * (1.1 * x**2 + 0.9 * y**2) ** 2 + 9e4 * (0.5 * x**2 + 1.5 * y**2) ** 3
+
+
+# Each shape with a function that vanishes on it, written without its code.
+SHAPES = {
+    "plane": (Conic(0.0), lambda p: p[2]),
+    "sphere": (Conic(1 / 0.07), lambda p: p[2] - conic_sag(p[0], p[1], 1 / 0.07, 0.0)),
+    "hyperboloid": (Conic(-12.0, -2.5), lambda p: p[2] - conic_sag(p[0], p[1], -12.0, -2.5)),
+    "paraboloid": (Conic(8.0, -1.0), lambda p: p[2] - conic_sag(p[0], p[1], 8.0, -1.0)),
+    "oblate": (Conic(9.0, 0.8), lambda p: p[2] - conic_sag(p[0], p[1], 9.0, 0.8)),
+    "ellipsoid": (
+        Ellipsoid(np.array([0.12, 0.1, 0.16])),
+        lambda p: (p[0] / 0.12) ** 2 + (p[1] / 0.1) ** 2 + (p[2] / 0.16) ** 2 - 1,
+    ),
+    "offset sphere": (Offset(Conic(1 / 0.07), -0.004), lambda p: np.linalg.norm(p.T - [0, 0, 0.07], axis=1) - 0.074),
+    "toroid": (Toroid(-0.08, 0.06), toroid_level),
+    "xy polynomial": (XYPolynomial(COEFFICIENTS, -5.0, 0.4), polynomial_level),
+    "anamorphic": (
+        AnamorphicAsphere(
+            (-1 / 0.06, -1 / 0.09), (-0.1, -0.2), (AnamorphicTerm(500.0, -0.1, 2), AnamorphicTerm(-9e4, 0.5, 3))
+        ),
+        anamorphic_level,
+    ),
+}
+
+
+def random_rays(rng, count):
+    """Rays from before the vertex through a patch around it, up to 35 degrees off the axis."""
+    target = np.stack([*rng.uniform(-0.02, 0.02, (2, count)), np.zeros(count)])
+    origin = np.stack([*rng.uniform(-0.03, 0.03, (2, count)), np.full(count, -0.1)])
+    direction = target - origin
+    return origin, direction / np.linalg.norm(direction, axis=0)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_rays_end_on_the_surface(name):
+    shape, level = SHAPES[name]
+    origin, direction = random_rays(np.random.default_rng(1), 10_000)
+    hits = shape.meet(origin, direction)
+    assert hits.converged.all()
+    for distance in hits.distance:
+        met = np.abs(distance) < 1.0  # a paraboloid's other root may be kilometres away
+        point = origin[:, met] + distance[met] * direction[:, met]
+        np.testing.assert_allclose(level(point), 0.0, atol=3e-14)
+    assert (np.abs(hits.distance) < 1.0).any(axis=0).all()
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_normal_is_the_gradient_of_the_surfaces_equation(name):
+    shape, level = SHAPES[name]
+    origin, direction = random_rays(np.random.default_rng(2), 200)
+    point = origin + np.fmin.reduce(np.abs(shape.meet(origin, direction).distance)) * direction
+    step = 1e-6 * np.eye(3)
+    gradient = np.stack([level(point + h[:, None]) - level(point - h[:, None]) for h in step])
+    gradient /= np.linalg.norm(gradient, axis=0)
+    normal = shape.normal(point)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0, atol=1e-15)
+    np.testing.assert_allclose(np.cross(normal.T, gradient.T), 0.0, atol=2e-8)
+
+
+def test_both_roots_are_found_in_order():
+    shape, _ = SHAPES["ellipsoid"]
+    origin, direction = random_rays(np.random.default_rng(3), 1000)
+    inside = shape.meet(origin + 0.05 * direction, direction).distance
+    outside = shape.meet(origin, direction).distance
+    np.testing.assert_allclose(outside, inside + 0.05, atol=1e-14)
+    assert np.all(outside[0] <= outside[1])
+
+
+def test_half_spheres_and_sheets_that_are_not_the_surface_are_no_roots():
+    axis = np.array([[0.0], [0.0], [-0.2]]), np.array([[0.0], [0.0], [1.0]])
+    sphere = Conic(1 / 0.07).meet(*axis).distance
+    np.testing.assert_allclose(sphere[np.isfinite(sphere)], 0.2, atol=1e-15)
+    hyperboloid = Conic(-12.0, -2.5).meet(*axis).distance
+    np.testing.assert_allclose(hyperboloid[np.isfinite(hyperboloid)], 0.2, atol=1e-15)
+
+
+def test_ray_past_a_sphere_has_no_root_and_no_warning_of_convergence():
+    hits = Ellipsoid(np.full(3, 0.1)).meet(np.array([[0.2], [0.0], [-1.0]]), np.array([[0.0], [0.0], [1.0]]))
+    assert np.isnan(hits.distance).all()
+    assert hits.converged.all()
+
+
+def test_newton_that_cannot_settle_says_so():
+    """A ray across a trough, above it: there is nothing to find, and the slope changes sign."""
+    trough = XYPolynomial(np.array([[0.0], [0.0], [-30.0]]))
+    slope = 1e-3
+    direction = np.array([[1.0], [0.0], [slope]]) / np.hypot(1.0, slope)
+    hits = trough.meet(np.array([[-0.05], [0.0], [0.002]]), direction)
+    assert not hits.converged[0] or np.isnan(hits.distance).all()
+
+
+def test_offset_points_lie_at_exactly_the_distance():
+    """Base points moved along the analytic normal must be found by any ray through them."""
+    rng = np.random.default_rng(4)
+    axes = np.array([0.124975, 0.124975, 0.1575])
+    on_sphere = rng.normal(size=(3, 2000))
+    base_point = axes[:, None] * on_sphere / np.linalg.norm(on_sphere, axis=0)
+    normal = base_point / (axes**2)[:, None]
+    normal /= np.linalg.norm(normal, axis=0)
+    point = base_point - 0.0025 * normal
+    origin = rng.uniform(-0.05, 0.05, (3, 2000))
+    length = np.linalg.norm(point - origin, axis=0)
+    offset = Offset(Ellipsoid(axes), -0.0025)
+    direction = (point - origin) / length
+    hits = offset.meet(origin, direction)
+    assert hits.converged.all()
+    np.testing.assert_allclose(hits.distance[1], length, atol=1e-15)
+    np.testing.assert_allclose(offset.normal(point), normal, atol=1e-14)
+
+
+def test_offset_is_the_nearest_distance_to_its_base():
+    axes = np.array([0.1, 0.12, 0.16])
+    offset = Offset(Ellipsoid(axes), 0.003)
+    origin, direction = np.zeros((3, 1)), np.array([[0.6], [0.48], [0.64]])
+    point = (origin + offset.meet(origin, direction).distance[1] * direction)[:, 0]
+
+    def distance(angles):
+        polar, azimuth = angles
+        unit = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
+        return np.linalg.norm(axes * unit - point)
+
+    assert minimize(distance, [0.9, 0.7], tol=1e-12).fun == pytest.approx(0.003, abs=1e-12)
+
+
+def test_pmma_has_the_published_indices():
+    pmma = Medium("pmma", FORMULAS["pmma_sultanova_2009"])
+    assert [round(pmma.index(um), 5) for um in (0.45, 0.55, 0.65)] == [1.50061, 1.49259, 1.48809]
+    assert pmma.index(0.5876) == pytest.approx(1.4906, abs=5e-4)  # refractiveindex.info lists 1.4906 there
+
+
+def test_constant_media():
+    assert AIR.index(0.55) == 1.0
+    assert Medium.constant("glass", 1.5).index(0.4) == pytest.approx(1.5, abs=1e-15)
