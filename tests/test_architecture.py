@@ -35,11 +35,11 @@ FORBIDDEN = {
     "evaluation": {"optics", "simulation", "models"},
 }
 DOORS = {
-    "moderngl": {"rendering/gl.py", "rendering/osmesa.py"},
+    "moderngl": {"rendering/gl.py", "rendering/osmesa.py", "studies/bench_baselines.py"},
     "OpenGL": {"rendering/gl.py", "rendering/osmesa.py", "rendering/intermediate_view.py"},
     "pyrender": {"rendering/intermediate_view.py"},
-    "trimesh": {"rendering/mesh_file.py", "rendering/shapes.py"},
-    "embreex": {"rendering/raytrace.py"},
+    "trimesh": {"rendering/mesh_file.py"},
+    "embreex": {"rendering/raytrace.py", "studies/bench_baselines.py"},
     "argparse": {"cli"},
     "rich": {"cli", "terminal"},
 }

@@ -98,10 +98,9 @@ class _CpuRasteriser:
 
     def __init__(self, scene: Scene) -> None:
         from wlr_render.rendering.cpu_raster import CpuRaster
-        from wlr_render.rendering.ray_render import RayRenderer
 
         self._background = _background_code(scene)
-        self._raster = CpuRaster(RayRenderer(scene))
+        self._raster = CpuRaster(scene)
 
     def draw(self, view: View) -> GeometryImage:
         return self._raster.draw(view)
