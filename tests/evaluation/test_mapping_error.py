@@ -46,7 +46,7 @@ def display_sightings(request, flat_image_headset):
     rng = np.random.default_rng(5)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (*request.param, 3)))
     pixel = rng.uniform(0, 1, (*request.param, 2)) * [140, 100]
-    return mapping_error.display_sightings(flat_image_headset.display, viewpoint, pixel)
+    return mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, pixel)
 
 
 @pytest.fixture(params=SHAPES, ids=str)
@@ -74,10 +74,18 @@ def test_truth_against_itself_is_zero(flat_image_headset, display_sightings, see
 def test_pixels_broadcast_against_viewpoints(flat_image_headset):
     viewpoint = flat_image_headset.eye_box.at(np.random.default_rng(1).uniform(-1, 1, (4, 1, 3)))
     pixel = flat_image_headset.display.panel.grid(3, 2).reshape(-1, 2)
-    sightings = mapping_error.display_sightings(flat_image_headset.display, viewpoint, pixel)
+    sightings = mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, pixel)
     assert sightings.viewpoint.shape == (24, 3)
     np.testing.assert_array_equal(sightings.viewpoint[::6], viewpoint[:, 0])
     np.testing.assert_array_equal(sightings.pixel[:6], pixel)
+
+
+def test_sightings_of_directions_are_those_of_the_pixels_seen(flat_image_headset, display_sightings):
+    again = mapping_error.sightings_of_dirs(
+        flat_image_headset.display, display_sightings.viewpoint, display_sightings.view_dir
+    )
+    np.testing.assert_allclose(again.pixel, display_sightings.pixel, atol=1e-9)
+    np.testing.assert_array_equal(again.viewpoint, display_sightings.viewpoint)
 
 
 def test_what_the_truth_does_not_see_is_left_out(flat_image_headset):
@@ -130,7 +138,7 @@ def test_a_static_display_errs_by_the_parallax_and_never_contradicts_itself(flat
     viewpoint = flat_image_headset.eye_box.centre + [0.005, 0.0, 0.0]
     inconsistency = mapping_error.self_inconsistency_arcmin(static, viewpoint, np.array([70.0, 50.0]), np.array(0.003))
     assert inconsistency == 0.0
-    true = mapping_error.display_sightings(flat_image_headset.display, viewpoint, np.array([70.0, 50.0]))
+    true = mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, np.array([70.0, 50.0]))
     shown = static.view_dir_of_pixel(true.pixel, true.viewpoint).value
     parallax = np.arccos(np.clip(np.sum(shown * true.view_dir), -1, 1)) / ARCMIN
     np.testing.assert_allclose(parallax, 0.005 / 2.01 / ARCMIN, rtol=1e-3)

@@ -7,7 +7,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.bench import Bench, Field
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 
@@ -41,6 +41,18 @@ def test_exact_display_captures_are_the_truth(bench):
     again = bench.truth.display.pixel_of_view_dir(captures.view_dir, captures.viewpoint)
     np.testing.assert_allclose(again.value, captures.pixel, atol=1e-9)
     assert not captures.sigma_arcmin.any()
+
+
+def test_a_camera_with_a_small_field_decodes_its_own_pixels(bench):
+    small = replace(bench, camera_field=Field(np.array([-0.1, -0.05]), np.array([0.2, 0.05])), grid=(4, 3))
+    captures = simulate_display(small, planar(bench), rng())
+    assert len(captures) == 9 * 12
+    tangents = directions.tangents_of_dir(captures.view_dir)
+    np.testing.assert_allclose(np.unique(tangents[:, 0].round(9)), [-0.1, 0.0, 0.1, 0.2], atol=1e-9)
+    again = bench.truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint)
+    np.testing.assert_allclose(again.value, captures.view_dir, atol=1e-12)
+    world = simulate_see_through(small, planar(bench), rng())
+    assert small.field.contains(world.view_dir).all()
 
 
 def test_exact_see_through_captures_are_the_truth_and_cover_the_field(bench):
@@ -78,7 +90,7 @@ def test_see_through_noise_has_the_stated_size(bench):
 
 def test_stage_error_moves_the_camera_and_not_the_report(bench):
     at = planar(bench, 400)
-    captures = simulate_display(replace(bench, stage_error_m=5e-5, pixel_grid=(2, 2)), at, rng())
+    captures = simulate_display(replace(bench, stage_error_m=5e-5, grid=(2, 2)), at, rng())
     np.testing.assert_array_equal(captures.viewpoint, at[captures.capture])
     # Follow each measured ray back from the true picture point: it passes by the reported position at the stage error.
     picture = (captures.pixel / [140, 100] - 0.5) * [1.4, -1.0]
@@ -101,7 +113,7 @@ def test_same_seed_gives_the_same_captures(bench):
     [
         ({"camera_noise_arcmin": -1.0}, "camera_noise_arcmin"),
         ({"stage_error_m": float("nan")}, "stage_error_m"),
-        ({"pixel_grid": (0, 3)}, "at least one column"),
+        ({"grid": (0, 3)}, "at least one column"),
         ({"target_depths_m": (1.0, 1.0)}, "do not determine a ray"),
         ({"target_depths_m": (-1.0, 1.0)}, "do not determine a ray"),
     ],

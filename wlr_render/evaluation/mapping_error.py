@@ -76,11 +76,18 @@ class SeeThroughError:
     forward_miss_m: FloatArray
 
 
-def display_sightings(truth: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray) -> DisplaySightings:
+def sightings_of_pixels(truth: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray) -> DisplaySightings:
     """Ask the truth where pixels (..., 2) are seen from viewpoints (..., 3); what it does not see is left out."""
     seen = truth.view_dir_of_pixel(pixel, viewpoint)
     kept = seen.usable
     return DisplaySightings(_rows(viewpoint, kept, 3), _rows(pixel, kept, 2), seen.value[kept])
+
+
+def sightings_of_dirs(truth: DisplayMapping, viewpoint: FloatArray, view_dir: FloatArray) -> DisplaySightings:
+    """Ask the truth which pixels are seen in directions (..., 3) from viewpoints (..., 3); none seen, none kept."""
+    shown = truth.pixel_of_view_dir(view_dir, viewpoint)
+    kept = shown.usable
+    return DisplaySightings(_rows(viewpoint, kept, 3), shown.value[kept], _rows(view_dir, kept, 3))
 
 
 def display_error(candidate: DisplayMapping, sightings: DisplaySightings) -> DisplayError:

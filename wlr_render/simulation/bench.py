@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Field:
-    """The directions in which the panel is seen, as a box of tangents over all viewpoints of the eye box.
+    """A box of directions.
 
     Attributes:
         low, high: (2,) tangents (tx, ty).
@@ -45,9 +45,10 @@ class Bench:
             camera with one pixel per arcminute is 1.
         stage_error_m: standard deviation of the true camera position about the reported one, independent per
             position and axis.
-        pixel_grid: columns and rows of the panel pixels that are decoded at each position.
+        camera_field: the part of the display's field that is photographed, by a grid of camera pixels; None for all
+            of it, by a grid of panel pixels.
+        grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
         target_depths_m: depths of the flat targets in front of the eye box, at least two different ones.
-        dot_grid: columns and rows of the dots on each target.
 
     Raises:
         BadInputError: a negative error, an empty grid, or target depths that do not determine a ray.
@@ -56,17 +57,17 @@ class Bench:
     truth: EyeMappings
     camera_noise_arcmin: float = 0.0
     stage_error_m: float = 0.0
-    pixel_grid: tuple[int, int] = (25, 21)
+    camera_field: Field | None = None
+    grid: tuple[int, int] = (25, 21)
     target_depths_m: tuple[float, ...] = (0.4, 3.0)
-    dot_grid: tuple[int, int] = (25, 21)
 
     def __post_init__(self) -> None:
         for name in ("camera_noise_arcmin", "stage_error_m"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise BadInputError(f"bench: '{name}' is {value}; it must be zero or a positive number.")
-        if min(*self.pixel_grid, *self.dot_grid) < 1:
-            raise BadInputError(f"bench: grids {self.pixel_grid} and {self.dot_grid} need at least one column and row.")
+        if min(self.grid) < 1:
+            raise BadInputError(f"bench: the grid {self.grid} needs at least one column and one row.")
         if len(set(self.target_depths_m)) < 2 or min(self.target_depths_m) <= 0:
             raise BadInputError(
                 f"bench: target depths {self.target_depths_m} m do not determine a ray; give two or more, all positive."
@@ -74,11 +75,13 @@ class Bench:
 
     @cached_property
     def field(self) -> Field:
-        """The display's field of view from the centre and the corners of the eye box.
+        """What the camera sees of the display from the centre and the corners of the eye box.
 
         Raises:
             BadInputError: no pixel is seen from there.
         """
+        if self.camera_field is not None:
+            return self.camera_field
         box, panel = self.truth.eye_box, self.truth.display.panel
         corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         viewpoint = box.at(np.concatenate([np.zeros((1, 3)), corners]))
@@ -93,13 +96,20 @@ class Bench:
 
     def pixels(self) -> FloatArray:
         """Panel pixels that are decoded, (n, 2)."""
-        return self.truth.display.panel.grid(*self.pixel_grid).reshape(-1, 2)
+        return self.truth.display.panel.grid(*self.grid).reshape(-1, 2)
+
+    def camera_dirs(self) -> FloatArray:
+        """Directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
+        return directions.dir_of_tangents(self._lattice(self.field.low, self.field.high))
 
     def dots(self, depth_m: float, viewpoint: FloatArray) -> FloatArray:
         """Dots of a flat target, (n, 3) device frame, wide enough to fill the field from all viewpoints (m, 3)."""
         low = viewpoint[:, :2].min(axis=0) + depth_m * self.field.low
         high = viewpoint[:, :2].max(axis=0) + depth_m * self.field.high
-        columns, rows = self.dot_grid
-        x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
-        z = np.full_like(x, self.truth.eye_box.centre[2] - depth_m)
-        return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+        lateral = self._lattice(low, high)
+        z = np.full((len(lateral), 1), self.truth.eye_box.centre[2] - depth_m)
+        return np.concatenate([lateral, z], axis=-1)
+
+    def _lattice(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        x, y = (np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1))
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -15,7 +15,7 @@ AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 
 
 def simulate_display(bench: Bench, viewpoint: FloatArray, rng: np.random.Generator) -> DisplayCaptures:
-    """Decode the bench's panel pixels from camera positions; pixels that are not seen from there are left out.
+    """Decode the panel from camera positions; what is not seen from there is left out.
 
     Args:
         bench: the bench.
@@ -26,21 +26,32 @@ def simulate_display(bench: Bench, viewpoint: FloatArray, rng: np.random.Generat
         BadInputError: nothing is seen from anywhere.
     """
     actual = _actual_positions(bench, viewpoint, rng)
-    pixel = bench.pixels()
-    seen = bench.truth.display.view_dir_of_pixel(pixel[None], actual[:, None])
-    position, column = np.nonzero(seen.usable)
+    position, pixel, view_dir = _decoded(bench, actual)
     captures = DisplayCaptures(
         device=bench.truth.name,
         eye=bench.truth.eye,
         eye_box=bench.truth.eye_box,
         panel=bench.truth.display.panel,
         viewpoint=viewpoint[position],
-        view_dir=seen.value[position, column],
-        pixel=pixel[column],
+        view_dir=view_dir,
+        pixel=pixel,
         capture=position,
         sigma_arcmin=np.zeros(len(position)),
     )
     return with_camera_noise(captures, bench.camera_noise_arcmin, rng)
+
+
+def _decoded(bench: Bench, actual: FloatArray) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Which position (n,) saw which panel pixel (n, 2) in which direction (n, 3)."""
+    if bench.camera_field is None:
+        pixel = bench.pixels()
+        seen = bench.truth.display.view_dir_of_pixel(pixel[None], actual[:, None])
+        position, column = np.nonzero(seen.usable)
+        return position, pixel[column], seen.value[position, column]
+    view_dir = bench.camera_dirs()
+    shown = bench.truth.display.pixel_of_view_dir(view_dir[None], actual[:, None])
+    position, column = np.nonzero(shown.usable)
+    return position, shown.value[position, column], view_dir[column]
 
 
 def simulate_see_through(bench: Bench, viewpoint: FloatArray, rng: np.random.Generator) -> SeeThroughCaptures:

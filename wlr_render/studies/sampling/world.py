@@ -1,0 +1,84 @@
+"""What trials share within one process: traced devices, exact captures and true test sightings.
+
+Exact tracing costs far more than a fit, so each is traced once per process.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.evaluation import mapping_error
+from wlr_render.mappings import EyeBox, EyeMappings
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation import viewpoints
+from wlr_render.simulation.bench import Bench, Field
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.studies.designs import camera_positions
+
+BoxSize = tuple[float, float, float]
+
+EYE_BOX_MM: BoxSize = (10.0, 8.0, 6.0)
+FIELDS_DEG: dict[str, tuple[float, float, float, float]] = {
+    "northstar": (-20.0, 20.0, -40.0, 10.0),
+    "freeform40": (-20.0, 20.0, -10.5, 10.5),
+    "birdbath28": (-20.0, 20.0, -11.25, 11.25),
+}
+"""Left, right, down, up: the nominal fields, in which captures are taken and errors are stated. They leave out the
+corners of the panels, where errors are several times larger. Of other devices it is the whole panel."""
+
+TEST_VIEWPOINTS = 128
+TEST_RAYS = 64  # from each viewpoint
+NEAREST_M, FARTHEST_M = 0.3, 5.0
+
+
+@lru_cache
+def truth(device: str, eye_box_mm: BoxSize) -> EyeMappings:
+    """The right eye of a device, traced, with an eye box of the given size about its own centre."""
+    described = load_device(device)
+    eye = traced_eye(described)
+    return replace(eye, name=described.name, eye_box=EyeBox(eye.eye_box.centre, np.array(eye_box_mm) * 1e-3))
+
+
+@lru_cache
+def bench(device: str, eye_box_mm: BoxSize) -> Bench:
+    """An exact bench with the device on it; its camera sees the nominal field."""
+    if device not in FIELDS_DEG:
+        return Bench(truth(device, eye_box_mm))
+    left, right, down, up = np.tan(np.deg2rad(FIELDS_DEG[device]))
+    return Bench(truth(device, eye_box_mm), camera_field=Field(np.array([left, down]), np.array([right, up])))
+
+
+@lru_cache(maxsize=16)
+def exact_display(device: str, eye_box_mm: BoxSize, kind: str, count: int) -> DisplayCaptures:
+    """Noise-free captures of the panel."""
+    on = bench(device, eye_box_mm)
+    return simulate_display(on, camera_positions(on, kind, count), np.random.default_rng(0))
+
+
+@lru_cache(maxsize=16)
+def exact_see_through(device: str, eye_box_mm: BoxSize, kind: str, count: int) -> SeeThroughCaptures:
+    """Noise-free captures of the targets."""
+    on = bench(device, eye_box_mm)
+    return simulate_see_through(on, camera_positions(on, kind, count), np.random.default_rng(0))
+
+
+@lru_cache
+def display_sightings(device: str, eye_box_mm: BoxSize, seed: int) -> mapping_error.DisplaySightings:
+    """The bench's grid of directions over the field, from random viewpoints of the eye box, mostly off the plane."""
+    on = bench(device, eye_box_mm)
+    rng = np.random.default_rng(seed)
+    viewpoint = viewpoints.random_in_eye_box(on.truth.eye_box, TEST_VIEWPOINTS, rng)[:, None]
+    view_dir = on.camera_dirs()[rng.integers(0, len(on.camera_dirs()), (TEST_VIEWPOINTS, TEST_RAYS))]
+    return mapping_error.sightings_of_dirs(on.truth.display, viewpoint, view_dir)
+
+
+@lru_cache
+def see_through_sightings(device: str, eye_box_mm: BoxSize, seed: int) -> mapping_error.SeeThroughSightings:
+    """Real points in those directions, at depths uniform in dioptres."""
+    seen = display_sightings(device, eye_box_mm, seed)
+    dioptres = np.random.default_rng(seed + 1).uniform(1.0 / FARTHEST_M, 1.0 / NEAREST_M, len(seen.pixel))
+    see_through = truth(device, eye_box_mm).see_through
+    return mapping_error.see_through_sightings(see_through, seen.viewpoint, seen.view_dir, 1.0 / dioptres)

@@ -1,0 +1,39 @@
+"""Draw the plots of the sampling study."""
+
+from pathlib import Path
+
+from wlr_render.files import written_whole
+from wlr_render.studies.sampling.experiment import Plot
+
+
+def draw(plot: Plot, path: str | Path) -> Path:
+    """One picture, errors on a logarithmic axis: a colour for each device, a stroke for each model."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    devices, models = ([] for _ in range(2))
+    for line in plot.lines:
+        device, _, model = line.label.partition(", ")
+        devices += [device] if device not in devices else []
+        models += [model] if model not in models else []
+        axes.plot(
+            line.x,
+            line.y,
+            color=f"C{devices.index(device)}",
+            linestyle=_STROKES[models.index(model) % len(_STROKES)],
+            marker="o",
+            markersize=4,
+            label=line.label,
+        )
+    axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label, yscale="log")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend(fontsize="x-small", ncols=2)
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+    return Path(path)
+
+
+_STROKES = ("-", "--", ":", "-.")

@@ -1,0 +1,77 @@
+"""Planar against volumetric sampling and the baselines: a Monte Carlo study on simulated captures of traced devices."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from wlr_render import files
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.report import ReportTable, tables_as_json
+from wlr_render.studies import sampling_plots
+from wlr_render.studies.progress import Progress, silent
+from wlr_render.studies.sampling.capture_experiments import NOISE_EXPERIMENT, POSITION_EXPERIMENT, VIEWPOINT_EXPERIMENT
+from wlr_render.studies.sampling.dense_experiments import DENSE_EXPERIMENT, DEPTH_EXPERIMENT, EYE_BOX_EXPERIMENT
+from wlr_render.studies.sampling.experiment import Experiment, Plot, StudyOptions
+from wlr_render.studies.sampling.pool import run_all
+from wlr_render.studies.sampling.see_through_experiment import SEE_THROUGH_EXPERIMENT
+
+EXPERIMENTS: dict[str, Experiment] = {
+    experiment.name: experiment
+    for experiment in (
+        DENSE_EXPERIMENT,
+        VIEWPOINT_EXPERIMENT,
+        NOISE_EXPERIMENT,
+        POSITION_EXPERIMENT,
+        DEPTH_EXPERIMENT,
+        EYE_BOX_EXPERIMENT,
+        SEE_THROUGH_EXPERIMENT,
+    )
+}
+
+QUICK = StudyOptions()
+"""About a minute on two cores."""
+FULL = StudyOptions(degrees=(3, 4, 5, 6, 7), repeats=10)
+
+
+@dataclass(frozen=True)
+class StudyReport:
+    """What a study found."""
+
+    options: StudyOptions
+    tables: tuple[ReportTable, ...]
+    plots: tuple[Plot, ...]
+
+
+def run(options: StudyOptions = QUICK, progress: Progress = silent) -> StudyReport:
+    """Run the experiments; trials that several of them need are run once.
+
+    Raises:
+        BadInputError: an unknown experiment or device, or no repetition.
+    """
+    chosen = [_experiment(name) for name in options.experiments or EXPERIMENTS]
+    if options.repeats < 1:
+        raise BadInputError(f"the number of repetitions is {options.repeats}; give at least 1.")
+    cells = [experiment.cells(options) for experiment in chosen]
+    trials = [trial for each in cells for trial in each.values()]
+    outcomes = run_all(trials, options.seed, options.workers, progress)
+    found = [
+        experiment.findings(options, {key: outcomes[trial] for key, trial in each.items()})
+        for experiment, each in zip(chosen, cells, strict=True)
+    ]
+    tables = tuple(table for findings in found for table in findings.tables)
+    return StudyReport(options, tables, tuple(plot for findings in found for plot in findings.plots))
+
+
+def write(report: StudyReport, folder: str | Path) -> list[Path]:
+    """Write study.md, study.json and one picture per plot into a folder; return their paths."""
+    into = files.output_folder(folder)
+    pictures = [sampling_plots.draw(plot, into / f"{plot.name}.png") for plot in report.plots]
+    shown = [f"![{plot.title}]({plot.name}.png)\n" for plot in report.plots]
+    text = "\n".join(["# Sampling study\n", *(table.markdown() for table in report.tables), *shown])
+    record = tables_as_json(report.tables, options=asdict(report.options))
+    return [files.write_text(into / "study.md", text), files.write_text(into / "study.json", record), *pictures]
+
+
+def _experiment(name: str) -> Experiment:
+    if name not in EXPERIMENTS:
+        raise BadInputError(f"there is no experiment '{name}'; choose from {', '.join(EXPERIMENTS)}.")
+    return EXPERIMENTS[name]
