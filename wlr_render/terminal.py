@@ -1,5 +1,6 @@
 """What the terminal shows: tables and progress bars. Nothing here computes."""
 
+import sys
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -32,7 +33,8 @@ def print_table(table: ReportTable) -> None:
         drawn.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
     for row in table.text_rows():
         drawn.add_row(*row)
-    console = Console()
+    # Into a file or a pipe there is no window whose width would matter.
+    console = Console() if sys.stdout.isatty() else Console(width=140)
     console.print(drawn)
     for note in table.notes:
         console.print(note, style="dim", highlight=False, markup=False)

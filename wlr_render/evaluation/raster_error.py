@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.geometry import directions
+from wlr_render.geometry import directions, transforms
 from wlr_render.rendering.view import View
 
 SAME_DEPTH = 0.01
@@ -62,7 +62,7 @@ def raster_error(
 
 def _hidden(view: View, inverse_depth: NDArray[np.float32], point: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether the intermediate image shows something else than `point` (n, 3) at all four pixels around it."""
-    in_camera = (point - view.viewpoint_in_world) @ view.world_from_device[:3, :3]
+    in_camera = transforms.apply(transforms.inverse(view.world_from_camera), point)
     depth = -in_camera[:, 2]
     pixel = view.camera.pixel_of_tangents(in_camera[:, :2] / depth[:, None])
     hidden = np.ones(len(point), bool)

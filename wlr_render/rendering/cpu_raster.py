@@ -32,7 +32,7 @@ def _rays(view: View, rows: slice) -> tuple[Float32Array, Float32Array]:
     u, v = np.arange(camera.width_px) + 0.5, np.arange(rows.start, rows.stop) + 0.5
     tx = camera.tangents_of_pixel(np.stack([u, np.zeros_like(u)], axis=-1))[:, 0]
     ty = camera.tangents_of_pixel(np.stack([np.zeros_like(v), v], axis=-1))[:, 1]
-    rightwards, upwards, backwards = view.world_from_device[:3, :3].T
+    rightwards, upwards, backwards = view.world_from_camera[:3, :3].T
     across = tx[:, None] * rightwards - backwards
     direction = across + (ty[:, None] * upwards)[:, None, :]
     return view.viewpoint_in_world.astype(np.float32), direction.reshape(-1, 3).astype(np.float32)

@@ -108,7 +108,11 @@ def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
     if supersample == 1:
         return []
     steps = (np.arange(supersample) + 0.5) / supersample - 0.5
-    return [FieldPlan.with_nodes(plan.panel, plan.node_pixel.shape[0], np.array([u, v])) for v in steps for u in steps]
+    return [
+        FieldPlan.with_nodes(plan.panel, plan.node_pixel.shape[0], plan.device_from_camera, np.array([u, v]))
+        for v in steps
+        for u in steps
+    ]
 
 
 class WarpedPainter:
@@ -120,7 +124,7 @@ class WarpedPainter:
         Args:
             mappings: any pair.
             rasteriser: of the scene.
-            resolution: pixels of the intermediate image per display pixel, where the display is densest.
+            resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
         """
         self._mappings = mappings
         self._rasteriser = rasteriser
@@ -141,7 +145,7 @@ class WarpedPainter:
     ) -> Frame:
         """See `Painter`."""
         field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
-        view = View(self._camera, viewpoint, world_from_device)
+        view = View(self._camera, viewpoint, world_from_device, self._plan.device_from_camera)
         warped = self._rasteriser.draw_warped(view, field.bend, with_geometry)
         if warped.intermediate is None or warped.image.source is None:
             return Frame(warped.image.colour, field)
@@ -171,7 +175,7 @@ class MeshWarpedPainter:
         """See `Painter`."""
         traced = self._traced.paint(viewpoint, world_from_device, warm_start, with_geometry=True)
         assert traced.position is not None
-        view = View(self._plain.camera, viewpoint, world_from_device)
+        view = View(self._plain.camera, viewpoint, world_from_device, traced.field.device_from_camera)
         intermediate = self._rasteriser.draw(view)
         source = source_of_position(view, traced.position)
         colour, _ = remap(intermediate.colour, source[..., :2], self._background)
@@ -189,15 +193,14 @@ def source_of_position(view: View, position: Float32Array) -> Float32Array:
 def covering_camera(mappings: EyeMappings, plan: FieldPlan, resolution: float) -> Pinhole:
     """The raster field that the warp will ask for, found from the mappings at the corners of the eye box.
 
-    Its pixels are as dense as the display's are at their densest, times `resolution`.
+    It has `resolution`^2 times as many pixels as the panel, square in tangents.
     """
-    box = mappings.eye_box
+    box, panel = mappings.eye_box, mappings.display.panel
     corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-    fields = [ray_field(mappings, box.at(corner), plan) for corner in [np.zeros(3), *corners]]
-    tangents = np.concatenate([field.tangents for field in fields])
-    a, b = fields[0].bend[0], fields[0].bend[1]
-    pixel_size = np.nanpercentile(np.hypot(np.diff(a[::16], axis=1), np.diff(b[::16], axis=1)), 5)
-    return Pinhole.covering(tangents, resolution / float(pixel_size), margin_px=4)
+    fields = (ray_field(mappings, box.at(corner), plan) for corner in [np.zeros(3), *corners])
+    tangents = np.concatenate([field.asked_tangents() for field in fields])
+    area = np.prod(np.nanmax(tangents, axis=0) - np.nanmin(tangents, axis=0))
+    return Pinhole.covering(tangents, resolution * float(np.sqrt(panel.width_px * panel.height_px / area)))
 
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:

@@ -28,25 +28,31 @@ class FieldPlan:
 
     Attributes:
         panel: whose pixels are wanted.
+        device_from_camera: (3, 3) rotation to the axes in which tangents are taken. They look at the middle of the
+            field, so that a field far off the device's axis is not stretched.
         node_pixel: (rows, columns, 2) pixel positions of the nodes.
         from_rows: (height, rows) float32, node rows -> pixel rows.
         from_columns: (columns, width) float32, node columns -> pixel columns.
     """
 
     panel: Panel
+    device_from_camera: FloatArray
     node_pixel: FloatArray
     from_rows: Float32Array
     from_columns: Float32Array
 
     @classmethod
-    def with_nodes(cls, panel: Panel, count: int, offset_px: FloatArray | None = None) -> "FieldPlan":
+    def with_nodes(
+        cls, panel: Panel, count: int, device_from_camera: FloatArray, offset_px: FloatArray | None = None
+    ) -> "FieldPlan":
         """A plan of count x count nodes; `offset_px` (2,) moves the pixel centres (for supersampling)."""
         du, dv = (0.0, 0.0) if offset_px is None else offset_px
         u, v = chebyshev.nodes(count, 0, panel.width_px), chebyshev.nodes(count, 0, panel.height_px)
         columns = chebyshev.interpolation_matrix(count, 0, panel.width_px, np.arange(panel.width_px) + 0.5 + du)
         rows = chebyshev.interpolation_matrix(count, 0, panel.height_px, np.arange(panel.height_px) + 0.5 + dv)
         node_pixel = np.stack(np.meshgrid(u, v), axis=-1)
-        return cls(panel, node_pixel, rows.astype(np.float32), np.ascontiguousarray(columns.T, dtype=np.float32))
+        from_columns = np.ascontiguousarray(columns.T, dtype=np.float32)
+        return cls(panel, device_from_camera, node_pixel, rows.astype(np.float32), from_columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,27 +65,37 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class RayField:
-    """World rays of all pixels at one viewpoint, in the camera frame (device axes, origin at the viewpoint).
+    """World rays of all pixels at one viewpoint, in the camera frame (origin at the viewpoint).
 
     Attributes:
         viewpoint_in_device: (3,) metres.
+        device_from_camera: (3, 3) rotation of the camera frame.
         bend: (4, height, width) float32, (a, b, c, d): the ray passes through (c, d, 0) with tangents (a, b); at depth
             Z in front of the viewpoint it is at (a Z + c, b Z + d, -Z). NaN where the status has no value.
         status: (height, width) uint8, see `mappings.Status`.
-        tangents: extremes of (a, b) with the nearest-depth offset, (n, 2), for choosing the raster camera.
         warm_start: pass it to the next frame.
     """
 
     viewpoint_in_device: FloatArray
+    device_from_camera: FloatArray
     bend: Float32Array
     status: StatusArray
-    tangents: FloatArray
     warm_start: WarmStart | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.bend.shape[1], self.bend.shape[2]
+
+    def asked_tangents(self) -> FloatArray:
+        """Tangents (n, 2) under which the viewpoint sees the rays' points at infinity and at the nearest depth.
+
+        Every eighth pixel and the borders: what a raster camera must cover.
+        """
+        height, width = self.shape
+        some = self.bend[:, np.r_[0:height:8, height - 1]][:, :, np.r_[0:width:8, width - 1]]
+        a_b, c_d = some.reshape(4, -1)[:2], some.reshape(4, -1)[2:]
+        return np.concatenate([a_b, a_b + c_d / NEAREST_M], axis=1).T.astype(np.float64)
 
     def world_rays(self, world_from_device: FloatArray, rows: slice = slice(None)) -> tuple[Float32Array, Float32Array]:
         """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
@@ -89,7 +105,7 @@ class RayField:
         """
         a, b, c, d = self.bend[:, rows].reshape(4, -1)
         # Named rows of the rotation keep this in float32 and free of (n, 3) temporaries.
-        r = world_from_device[:3, :3].astype(np.float32)
+        r = (world_from_device[:3, :3] @ self.device_from_camera).astype(np.float32)
         eye = transforms.apply(world_from_device, self.viewpoint_in_device).astype(np.float32)
         scale = 1.0 / np.sqrt(a * a + b * b + 1.0)
         origin, direction = np.empty((a.size, 3), np.float32), np.empty((a.size, 3), np.float32)
@@ -109,15 +125,19 @@ class _Bends:
 
 
 def _solve(
-    mappings: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, warm_start: WarmStart | None = None
+    mappings: EyeMappings,
+    device_from_camera: FloatArray,
+    pixel: FloatArray,
+    viewpoint: FloatArray,
+    warm_start: WarmStart | None = None,
 ) -> _Bends:
     warm_start = warm_start or WarmStart(None, None)
     view = mappings.display.view_dir_of_pixel(pixel, viewpoint, warm_start.display)
     real = mappings.see_through.real_ray_of_view_dir(view.value, viewpoint, warm_start.see_through)
     status = worst(view.status, real.status)
-    at_viewpoint = rays.at_z(real.value, viewpoint[2])
-    offset = at_viewpoint[..., :2] - viewpoint[:2]
-    bend = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), offset], axis=-1)
+    in_camera = rays.transformed(transforms.inverse(transforms.rigid(device_from_camera, viewpoint)), real.value)
+    at_viewpoint = rays.at_z(in_camera, 0.0)
+    bend = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), at_viewpoint[..., :2]], axis=-1)
     # A ray that does not lead forwards has no tangents: there is nothing to see along it.
     lost = ~np.isfinite(bend).all(axis=-1)
     bend = np.where(lost[..., None], np.nan, bend)
@@ -125,12 +145,15 @@ def _solve(
     return _Bends(bend, status, WarmStart(view.warm_start, real.warm_start))
 
 
-def exact_field(mappings: EyeMappings, viewpoint: FloatArray, pixel: FloatArray | None = None) -> RayField:
+def exact_field(
+    mappings: EyeMappings, viewpoint: FloatArray, device_from_camera: FloatArray, pixel: FloatArray | None = None
+) -> RayField:
     """Solve every pixel: minutes of work for the sake of a reference, or where the field has holes.
 
     Args:
         mappings: any pair.
         viewpoint: (3,) device frame.
+        device_from_camera: (3, 3) axes in which tangents are taken.
         pixel: (height, width, 2), all pixel centres if None.
     """
     pixel = mappings.display.panel.pixel_centres() if pixel is None else pixel
@@ -139,10 +162,10 @@ def exact_field(mappings: EyeMappings, viewpoint: FloatArray, pixel: FloatArray 
     status = np.empty((height, width), np.uint8)
     for start in range(0, height, _ROWS_PER_BLOCK):
         rows = slice(start, start + _ROWS_PER_BLOCK)
-        solved = _solve(mappings, pixel[rows], viewpoint)
+        solved = _solve(mappings, device_from_camera, pixel[rows], viewpoint)
         bend[:, rows] = np.moveaxis(solved.bend, -1, 0)
         status[rows] = solved.status
-    return RayField(viewpoint, bend, status, _extremes(np.moveaxis(bend[:, ::8, ::8], 0, -1)))
+    return RayField(viewpoint, device_from_camera, bend, status)
 
 
 def ray_field(
@@ -158,13 +181,12 @@ def ray_field(
         plan: from `choose_plan`.
         warm_start: of the last frame's field with this plan.
     """
-    solved = _solve(mappings, plan.node_pixel, viewpoint, warm_start)
+    axes = plan.device_from_camera
+    solved = _solve(mappings, axes, plan.node_pixel, viewpoint, warm_start)
     if not np.isfinite(solved.bend).all():
-        return exact_field(mappings, viewpoint)
-    bend = _spread(plan, solved.bend)
-    return RayField(
-        viewpoint, bend, _spread_status(plan, solved.status), _extremes(solved.bend), warm_start=solved.warm_start
-    )
+        return exact_field(mappings, viewpoint, axes)
+    status = _spread_status(plan, solved.status)
+    return RayField(viewpoint, axes, _spread(plan, solved.bend), status, solved.warm_start)
 
 
 def _spread(plan: FieldPlan, at_nodes: FloatArray) -> Float32Array:
@@ -187,13 +209,6 @@ def _spread_status(plan: FieldPlan, at_nodes: StatusArray) -> StatusArray:
     return np.asarray(np.maximum(across[below], across[above]))
 
 
-def _extremes(bend: FloatArray | Float32Array) -> FloatArray:
-    """Tangents under which the viewpoint sees the rays' points at infinity and at the nearest depth."""
-    flat = bend.reshape(-1, 4).astype(np.float64)
-    flat = flat[np.isfinite(flat).all(axis=1)]
-    return np.concatenate([flat[:, :2], flat[:, :2] + flat[:, 2:] / NEAREST_M])
-
-
 def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan, pixel: FloatArray) -> FloatArray:
     """Error of the interpolated field at some pixels against the exact solve there, in display pixels.
 
@@ -208,11 +223,12 @@ def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan
         NaN where the exact solve has no answer.
     """
     count, panel = plan.node_pixel.shape[0], plan.panel
-    nodes = _solve(mappings, plan.node_pixel, viewpoint).bend
+    axes = plan.device_from_camera
+    nodes = _solve(mappings, axes, plan.node_pixel, viewpoint).bend
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
     down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
     interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
-    exact, right, lower = (_solve(mappings, pixel + step, viewpoint).bend for step in ([0, 0], [-1, 0], [0, -1]))
+    exact, right, lower = (_solve(mappings, axes, pixel + step, viewpoint).bend for step in ([0, 0], [-1, 0], [0, -1]))
     pixel_size = np.minimum(
         np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
     )
@@ -234,8 +250,24 @@ def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int
     corners = np.array([[u, v] for u in (1.0, panel.width_px - 0.5) for v in (1.0, panel.height_px - 0.5)])
     pixel = np.concatenate([rng.uniform(1.0, panel.size_px - 0.5, (samples, 2)), corners])
     viewpoints = [box.centre, box.at(np.array([1.0, 1.0, 1.0])), box.at(np.array([-1.0, -1.0, -1.0]))]
+    axes = middle_axes(mappings)
     for count in NODE_COUNTS:
-        plan = FieldPlan.with_nodes(panel, count)
+        plan = FieldPlan.with_nodes(panel, count, axes)
         if all(np.nanmax(field_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
             return plan
     return plan
+
+
+def middle_axes(mappings: EyeMappings) -> FloatArray:
+    """Axes `device_from_camera` (3, 3) that look at the middle of the field from the eye box's centre.
+
+    Turned about the device's vertical, then nodded; never rolled. The device's own axes where the panel is not seen.
+    """
+    panel = mappings.display.panel
+    view = mappings.display.view_dir_of_pixel(panel.grid(9, 9).reshape(-1, 2), mappings.eye_box.centre)
+    seen = view.value[view.usable]
+    if len(seen) == 0:
+        return np.eye(3)
+    x, y, z = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    turn, nod = np.arctan2(-x, -z), np.arctan2(y, np.hypot(x, z))
+    return np.asarray(transforms.rotation_about("y", turn) @ transforms.rotation_about("x", nod))

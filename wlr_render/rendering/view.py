@@ -1,6 +1,6 @@
 """From where a picture is drawn, and the picture with its geometry."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,16 @@ class View:
     """A pinhole camera at a viewpoint in a headset in the world.
 
     Attributes:
-        camera: axes of the device frame, centred at the viewpoint.
+        camera: looks along the -z axis of its frame, centred at the viewpoint.
         viewpoint_in_device: (3,) metres.
         world_from_device: (4, 4) head pose.
+        device_from_camera: (3, 3) rotation: how the camera is turned in the device.
     """
 
     camera: Pinhole
     viewpoint_in_device: NDArray[np.float64]
     world_from_device: NDArray[np.float64]
+    device_from_camera: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
 
     @property
     def viewpoint_in_world(self) -> NDArray[np.float64]:
@@ -30,15 +32,13 @@ class View:
 
     @property
     def world_from_camera(self) -> NDArray[np.float64]:
-        """(4, 4); the camera frame has the device's axes and its origin at the viewpoint."""
-        matrix = np.array(self.world_from_device, dtype=np.float64)
-        matrix[:3, 3] = self.viewpoint_in_world
-        return matrix
+        """(4, 4); the camera frame's origin is the viewpoint."""
+        return transforms.rigid(self.world_from_device[:3, :3] @ self.device_from_camera, self.viewpoint_in_world)
 
     def pixel_rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """World rays through the pixel centres: origin (3,), unit directions (height, width, 3)."""
-        in_device = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
-        return self.viewpoint_in_world, transforms.rotate(self.world_from_device, in_device)
+        in_camera = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
+        return self.viewpoint_in_world, transforms.rotate(self.world_from_camera, in_camera)
 
 
 @dataclass(frozen=True, eq=False)

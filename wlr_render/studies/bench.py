@@ -154,7 +154,8 @@ def _raster_rows(work: _Workload, backend: str) -> list[list[Cell]]:
         (frame_ms,) = _alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE))
         return [[name, _ms(frame_ms), None, None, "needs EGL for its baseline"]]
     panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
-    view = View(_at_display_size(painter.camera, panel), centre, HEAD_POSE)
+    axes = choose_plan(work.mappings).device_from_camera
+    view = View(_at_display_size(painter.camera, panel), centre, HEAD_POSE, axes)
     fixed = painter.paint(centre, HEAD_POSE, with_geometry=True).source
     assert fixed is not None
     source_uv = np.nan_to_num(fixed[..., :2] / [painter.camera.width_px, painter.camera.height_px])
@@ -194,8 +195,9 @@ def map_error_px(mappings: EyeMappings, viewpoint: FloatArray) -> float:
 
     Differences of the tangents at infinity and at the nearest depth, over the size of the pixel.
     """
-    fast = ray_field(mappings, viewpoint, choose_plan(mappings)).bend
-    exact = exact_field(mappings, viewpoint).bend
+    plan = choose_plan(mappings)
+    fast = ray_field(mappings, viewpoint, plan).bend
+    exact = exact_field(mappings, viewpoint, plan.device_from_camera).bend
     pixel_size = np.minimum(*(np.hypot(*np.gradient(exact[:2], axis=axis)) for axis in (1, 2)))
     difference = fast - exact
     at_depths = (np.hypot(*(difference[:2] + difference[2:] / depth)) for depth in (NEAREST_M, np.inf))

@@ -140,7 +140,7 @@ def _draw(path: Path, frame: Frame, traced: Frame, error: RasterError, title: st
     angle: FloatArray = np.clip(error.registration_arcmin, 1e-3, None)
     drawn = axes[2].imshow(angle, norm=LogNorm(1e-3, 10.0), cmap="viridis", interpolation="nearest")
     row, column = np.nonzero(error.disoccluded)
-    axes[2].scatter(column, row, s=0.3, c="red", marker=",", linewidths=0)
+    axes[2].scatter(column, row, s=0.5, c="red", marker="s", linewidths=0)
     axes[2].set_title("registration error; red: disoccluded")
     figure.colorbar(drawn, ax=axes[2], label="arcmin", extend="both")
     for place in axes:
