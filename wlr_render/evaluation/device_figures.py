@@ -1,0 +1,165 @@
+"""The figures that characterise one eye of a headset, from its mappings alone, traced or fitted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
+
+FloatArray = NDArray[np.float64]
+
+_COLUMNS, _ROWS = 15, 11  # pixels judged, cell-centred over the panel
+_BOX_STEPS = 5  # viewpoints judged per axis, cell-centred over the eye box
+_NEAR_M = 0.3
+_MOVE_M = 1e-3  # pupil swim is stated per millimetre
+_SEARCH_DEG = np.arange(-85.0, 85.0, 0.05)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Summary of angles in arcminutes; NaN where nothing was seen."""
+
+    mean: float
+    rms: float
+    maximum: float
+
+    @classmethod
+    def of(cls, arcmin: FloatArray) -> "Spread":
+        """Summary of all finite entries."""
+        kept = arcmin[np.isfinite(arcmin)]
+        if kept.size == 0:
+            return cls(np.nan, np.nan, np.nan)
+        return cls(float(kept.mean()), float(np.sqrt(np.mean(kept**2))), float(kept.max()))
+
+
+@dataclass(frozen=True)
+class Field:
+    """How far the panel is seen from the nominal viewpoint along the horizontal and the vertical through straight
+    ahead: degrees, right and up positive; NaN where it is not seen on that line.
+    """
+
+    left_deg: float
+    right_deg: float
+    down_deg: float
+    up_deg: float
+
+
+@dataclass(frozen=True)
+class DeviceFigures:
+    """The figures of one eye.
+
+    All are taken over a grid of pixels on the whole panel, and at the nominal viewpoint unless they speak of the box.
+
+    Attributes:
+        field: extent of the display.
+        pixel_arcmin: side of the square that covers as much solid angle as an average pixel.
+        swim: change of a pixel's direction when the viewpoint moves 1 mm, half to either side, along x, y and z.
+        ignoring_viewpoint: how wrong a pixel's direction at the nominal viewpoint is for viewpoints all over the box.
+        deviation_far: angle between the direction in which a point at infinity is seen and the one in which it lies.
+        deviation_near: the same for points 0.3 m away.
+        deviation_change: how much `deviation_far` turns over the eye box, for the same view direction.
+        colour: angle between the blue and the red real ray of the same view direction.
+    """
+
+    field: Field
+    pixel_arcmin: float
+    swim: tuple[Spread, Spread, Spread]
+    ignoring_viewpoint: Spread
+    deviation_far: Spread
+    deviation_near: Spread
+    deviation_change: Spread
+    colour: Spread
+
+
+def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -> DeviceFigures:
+    """Compute all figures.
+
+    Args:
+        mappings: the eye in the colour that most figures are stated for.
+        blue, red: the same eye at the two ends of the spectrum (Fraunhofer's F and C lines, 486.1 and 656.3 nm).
+    """
+    display, see_through, box = mappings.display, mappings.see_through, mappings.eye_box
+    pixel = display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
+    viewpoint = _over_box(box)[:, None, :]
+    seen = display.view_dir_of_pixel(pixel, box.centre).value
+    from_box = display.view_dir_of_pixel(pixel, viewpoint).value
+    far = _far(mappings, seen, box.centre)
+    point = box.centre + _NEAR_M * seen
+    near = see_through.view_dir_of_real_point(point, box.centre).value
+    swim_x, swim_y, swim_z = (_swim(display, pixel, box.centre, axis) for axis in np.eye(3))
+    return DeviceFigures(
+        field=_field(display, box.centre),
+        pixel_arcmin=_pixel_arcmin(display, pixel, box.centre),
+        swim=(swim_x, swim_y, swim_z),
+        ignoring_viewpoint=Spread.of(arcmin_between(from_box, seen)),
+        deviation_far=Spread.of(arcmin_between(far, seen)),
+        deviation_near=Spread.of(arcmin_between(near, seen)),
+        deviation_change=Spread.of(arcmin_between(_far(mappings, seen, viewpoint), far)),
+        colour=Spread.of(arcmin_between(_far(blue, seen, box.centre), _far(red, seen, box.centre))),
+    )
+
+
+def figures_table(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -> ReportTable:
+    """The figures of `device_figures` as a table in arcminutes, the field in a note."""
+    figures = device_figures(mappings, blue, red)
+    box_mm = " x ".join(f"{1e3 * side:g}" for side in mappings.eye_box.size)
+    rows: list[list[Cell]] = [["one pixel", figures.pixel_arcmin, None, None]]
+    spreads = [
+        *((f"pupil swim per mm in {axis}", swim) for axis, swim in zip("xyz", figures.swim, strict=True)),
+        ("error of ignoring the viewpoint", figures.ignoring_viewpoint),
+        ("see-through deviation at infinity", figures.deviation_far),
+        (f"see-through deviation at {_NEAR_M:g} m", figures.deviation_near),
+        ("change of the deviation at infinity over the eye box", figures.deviation_change),
+        ("see-through colour, blue to red", figures.colour),
+    ]
+    rows += [[name, spread.mean, spread.rms, spread.maximum] for name, spread in spreads]
+    field = figures.field
+    notes = (
+        f"Field through straight ahead: {field.left_deg:.1f} to {field.right_deg:+.1f} degrees horizontally,"
+        f" {field.down_deg:.1f} to {field.up_deg:+.1f} vertically.",
+        f"Eye box {box_mm} mm; {_COLUMNS} x {_ROWS} pixels over the whole panel, {_BOX_STEPS**3} viewpoints.",
+    )
+    columns = ("figure", "mean (arcmin)", "rms (arcmin)", "max (arcmin)")
+    return ReportTable(f"{mappings.name}, {mappings.eye} eye", columns, rows, notes)
+
+
+def _over_box(box: EyeBox) -> FloatArray:
+    """Viewpoints evenly over the eye box, (n, 3)."""
+    side = (2.0 * np.arange(_BOX_STEPS) + 1.0) / _BOX_STEPS - 1.0
+    return box.at(np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3))
+
+
+def _swim(display: DisplayMapping, pixel: FloatArray, centre: FloatArray, axis: FloatArray) -> Spread:
+    low, high = (display.view_dir_of_pixel(pixel, centre + sign * 0.5 * _MOVE_M * axis).value for sign in (-1, 1))
+    return Spread.of(arcmin_between(low, high))
+
+
+def _far(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Directions of the real rays beyond the optics, (..., 3)."""
+    return mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value[..., 3:]
+
+
+def _pixel_arcmin(display: DisplayMapping, pixel: FloatArray, centre: FloatArray) -> float:
+    """Square root of the mean solid angle of a pixel, from differences of half a pixel to each side."""
+    u, v = (
+        display.view_dir_of_pixel(pixel + half, centre).value - display.view_dir_of_pixel(pixel - half, centre).value
+        for half in np.diag([0.5, 0.5])
+    )
+    solid_angle = np.linalg.norm(np.cross(u, v), axis=-1)
+    kept = solid_angle[np.isfinite(solid_angle)]
+    return float(np.sqrt(kept.mean()) / ARCMIN) if kept.size else np.nan
+
+
+def _field(display: DisplayMapping, centre: FloatArray) -> Field:
+    ends = []
+    for axis in np.eye(2):
+        view_dir = dir_of_tangents(np.tan(np.deg2rad(_SEARCH_DEG))[:, None] * axis)
+        answer = display.pixel_of_view_dir(view_dir, centre)
+        # A fitted model may go on beyond the panel.
+        on_panel = np.all((answer.value >= 0.0) & (answer.value <= display.panel.size_px), axis=-1)
+        seen = _SEARCH_DEG[answer.ok & on_panel]
+        ends += [float(seen[0]), float(seen[-1])] if seen.size else [np.nan, np.nan]
+    return Field(*ends)
