@@ -106,7 +106,7 @@ def test_what_is_not_seen_has_no_figure(flat_image_headset):
     lines = {row[0]: row for row in table.text_rows()}
     assert lines["see-through deviation at infinity"][1:] == ["-", "-", "-"]
     assert "-" not in lines["pupil swim per mm in x"]
-    assert "-19.2 to +19.2 degrees horizontally" in table.notes[0]
+    assert "-19.2 to +19.1 degrees horizontally" in table.notes[0]
 
 
 # Means in arcminutes that another exact tracer gave, on another grid of pixels: pixel swim per mm in x and y, rms of

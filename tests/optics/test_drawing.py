@@ -1,0 +1,31 @@
+"""Drawings are whole, name what they show, and refuse an eye that is not there."""
+
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import shipped_names
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.drawing import draw_device
+
+
+@pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
+def test_every_device_can_be_drawn_with_everything_named(name, tmp_path):
+    device = load_device(name)
+    path = tmp_path / "drawing.svg"
+    draw_device(device, "right", path)
+    drawing = path.read_text(encoding="utf-8")
+    surfaces = [surface.name.replace("_", " ") for surface in device.eyes["right"].surfaces()]
+    for text in ("right, x (mm)", "up, y (mm)", "panel", "eye box", "display rays", "see-through rays", *surfaces):
+        assert f"<!-- {text} -->" in drawing
+
+
+def test_the_left_eye_as_a_png(tmp_path):
+    path = tmp_path / "left.png"
+    draw_device(load_device("northstar"), "left", path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_eye_that_is_not_there(tmp_path):
+    with pytest.raises(BadInputError, match="'birdbath28' has no left eye; choose right"):
+        draw_device(load_device("birdbath28"), "left", tmp_path / "left.png")
