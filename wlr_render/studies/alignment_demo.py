@@ -50,9 +50,9 @@ from wlr_render.studies.alignment_picture import (
 from wlr_render.studies.progress import Progress, silent
 
 METHODS = ("naive", "static", "raster + warp", "ray traced")
-CAMERA_POSITIONS = 25
+CAMERA_POSITIONS = 49
 CAMERA_NOISE_ARCMIN = 0.25
-DISPLAY_DEGREE, SEE_THROUGH_DEGREE = 5, 3
+DISPLAY_DEGREE, SEE_THROUGH_DEGREE = 6, 3
 HEAD_POSE = np.eye(4)
 _GRID = (48, 54)
 """Pixels of each frame, across and down, at which the misalignment is taken."""
