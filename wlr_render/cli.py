@@ -4,6 +4,7 @@ A new verb is one `_add_...` function, which says its options and what runs, and
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +19,9 @@ Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
     args = _parser().parse_args(arguments)
+    # Before numpy is imported: on thin matrix products BLAS threads are slower than none, many times so on a machine
+    # that is busy otherwise. Work is shared out over threads and processes elsewhere.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     command: Command = args.command
     try:
         command(args)

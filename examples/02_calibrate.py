@@ -1,0 +1,33 @@
+"""Fit planar models to captures, look at the fit, save and load them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.evaluation.mapping_error import display_error, sightings_of_pixels
+from wlr_render.evaluation.metrics import summary
+from wlr_render.models.model_file import load_eye_model, save_eye_model
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation import viewpoints
+from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+
+truth = traced_eye(load_device("birdbath28"))
+bench = Bench(truth, camera_noise_arcmin=0.25)
+rng = np.random.default_rng(1)
+positions = viewpoints.planar(truth.eye_box, bench.field.reach, 25)
+
+# Captures of your own are the same two records: who saw which pixel, or which real point, in which direction.
+captures = EyeCaptures(simulate_display(bench, positions, rng), simulate_see_through(bench, positions, rng))
+fit = fit_eye(captures, "planar", display_degree=5, see_through_degree=3)
+print(f"display residual {fit.display.residual_arcmin.rms:.3f} arcmin rms, degree {fit.display.degree}")
+
+path = save_eye_model(Path("birdbath28.model.json"), fit.model())
+model = load_eye_model(path).mappings
+anywhere = viewpoints.random_in_eye_box(truth.eye_box, 50, rng)[:, None]
+pixels = rng.uniform(0, truth.display.panel.size_px, (50, 40, 2))
+error = display_error(model.display, sightings_of_pixels(truth.display, anywhere, pixels))
+print(f"against the truth, anywhere in the eye box: {summary(error.forward_arcmin).rms:.3f} arcmin rms")

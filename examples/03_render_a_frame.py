@@ -1,0 +1,29 @@
+"""One frame by rasterisation and warp, and by ray tracing; how far apart they are."""
+
+import numpy as np
+
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.raster_error import raster_error
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.rendering.image_files import write_map, write_png
+from wlr_render.rendering.painters import TracedPainter, WarpedPainter
+from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.scene_file import load_scene
+
+eye = traced_eye(load_device("freeform40"))
+scene = load_scene("desk")
+viewpoint, world_from_device = eye.eye_box.centre, np.eye(4)
+
+rasteriser = open_rasteriser(scene)  # EGL, else OSMesa, else the CPU
+warped = WarpedPainter(eye, rasteriser).paint(viewpoint, world_from_device, with_geometry=True)
+traced = TracedPainter(eye, RayRenderer(scene), shadows=True).paint(viewpoint, world_from_device, with_geometry=True)
+write_png("raster.png", warped.colour)
+write_png("raytrace.png", traced.colour)
+write_map("warp.tiff", warped.source)  # u, v in the intermediate image, inverse depth there; float32, NaN for nothing
+
+error = raster_error(warped.view, warped.intermediate.inverse_depth, warped.position, traced.position)
+seen = summary(error.registration_arcmin[~error.disoccluded])
+print(f"drawn by {rasteriser.backend}: registration {seen.median:.5f} arcmin median, {seen.p95:.5f} at 95 %")
+print(f"{error.disoccluded.mean():.3%} of the pixels are disoccluded")

@@ -1,0 +1,25 @@
+"""A head that moves and eyes that look around: trajectories to files, frames from them for both eyes."""
+
+from pathlib import Path
+
+from wlr_render.studies import render_sequence
+from wlr_render.studies.headset import open_eye
+from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
+from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
+from wlr_render.tracking.synthetic import eye_motion, head_motion
+
+pupils = {eye: open_eye("northstar", eye).eye_box.centre for eye in ("left", "right")}
+write_head_trajectory_tum("head.tum", head_motion(seed=4, duration_s=1.0))
+write_eye_trajectory("eyes.txt", eye_motion(pupils, seed=4, duration_s=1.0))
+
+job = render_sequence.Options(
+    headset=("northstar",),
+    scene="sculpture",
+    head=Path("head.tum"),
+    eyes_file=Path("eyes.txt"),
+    eyes=("left", "right"),
+    frame_limit=2,
+    out=Path("frames"),
+)
+result = render_sequence.run(job)
+print(f"{result.drawn} frames in {result.folder}; again: {render_sequence.run(job).kept} kept")
