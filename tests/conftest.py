@@ -34,21 +34,23 @@ class FlatImage:
 
 @dataclass(frozen=True)
 class PrismPlate:
-    """Parallel rays are offset in proportion to their tangents and bent by a constant."""
+    """At a plane in front of the eye, rays are offset in proportion to their tangents and bent by a constant."""
 
     offset_m: float = 0.002
     prism: float = 0.003
+    z_m: float = -0.02
 
     def real_ray_of_view_dir(self, view_dir, viewpoint, warm_start=None):
         tangents = directions.tangents_of_dir(np.asarray(view_dir))
-        offset = np.concatenate([self.offset_m * tangents, 0 * tangents[..., :1]], axis=-1)
-        return mapped(rays.pack(viewpoint + offset, directions.dir_of_tangents(tangents + [self.prism, 0.0])))
+        lateral = viewpoint[..., :2] + (viewpoint[..., 2:] - self.z_m + self.offset_m) * tangents
+        origin = np.concatenate([lateral, np.full((*lateral.shape[:-1], 1), self.z_m)], axis=-1)
+        return mapped(rays.pack(origin, directions.dir_of_tangents(tangents + [self.prism, 0.0])))
 
     def view_dir_of_real_point(self, point, viewpoint, warm_start=None):
-        depth = np.asarray(viewpoint)[..., 2:] - np.asarray(point)[..., 2:]
-        lateral = np.asarray(point)[..., :2] - np.asarray(viewpoint)[..., :2]
-        tangents = (lateral - depth * [self.prism, 0.0]) / (depth + self.offset_m)
-        return mapped(directions.dir_of_tangents(tangents))
+        point, viewpoint = np.asarray(point), np.asarray(viewpoint)
+        bent = (self.z_m - point[..., 2:]) * [self.prism, 0.0]
+        depth = viewpoint[..., 2:] - point[..., 2:] + self.offset_m
+        return mapped(directions.dir_of_tangents((point[..., :2] - viewpoint[..., :2] - bent) / depth))
 
 
 @pytest.fixture

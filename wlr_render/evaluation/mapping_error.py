@@ -138,9 +138,9 @@ def displaced(sightings: DisplaySightings, offset: FloatArray) -> DisplaySightin
     return replace(sightings, viewpoint=sightings.viewpoint + offset)
 
 
-def moved_back(sightings: DisplaySightings, distance_m: float) -> DisplaySightings:
-    """The same rays, seen from viewpoints farther back along each of them; the space before the optics is free."""
-    return displaced(sightings, -distance_m * sightings.view_dir)
+def moved_back(sightings: DisplaySightings, distance_m: float | FloatArray) -> DisplaySightings:
+    """The same rays, seen from viewpoints farther back by one distance or (n,); the space before the optics is free."""
+    return displaced(sightings, -np.asarray(distance_m)[..., None] * sightings.view_dir)
 
 
 def self_inconsistency_arcmin(

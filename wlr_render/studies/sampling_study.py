@@ -6,6 +6,7 @@ from pathlib import Path
 from wlr_render import files
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.report import ReportTable, tables_as_json
+from wlr_render.optics.device_file import load_device
 from wlr_render.studies import sampling_plots
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.studies.sampling.capture_experiments import NOISE_EXPERIMENT, POSITION_EXPERIMENT, VIEWPOINT_EXPERIMENT
@@ -45,11 +46,10 @@ def run(options: StudyOptions = QUICK, progress: Progress = silent) -> StudyRepo
     """Run the experiments; trials that several of them need are run once.
 
     Raises:
-        BadInputError: an unknown experiment or device, or no repetition.
+        BadInputError: an unknown experiment or device, no device, no degree or no repetition.
     """
     chosen = [_experiment(name) for name in options.experiments or EXPERIMENTS]
-    if options.repeats < 1:
-        raise BadInputError(f"the number of repetitions is {options.repeats}; give at least 1.")
+    _check(options)
     cells = [experiment.cells(options) for experiment in chosen]
     trials = [trial for each in cells for trial in each.values()]
     outcomes = run_all(trials, options.seed, options.workers, progress)
@@ -69,6 +69,15 @@ def write(report: StudyReport, folder: str | Path) -> list[Path]:
     text = "\n".join(["# Sampling study\n", *(table.markdown() for table in report.tables), *shown])
     record = tables_as_json(report.tables, options=asdict(report.options))
     return [files.write_text(into / "study.md", text), files.write_text(into / "study.json", record), *pictures]
+
+
+def _check(options: StudyOptions) -> None:
+    if options.repeats < 1:
+        raise BadInputError(f"the number of repetitions is {options.repeats}; give at least 1.")
+    if not options.degrees or not options.devices:
+        raise BadInputError(f"there is no {'device' if options.degrees else 'degree'} to study; give at least one.")
+    for device in options.devices:
+        load_device(device)
 
 
 def _experiment(name: str) -> Experiment:

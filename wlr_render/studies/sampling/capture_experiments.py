@@ -20,7 +20,7 @@ from wlr_render.studies.sampling.experiment import (
 from wlr_render.studies.sampling.trials import DisplayTrial, Measure, Outcome
 
 SPARSE = ((3, 16), (4, 25), (5, 25), (6, 49))
-"""Degree and number of viewpoints."""
+"""Degree and number of viewpoints; those above the study's degrees are left out."""
 OVER_VIEWPOINTS = {"planar": (21, 25, 49, 121), "volumetric": (56, 84, 125)}
 NOISES_ARCMIN = (0.0, 0.25, 1.0)
 POSITION_ERROR_MM = 0.05
@@ -35,10 +35,14 @@ def _volumetric_counts(degree: int) -> tuple[int, int]:
     return fewest, fewest * 3 // 2
 
 
+def _sparse(options: StudyOptions) -> list[tuple[int, int]]:
+    return [pair for pair in SPARSE if pair[0] <= max(options.degrees)]
+
+
 def viewpoint_cells(options: StudyOptions) -> Mapping[Key, AnyTrial]:
     """Keys: device, kind, degree, number of viewpoints."""
-    planar = [("planar", *pair) for pair in SPARSE]
-    volumetric = [("volumetric", n, count) for n, same in SPARSE for count in (same, *_volumetric_counts(n))]
+    planar = [("planar", *pair) for pair in _sparse(options)]
+    volumetric = [("volumetric", n, count) for n, same in _sparse(options) for count in (same, *_volumetric_counts(n))]
     curves = [(kind, _DEGREE, count) for kind, counts in OVER_VIEWPOINTS.items() for count in counts]
     return {
         (device, kind, degree, count): DisplayTrial(device, kind, degree, count)
@@ -50,7 +54,7 @@ def viewpoint_cells(options: StudyOptions) -> Mapping[Key, AnyTrial]:
 def viewpoint_findings(options: StudyOptions, outcomes: Mapping[Key, Outcome]) -> Findings:
     """How few camera positions each model does with."""
     rows: list[list[Cell]] = []
-    for device, (degree, count) in product(options.devices, SPARSE):
+    for device, (degree, count) in product(options.devices, _sparse(options)):
         fewest, sound = _volumetric_counts(degree)
         keys = [("planar", count), ("volumetric", count), ("volumetric", fewest), ("volumetric", sound)]
         errors = [outcomes[device, kind, degree, n].cell(Measure.FORWARD) for kind, n in keys]

@@ -28,17 +28,15 @@ AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 
 BACK_M = 0.010
 """How far viewpoints are moved back along their own rays in the depth experiment."""
-ALONG_M = 0.003
-"""Between the two viewpoints on one ray whose answers are compared: half the eye box's depth."""
 
 
 class Measure(StrEnum):
     """What an outcome holds errors of, all at random viewpoints of the eye box.
 
     FORWARD: direction of a pixel. BACKWARD: pixel of a direction. MOVED_BACK: as FORWARD, from `BACK_M` farther back
-    along the same rays. ALONG_RAY: between the model's answers at two viewpoints on one of its rays, `ALONG_M` apart.
-    REAL_POINT: direction of a real point. REAL_RAY: direction of the real ray of a view direction. MISS: by which that
-    ray misses the real point.
+    along the same rays. ALONG_RAY: between the model's answers at two points of one of its rays, the eye box's depth
+    apart. REAL_POINT: direction of a real point. REAL_RAY: direction of the real ray of a view direction. MISS: by
+    which that ray misses the real point.
     """
 
     FORWARD = "forward (arcmin)"
@@ -133,13 +131,19 @@ class DisplayTrial(Trial):
         error = mapping_error.display_error(model, mapping_error.displaced(sightings, offset))
         back = mapping_error.moved_back(sightings, BACK_M)
         shown_back = model.view_dir_of_pixel(back.pixel, back.viewpoint).value
-        along = mapping_error.self_inconsistency_arcmin(model, sightings.viewpoint, sightings.pixel, np.array(ALONG_M))
         return {
             Measure.FORWARD: summary(error.forward_arcmin),
             Measure.BACKWARD: summary(error.backward_px),
             Measure.MOVED_BACK: summary(arcmin_between(shown_back, back.view_dir)),
-            Measure.ALONG_RAY: summary(along),
+            Measure.ALONG_RAY: summary(_along_ray(model, sightings, 1e-3 * self.eye_box_mm[2])),
         }
+
+
+def _along_ray(model: DisplayMapping, sightings: mapping_error.DisplaySightings, depth_m: float) -> NDArray[np.float64]:
+    """Self-contradiction from half a depth before each viewpoint to half behind it, arcminutes (n,)."""
+    through = depth_m / -sightings.view_dir[:, 2]
+    front = mapping_error.moved_back(sightings, -0.5 * through).viewpoint
+    return mapping_error.self_inconsistency_arcmin(model, front, sightings.pixel, through)
 
 
 @dataclass(frozen=True)
