@@ -1,6 +1,6 @@
 #version 430
 #include "conventions.glsl"
-// Where a bent ray meets what the intermediate image shows, and its colour there: rendering/gl_warp.py has the words.
+// Where a bent ray meets what the intermediate image shows, and its colour there: rendering/warped_image.py has the words.
 //
 // Written for software renderers too: they run both sides of a branch and at least one turn of a loop, and a texture
 // read at normalised coordinates costs them less than texelFetch.

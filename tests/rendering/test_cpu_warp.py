@@ -4,7 +4,7 @@ from gl_scenes import at, cube, lit, quad, unlit, view
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering import cpu_warp, gl_warp
+from wlr_render.rendering import cpu_warp
 from wlr_render.rendering.cpu_raster import CpuRaster
 from wlr_render.rendering.cpu_warp import inverse_depth_at, warp_on_cpu
 from wlr_render.rendering.gl_warp import GlWarp
@@ -134,11 +134,6 @@ def test_blocks_and_threads_change_no_bit(monkeypatch):
     cut = warp_on_cpu(step_image(), CAMERA, bend)
     for name in ("colour", "status", "source"):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name), err_msg=name)
-
-
-def test_the_twins_search_alike():
-    for name in ("MAX_STEPS", "SETTLED_PX", "SURFACE_STEP"):
-        assert getattr(cpu_warp, name) == getattr(gl_warp, name)
 
 
 @pytest.mark.gl

@@ -1,12 +1,4 @@
-"""Warping an intermediate image along bent rays, without a GPU: the twin of gl_warp.py, whose words state the rule.
-
-A display pixel's world ray, in the camera frame of the intermediate image, passes through (c, d, 0) with tangents
-(a, b) (`ray_field.RayField.bend`); its point at inverse depth w appears in the image at
-
-    s(w) = (f_u (a + c w) + c_u, -f_v (b + d w) + c_v),
-
-and the ray meets what the image shows where the inverse depth there is w again.
-"""
+"""Warping an intermediate image along bent rays, without a GPU; the rule is in `warped_image.py`."""
 
 from dataclasses import dataclass
 
@@ -18,13 +10,8 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering import sampling
 from wlr_render.rendering.scene import Float32Array
 from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warped_image import WarpedImage, WarpStatus
+from wlr_render.rendering.warped_image import MAX_STEPS, SETTLED_PX, SURFACE_STEP, WarpedImage, WarpStatus
 from wlr_render.rendering.workers import for_blocks
-
-# As in gl_warp.py.
-MAX_STEPS = 6
-SETTLED_PX = 0.01
-SURFACE_STEP = 0.02
 
 _PIXELS_PER_BLOCK = 1 << 15
 
