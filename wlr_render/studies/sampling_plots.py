@@ -5,16 +5,19 @@ from pathlib import Path
 from wlr_render.files import written_whole
 from wlr_render.studies.sampling.experiment import Plot
 
+_STROKES = ("-", "--", ":", "-.")
+
 
 def draw(plot: Plot, path: str | Path) -> Path:
     """One picture, errors on a logarithmic axis: a colour for each device, a stroke for each model."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    figure = Figure(figsize=(8.5, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    devices, models = ([] for _ in range(2))
+    devices: list[str] = []
+    models: list[str] = []
     for line in plot.lines:
         device, _, model = line.label.partition(", ")
         devices += [device] if device not in devices else []
@@ -30,10 +33,7 @@ def draw(plot: Plot, path: str | Path) -> Path:
         )
     axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label, yscale="log")
     axes.grid(True, which="both", alpha=0.3)
-    axes.legend(fontsize="x-small", ncols=2)
+    figure.legend(fontsize="x-small", loc="outside right upper", handlelength=4.0)
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=120)
     return Path(path)
-
-
-_STROKES = ("-", "--", ":", "-.")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from wlr_render import files
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.report import ReportTable, tables_as_json
+from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
 from wlr_render.optics.device_file import load_device
 from wlr_render.studies import sampling_plots
 from wlr_render.studies.progress import Progress, silent
@@ -14,6 +14,7 @@ from wlr_render.studies.sampling.dense_experiments import DENSE_EXPERIMENT, DEPT
 from wlr_render.studies.sampling.experiment import Experiment, Plot, StudyOptions
 from wlr_render.studies.sampling.pool import run_all
 from wlr_render.studies.sampling.see_through_experiment import SEE_THROUGH_EXPERIMENT
+from wlr_render.studies.sampling.world import EYE_BOX_MM, FIELDS_DEG, TEST_RAYS, TEST_VIEWPOINTS
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment
@@ -30,7 +31,8 @@ EXPERIMENTS: dict[str, Experiment] = {
 
 QUICK = StudyOptions()
 """About a minute on two cores."""
-FULL = StudyOptions(degrees=(3, 4, 5, 6, 7), repeats=10)
+FULL = StudyOptions(devices=(*QUICK.devices, "prism5701202"), degrees=(3, 4, 5, 6, 7), repeats=10)
+"""Everything, in some ten minutes."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,9 @@ def run(options: StudyOptions = QUICK, progress: Progress = silent) -> StudyRepo
         for experiment, each in zip(chosen, cells, strict=True)
     ]
     tables = tuple(table for findings in found for table in findings.tables)
-    return StudyReport(options, tables, tuple(plot for findings in found for plot in findings.plots))
+    return StudyReport(
+        options, (_conditions(options), *tables), tuple(plot for findings in found for plot in findings.plots)
+    )
 
 
 def write(report: StudyReport, folder: str | Path) -> list[Path]:
@@ -69,6 +73,19 @@ def write(report: StudyReport, folder: str | Path) -> list[Path]:
     text = "\n".join(["# Sampling study\n", *(table.markdown() for table in report.tables), *shown])
     record = tables_as_json(report.tables, options=asdict(report.options))
     return [files.write_text(into / "study.md", text), files.write_text(into / "study.json", record), *pictures]
+
+
+def _conditions(options: StudyOptions) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for device in options.devices:
+        field = FIELDS_DEG.get(device)
+        rows.append([device, "whole panel" if field is None else "{:g}..{:g} x {:g}..{:g}".format(*field)])
+    box = " x ".join(f"{edge:g}" for edge in EYE_BOX_MM) + " mm"
+    notes = (
+        "Captures are taken and errors are stated in this field; towards the corners of a larger panel they grow.",
+        f"Each rms is over {TEST_RAYS} rays from each of {TEST_VIEWPOINTS} random viewpoints in an eye box of {box}.",
+    )
+    return ReportTable("Conditions", ["device", "field, horizontal x vertical (degrees)"], rows, notes)
 
 
 def _check(options: StudyOptions) -> None:
