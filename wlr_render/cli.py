@@ -30,6 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"wlr-render: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         print("wlr-render: interrupted; what is finished is kept.", file=sys.stderr)
         return 130

@@ -13,6 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+
 FloatArray = NDArray[np.float64]
 StatusArray = NDArray[np.uint8]
 
@@ -122,6 +124,37 @@ class EyeBox:
         return self.centre + 0.5 * self.size * np.asarray(unit)
 
 
+@dataclass(frozen=True)
+class Field:
+    """A box of directions.
+
+    Attributes:
+        low, high: (2,) tangents (tx, ty).
+    """
+
+    low: FloatArray
+    high: FloatArray
+
+    @property
+    def reach(self) -> FloatArray:
+        """(2,) largest |tx| and |ty|."""
+        return np.maximum(np.abs(self.low), np.abs(self.high))
+
+    def __str__(self) -> str:
+        (left, down), (right, up) = np.rad2deg(np.arctan([self.low, self.high]))
+        return f"{left:g} to {right:+g} x {down:g} to {up:+g} degrees"
+
+    def contains(self, view_dir: FloatArray) -> NDArray[np.bool_]:
+        """Whether directions (..., 3) lie in the field, (...) bool."""
+        tangents = tangents_of_dir(view_dir)
+        return np.asarray(np.all((tangents >= self.low) & (tangents <= self.high), axis=-1))
+
+    def directions(self, columns: int, rows: int) -> FloatArray:
+        """A grid of unit directions from edge to edge, evenly spaced in tangents, (rows * columns, 3)."""
+        tx, ty = (np.linspace(self.low[axis], self.high[axis], n) for axis, n in enumerate((columns, rows)))
+        return dir_of_tangents(np.stack(np.meshgrid(tx, ty), axis=-1).reshape(-1, 2))
+
+
 class DisplayMapping(Protocol):
     """The panel as the eye sees it, reflected in the combiner (paper: f_display)."""
 
@@ -178,6 +211,7 @@ class EyeMappings:
         display: the panel's mapping.
         see_through: the world's mapping.
         eye_box: where the pupil may be; its centre is the nominal viewpoint.
+        field: the nominal field, in which the device's errors are stated; None for all that the panel shows.
     """
 
     name: str
@@ -185,3 +219,4 @@ class EyeMappings:
     display: DisplayMapping
     see_through: SeeThroughMapping
     eye_box: EyeBox
+    field: Field | None = None

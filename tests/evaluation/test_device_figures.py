@@ -18,13 +18,13 @@ def figures_of(eye):
 
 def picture_points(eye):
     """Where the fixture's flat picture shows the judged pixels, relative to the nominal viewpoint, metres."""
-    xy = (eye.display.panel.grid(15, 11).reshape(-1, 2) / eye.display.panel.size_px - 0.5) * [1.4, -1.0]
+    xy = (eye.display.panel.grid(25, 21).reshape(-1, 2) / eye.display.panel.size_px - 0.5) * [1.4, -1.0]
     return np.concatenate([xy, np.full((len(xy), 1), -2.0)], axis=1) - eye.eye_box.centre
 
 
 def test_field_of_a_flat_picture(flat_image_headset):
     """1.4 x 1.0 m, 2.01 m before a viewpoint 1 mm right of and 2 mm below its centre; searched in 0.05 degrees."""
-    field = figures_of(flat_image_headset).field
+    field = figures_of(flat_image_headset).extent
     edges = np.rad2deg(np.arctan(np.array([-0.701, 0.699, -0.498, 0.502]) / 2.01))
     np.testing.assert_allclose([field.left_deg, field.right_deg, field.down_deg, field.up_deg], edges, atol=0.051)
 
@@ -109,24 +109,22 @@ def test_what_is_not_seen_has_no_figure(flat_image_headset):
     assert "-19.2 to +19.1 degrees horizontally" in table.notes[0]
 
 
-# Means in arcminutes that another exact tracer gave, on another grid of pixels: pixel swim per mm in x and y, rms of
-# ignoring the viewpoint, deviation at infinity and at 0.3 m.
+# Arcminutes that another exact tracer gave over the same nominal fields: swim per mm in x, y and z, deviation at
+# infinity and at 0.3 m, each as mean and maximum; rms change of the deviation over the eye box; rms of ignoring the
+# viewpoint.
 ELSEWHERE = {
-    "northstar": (15.1, 13.0, 55.9, 10.7, 12.6),
-    "freeform40": (3.0, 3.3, 19.8, 17.3, 18.9),
-    "birdbath28": (4.2, 4.6, 16.4, 2.9, 5.2),
-    "prism5701202": (0.5, 0.75, 6.7, 0.0, 0.0),
+    "northstar": (15.1, 20.1, 13.0, 22.7, 5.3, 10.6, 10.7, 16.3, 12.6, 18.7, 1.4, 55.9),
+    "freeform40": (3.0, 7.3, 3.3, 6.5, 0.6, 1.5, 17.3, 25.9, 18.9, 26.8, 0.9, 19.8),
+    "birdbath28": (4.2, 8.3, 4.6, 9.4, 1.1, 3.2, 2.9, 5.1, 5.2, 9.5, 3.2, 16.4),
+    "prism5701202": (0.5, 1.4, 0.75, 1.5, 0.1, 0.3, 0, 0, 0, 0, 0, 6.7),
 }
 
 
 @pytest.mark.parametrize("name", ELSEWHERE)
 def test_traced_devices_have_the_figures_found_elsewhere(name):
     figures = figures_of(traced_eye(load_device(name)))
-    found = (
-        figures.swim[0].mean,
-        figures.swim[1].mean,
-        figures.ignoring_viewpoint.rms,
-        figures.deviation_far.mean,
-        figures.deviation_near.mean,
-    )
-    np.testing.assert_allclose(found, ELSEWHERE[name], rtol=0.13, atol=1e-9)
+    found = [*figures.swim, figures.deviation_far, figures.deviation_near]
+    flat = [each for spread in found for each in (spread.mean, spread.maximum)]
+    flat += [figures.deviation_change.rms, figures.ignoring_viewpoint.rms]
+    # The other tracer's grids of directions and viewpoints are not known in detail, and its figures have two digits.
+    np.testing.assert_allclose(flat, ELSEWHERE[name], rtol=0.12, atol=0.02)

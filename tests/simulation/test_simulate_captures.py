@@ -5,9 +5,9 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.mappings import EyeMappings, Field, Panel
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench, Field
+from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 

@@ -11,8 +11,8 @@ from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
 
 FloatArray = NDArray[np.float64]
 
-_COLUMNS, _ROWS = 15, 11  # pixels judged, cell-centred over the panel
-_BOX_STEPS = 5  # viewpoints judged per axis, cell-centred over the eye box
+_COLUMNS, _ROWS = 25, 21  # directions judged over the nominal field, or pixels over the panel
+_BOX_STEPS = 5  # viewpoints judged per axis of the eye box
 _NEAR_M = 0.3
 _MOVE_M = 1e-3  # pupil swim is stated per millimetre
 _SEARCH_DEG = np.arange(-85.0, 85.0, 0.05)
@@ -36,7 +36,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Field:
+class Extent:
     """How far the panel is seen from the nominal viewpoint along the horizontal and the vertical through straight
     ahead: degrees, right and up positive; NaN where it is not seen on that line.
     """
@@ -51,20 +51,21 @@ class Field:
 class DeviceFigures:
     """The figures of one eye.
 
-    All are taken over a grid of pixels on the whole panel, and at the nominal viewpoint unless they speak of the box.
+    All but the extent are taken over the nominal field, or the whole panel where none is stated, and at the nominal
+    viewpoint unless they speak of the box.
 
     Attributes:
-        field: extent of the display.
+        extent: of the display.
         pixel_arcmin: side of the square that covers as much solid angle as an average pixel.
         swim: change of a pixel's direction when the viewpoint moves 1 mm, half to either side, along x, y and z.
         ignoring_viewpoint: how wrong a pixel's direction at the nominal viewpoint is for viewpoints all over the box.
         deviation_far: angle between the direction in which a point at infinity is seen and the one in which it lies.
         deviation_near: the same for points 0.3 m away.
-        deviation_change: how much `deviation_far` turns over the eye box, for the same view direction.
+        deviation_change: how much `deviation_far` turns over the eye box with its corners, for the same view direction.
         colour: angle between the blue and the red real ray of the same view direction.
     """
 
-    field: Field
+    extent: Extent
     pixel_arcmin: float
     swim: tuple[Spread, Spread, Spread]
     ignoring_viewpoint: Spread
@@ -82,8 +83,9 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
         blue, red: the same eye at the two ends of the spectrum (Fraunhofer's F and C lines, 486.1 and 656.3 nm).
     """
     display, see_through, box = mappings.display, mappings.see_through, mappings.eye_box
-    pixel = display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
-    viewpoint = _over_box(box)[:, None, :]
+    pixel = _judged_pixels(mappings)
+    viewpoint = _over_box(box, np.arange(1.0 - _BOX_STEPS, _BOX_STEPS, 2.0) / _BOX_STEPS)
+    with_corners = _over_box(box, np.linspace(-1.0, 1.0, _BOX_STEPS))
     seen = display.view_dir_of_pixel(pixel, box.centre).value
     from_box = display.view_dir_of_pixel(pixel, viewpoint).value
     far = _far(mappings, seen, box.centre)
@@ -91,13 +93,13 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
     near = see_through.view_dir_of_real_point(point, box.centre).value
     swim_x, swim_y, swim_z = (_swim(display, pixel, box.centre, axis) for axis in np.eye(3))
     return DeviceFigures(
-        field=_field(display, box.centre),
+        extent=_extent(display, box.centre),
         pixel_arcmin=_pixel_arcmin(display, pixel, box.centre),
         swim=(swim_x, swim_y, swim_z),
         ignoring_viewpoint=Spread.of(arcmin_between(from_box, seen)),
         deviation_far=Spread.of(arcmin_between(far, seen)),
         deviation_near=Spread.of(arcmin_between(near, seen)),
-        deviation_change=Spread.of(arcmin_between(_far(mappings, seen, viewpoint), far)),
+        deviation_change=Spread.of(arcmin_between(_far(mappings, seen, with_corners), far)),
         colour=Spread.of(arcmin_between(_far(blue, seen, box.centre), _far(red, seen, box.centre))),
     )
 
@@ -116,20 +118,29 @@ def figures_table(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) ->
         ("see-through colour, blue to red", figures.colour),
     ]
     rows += [[name, spread.mean, spread.rms, spread.maximum] for name, spread in spreads]
-    field = figures.field
+    extent = figures.extent
+    judged = f"the nominal field, {mappings.field}" if mappings.field else "the whole panel"
     notes = (
-        f"Field through straight ahead: {field.left_deg:.1f} to {field.right_deg:+.1f} degrees horizontally,"
-        f" {field.down_deg:.1f} to {field.up_deg:+.1f} vertically.",
-        f"Eye box {box_mm} mm; {_COLUMNS} x {_ROWS} pixels over the whole panel, {_BOX_STEPS**3} viewpoints.",
+        f"Field through straight ahead: {extent.left_deg:.1f} to {extent.right_deg:+.1f} degrees horizontally,"
+        f" {extent.down_deg:.1f} to {extent.up_deg:+.1f} vertically.",
+        f"Eye box {box_mm} mm, {_BOX_STEPS**3} viewpoints; {_COLUMNS} x {_ROWS} directions over {judged}.",
     )
     columns = ("figure", "mean (arcmin)", "rms (arcmin)", "max (arcmin)")
     return ReportTable(f"{mappings.name}, {mappings.eye} eye", columns, rows, notes)
 
 
-def _over_box(box: EyeBox) -> FloatArray:
-    """Viewpoints evenly over the eye box, (n, 3)."""
-    side = (2.0 * np.arange(_BOX_STEPS) + 1.0) / _BOX_STEPS - 1.0
-    return box.at(np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3))
+def _judged_pixels(mappings: EyeMappings) -> FloatArray:
+    """Pixels (n, 2) that fill the nominal field evenly in tangents, or the whole panel evenly where there is none."""
+    display = mappings.display
+    if mappings.field is None:
+        return display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
+    answer = display.pixel_of_view_dir(mappings.field.directions(_COLUMNS, _ROWS), mappings.eye_box.centre)
+    return answer.value[answer.usable]
+
+
+def _over_box(box: EyeBox, side: FloatArray) -> FloatArray:
+    """Viewpoints (n, 1, 3) at all combinations of box coordinates from `side` (-1..1)."""
+    return box.at(np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 1, 3))
 
 
 def _swim(display: DisplayMapping, pixel: FloatArray, centre: FloatArray, axis: FloatArray) -> Spread:
@@ -153,7 +164,7 @@ def _pixel_arcmin(display: DisplayMapping, pixel: FloatArray, centre: FloatArray
     return float(np.sqrt(kept.mean()) / ARCMIN) if kept.size else np.nan
 
 
-def _field(display: DisplayMapping, centre: FloatArray) -> Field:
+def _extent(display: DisplayMapping, centre: FloatArray) -> Extent:
     ends = []
     for axis in np.eye(2):
         view_dir = dir_of_tangents(np.tan(np.deg2rad(_SEARCH_DEG))[:, None] * axis)
@@ -162,4 +173,4 @@ def _field(display: DisplayMapping, centre: FloatArray) -> Field:
         on_panel = np.all((answer.value >= 0.0) & (answer.value <= display.panel.size_px), axis=-1)
         seen = _SEARCH_DEG[answer.ok & on_panel]
         ends += [float(seen[0]), float(seen[-1])] if seen.size else [np.nan, np.nan]
-    return Field(*ends)
+    return Extent(*ends)

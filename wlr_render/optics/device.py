@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.transforms import inverse
-from wlr_render.mappings import EyeBox, Panel
+from wlr_render.mappings import EyeBox, Field, Panel
 from wlr_render.optics.media import Medium
 from wlr_render.optics.surfaces import Shape
 
@@ -118,12 +118,14 @@ class EyeOptics:
         see_through: from the eye to the world.
         panel: the display panel.
         eye_box: where the pupil may be; its centre is the nominal viewpoint.
+        field: the nominal field, in which errors are stated; None for all that the panel shows.
     """
 
     display: Path
     see_through: Path
     panel: PlacedPanel
     eye_box: EyeBox
+    field: Field | None = None
 
     def surfaces(self) -> tuple[PlacedSurface, ...]:
         """All surfaces that either path meets, each once, in order of first encounter."""
@@ -163,9 +165,14 @@ def mirrored(eye: EyeOptics) -> EyeOptics:
     reflected = eye.with_surfaces(lambda s: replace(s, device_from_surface=MIRROR_X @ s.device_from_surface))
     # Two reflections make the panel's pose rigid again, and turn u round.
     device_from_panel = MIRROR_X @ eye.panel.device_from_panel @ MIRROR_X
-    box = eye.eye_box
+    box, field = eye.eye_box, eye.field
+    turned = np.array([-1.0, 1.0])
     return replace(
         reflected,
         panel=replace(eye.panel, device_from_panel=device_from_panel),
         eye_box=EyeBox(MIRROR_X[:3, :3] @ box.centre, box.size),
+        field=field
+        and Field(
+            np.minimum(turned * field.low, turned * field.high), np.maximum(turned * field.low, turned * field.high)
+        ),
     )

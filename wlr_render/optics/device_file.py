@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.files import Table, named_or_path, read_toml
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid
-from wlr_render.mappings import EyeBox, Panel
+from wlr_render.mappings import EyeBox, Field, Panel
 from wlr_render.optics.device import (
     Device,
     EyeOptics,
@@ -78,7 +78,8 @@ def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics
     see_through = _path(table.tables("see_through_path"), surfaces, media)
     if see_through.steps and see_through.steps[-1].medium is not AIR:
         raise table.fail("'see_through_path' must end in air.")
-    eye = EyeOptics(display, see_through, _panel(table.table("panel"), frame), _eye_box(table.table("eye_box"), frame))
+    panel, eye_box = _panel(table.table("panel"), frame), _eye_box(table.table("eye_box"), frame)
+    eye = EyeOptics(display, see_through, panel, eye_box, _field(table))
     used = {surface.name for surface in eye.surfaces()}
     for name in surfaces:
         if name not in used and not any(_is_base(surfaces[other].shape, surfaces[name].shape) for other in used):
@@ -116,6 +117,16 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
     panel = PlacedPanel(pose, size, Panel(int(counts[0]), int(counts[1])))
     table.finish()
     return panel
+
+
+def _field(table: Table) -> Field | None:
+    """Angles as the wearer has them, right and up positive, whatever the file's axes."""
+    if not table.has("field_deg"):
+        return None
+    left, right, down, up = np.tan(np.deg2rad(table.vector("field_deg", 4)))
+    if not (left < right and down < up):
+        raise table.fail("'field_deg' must be left, right, down, up, each pair ascending; right and up are positive.")
+    return Field(np.array([left, down]), np.array([right, up]))
 
 
 def _eye_box(table: Table, frame: FloatArray) -> EyeBox:

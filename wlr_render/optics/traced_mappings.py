@@ -40,7 +40,7 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = 0.55) 
         raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
     optics = device.eyes[eye]
     display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
-    return EyeMappings(f"{device.name} (traced)", eye, display, see_through, optics.eye_box)
+    return EyeMappings(f"{device.name} (traced)", eye, display, see_through, optics.eye_box, optics.field)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,31 +8,9 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import EyeMappings, Field
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Field:
-    """A box of directions.
-
-    Attributes:
-        low, high: (2,) tangents (tx, ty).
-    """
-
-    low: FloatArray
-    high: FloatArray
-
-    @property
-    def reach(self) -> FloatArray:
-        """(2,) largest |tx| and |ty|."""
-        return np.maximum(np.abs(self.low), np.abs(self.high))
-
-    def contains(self, view_dir: FloatArray) -> NDArray[np.bool_]:
-        """Whether directions (..., 3) lie in the field, (...) bool."""
-        tangents = directions.tangents_of_dir(view_dir)
-        return np.asarray(np.all((tangents >= self.low) & (tangents <= self.high), axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +78,12 @@ class Bench:
 
     def camera_dirs(self) -> FloatArray:
         """Directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
-        return directions.dir_of_tangents(self._lattice(self.field.low, self.field.high))
+        return self.field.directions(*self.grid)
 
     def dots(self, depth_m: float, viewpoint: FloatArray) -> FloatArray:
         """Dots of a flat target, (n, 3) device frame, wide enough to fill the field from all viewpoints (m, 3)."""
         low = viewpoint[:, :2].min(axis=0) + depth_m * self.field.low
         high = viewpoint[:, :2].max(axis=0) + depth_m * self.field.high
-        lateral = self._lattice(low, high)
-        z = np.full((len(lateral), 1), self.truth.eye_box.centre[2] - depth_m)
-        return np.concatenate([lateral, z], axis=-1)
-
-    def _lattice(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        x, y = (np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1))
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        x, y = np.meshgrid(*(np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1)))
+        z = np.full_like(x, self.truth.eye_box.centre[2] - depth_m)
+        return np.stack([x, y, z], axis=-1).reshape(-1, 3)

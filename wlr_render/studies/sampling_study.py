@@ -14,7 +14,7 @@ from wlr_render.studies.sampling.dense_experiments import DENSE_EXPERIMENT, DEPT
 from wlr_render.studies.sampling.experiment import Experiment, Plot, StudyOptions
 from wlr_render.studies.sampling.pool import run_all
 from wlr_render.studies.sampling.see_through_experiment import SEE_THROUGH_EXPERIMENT
-from wlr_render.studies.sampling.world import EYE_BOX_MM, FIELDS_DEG, TEST_RAYS, TEST_VIEWPOINTS
+from wlr_render.studies.sampling.world import EYE_BOX_MM, TEST_RAYS, TEST_VIEWPOINTS, truth
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment
@@ -78,14 +78,13 @@ def write(report: StudyReport, folder: str | Path) -> list[Path]:
 def _conditions(options: StudyOptions) -> ReportTable:
     rows: list[list[Cell]] = []
     for device in options.devices:
-        field = FIELDS_DEG.get(device)
-        rows.append([device, "whole panel" if field is None else "{:g}..{:g} x {:g}..{:g}".format(*field)])
+        rows.append([device, str(truth(device, EYE_BOX_MM).field or "whole panel")])
     box = " x ".join(f"{edge:g}" for edge in EYE_BOX_MM) + " mm"
     notes = (
         "Captures are taken and errors are stated in this field; towards the corners of a larger panel they grow.",
         f"Each rms is over {TEST_RAYS} rays from each of {TEST_VIEWPOINTS} random viewpoints in an eye box of {box}.",
     )
-    return ReportTable("Conditions", ["device", "field, horizontal x vertical (degrees)"], rows, notes)
+    return ReportTable("Conditions", ["device", "field, horizontal x vertical"], rows, notes)
 
 
 def _check(options: StudyOptions) -> None:

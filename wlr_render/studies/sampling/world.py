@@ -14,21 +14,13 @@ from wlr_render.mappings import EyeBox, EyeMappings
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench, Field
+from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.studies.designs import camera_positions
 
 BoxSize = tuple[float, float, float]
 
 EYE_BOX_MM: BoxSize = (10.0, 8.0, 6.0)
-FIELDS_DEG: dict[str, tuple[float, float, float, float]] = {
-    "northstar": (-20.0, 20.0, -40.0, 10.0),
-    "freeform40": (-20.0, 20.0, -10.5, 10.5),
-    "birdbath28": (-20.0, 20.0, -11.25, 11.25),
-}
-"""Left, right, down, up: the nominal fields, in which captures are taken and errors are stated. They leave out the
-corners of the panels, where errors are several times larger. Of other devices it is the whole panel."""
-
 TEST_VIEWPOINTS = 128
 TEST_RAYS = 64  # from each viewpoint
 NEAREST_M, FARTHEST_M = 0.3, 5.0
@@ -45,10 +37,8 @@ def truth(device: str, eye_box_mm: BoxSize) -> EyeMappings:
 @lru_cache
 def bench(device: str, eye_box_mm: BoxSize) -> Bench:
     """An exact bench with the device on it; its camera sees the nominal field."""
-    if device not in FIELDS_DEG:
-        return Bench(truth(device, eye_box_mm))
-    left, right, down, up = np.tan(np.deg2rad(FIELDS_DEG[device]))
-    return Bench(truth(device, eye_box_mm), camera_field=Field(np.array([left, down]), np.array([right, up])))
+    on = truth(device, eye_box_mm)
+    return Bench(on, camera_field=on.field)
 
 
 @lru_cache(maxsize=16)
