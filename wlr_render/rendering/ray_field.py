@@ -253,9 +253,15 @@ def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int
     axes = middle_axes(mappings)
     for count in NODE_COUNTS:
         plan = FieldPlan.with_nodes(panel, count, axes)
-        if all(np.nanmax(field_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
+        if all(_worst_px(field_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
             return plan
     return plan
+
+
+def _worst_px(error_px: FloatArray) -> float:
+    """The largest of (n,) errors that are known; infinity where none is, because a node itself has no answer."""
+    known = error_px[np.isfinite(error_px)]
+    return float(known.max()) if known.size else np.inf
 
 
 def middle_axes(mappings: EyeMappings) -> FloatArray:
