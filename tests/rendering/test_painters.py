@@ -1,0 +1,241 @@
+"""Frames against the rays that they stand for: whatever a pixel shows lies on that pixel's bent world ray."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from gl_scenes import at, lit, quad, unlit
+
+from wlr_render.geometry import directions, rays, transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import Mapped, Status
+from wlr_render.rendering.painters import (
+    MeshWarpedPainter,
+    TracedPainter,
+    WarpedPainter,
+    position_of_source,
+    source_of_position,
+)
+from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, ray_field
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.scene import Light
+from wlr_render.rendering.shapes import basic
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.rendering.view import View
+from wlr_render.rendering.warped_image import WarpStatus
+
+OFF_CENTRE = np.array([0.7, -0.9, 0.8])
+HEAD_POSE = at(0.1, 1.5, 0.3, transforms.rotation_about("y", 0.5) @ transforms.rotation_about("x", -0.1))
+GREEN = (0.0, 1.0, 0.0)
+
+
+def ball_before_wall(world_from_scene=HEAD_POSE):
+    """A beach ball 0.8 m and a wall 3 m before the device that fill its whole field."""
+    wall = basic.plane(9, 7, (0.3, 0.4, 0.5))
+    return lit((wall, world_from_scene @ at(0, 0, -3)), (basic.ball(0.12), world_from_scene @ at(0.05, 0, -0.8)))
+
+
+def painter_of(way, headset, scene):
+    renderer = RayRenderer(scene)
+    if way == "traced":
+        return TracedPainter(headset, renderer)
+    rasteriser = open_rasteriser(scene, "cpu")
+    if way == "mesh":
+        return MeshWarpedPainter(headset, rasteriser, renderer)
+    return WarpedPainter(headset, rasteriser, resolution=2.0 if way == "double" else 1.0)
+
+
+def off_edges(position):
+    """Pixels whose neighbours, two steps to every side, are all at a similar distance."""
+    distance = np.pad(np.linalg.norm(position - HEAD_POSE[:3, 3], axis=-1), 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(distance, (5, 5))
+    return windows.max(axis=(-2, -1)) < 1.2 * windows.min(axis=(-2, -1))
+
+
+@pytest.mark.parametrize("way", ["traced", "plain", "double", "mesh"])
+def test_what_a_pixel_shows_lies_on_its_bent_world_ray(toy_headset, way):
+    viewpoint, scene = toy_headset.eye_box.at(OFF_CENTRE), ball_before_wall()
+    frame = painter_of(way, toy_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
+    pixel = toy_headset.display.panel.pixel_centres()
+    view_dir = toy_headset.display.view_dir_of_pixel(pixel, viewpoint).value
+    world_ray = rays.transformed(HEAD_POSE, toy_headset.see_through.real_ray_of_view_dir(view_dir, viewpoint).value)
+    truth = RayRenderer(scene).render_rays(*rays.split(world_ray), buffers=("position",))
+    settled = off_edges(truth.position)
+    assert settled.mean() > 0.8
+    assert rays.distance_to_point(world_ray, frame.position)[settled].max() < 1e-4
+    eye = transforms.apply(HEAD_POSE, viewpoint)
+    shown, expected = (directions.normalised(p.astype(float) - eye) for p in (frame.position, truth.position))
+    assert directions.arcmin_between(shown, expected)[settled].max() < 0.05
+    difference = np.abs(frame.colour.astype(int) - truth.colour)[settled]
+    assert difference.mean() < (0.01 if way == "traced" else 0.5)
+
+
+@pytest.mark.parametrize("way", ["plain", "mesh"])
+def test_the_pull_map_leads_to_what_the_pixel_shows(toy_headset, way):
+    viewpoint = toy_headset.eye_box.at(OFF_CENTRE)
+    frame = painter_of(way, toy_headset, ball_before_wall()).paint(viewpoint, HEAD_POSE, with_geometry=True)
+    np.testing.assert_allclose(position_of_source(frame.view, frame.source), frame.position, atol=2e-5)
+    np.testing.assert_allclose(source_of_position(frame.view, frame.position), frame.source, atol=2e-3)
+
+
+def test_the_map_from_the_mesh_is_the_map_from_the_image_off_edges(toy_headset):
+    viewpoint, scene = toy_headset.eye_box.at(OFF_CENTRE), ball_before_wall()
+    from_image, from_mesh = (
+        painter_of(way, toy_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True) for way in ("plain", "mesh")
+    )
+    distance = np.linalg.norm((from_image.source - from_mesh.source)[..., :2], axis=-1)
+    settled = off_edges(from_mesh.position)
+    assert distance[settled].max() < 0.01
+    # At the ball's rim the image hides what the bent rays meet; only the mesh knows it.
+    assert distance[~settled].max() > 0.02
+
+
+def test_source_and_position_are_inverse_and_keep_nan():
+    camera = Pinhole(120, 90, np.array([-0.6, -0.3]), np.array([0.4, 0.5]))
+    turn = transforms.rotation_about("y", -0.4) @ transforms.rotation_about("x", 0.2)
+    view = View(camera, np.array([0.03, 0.01, -0.02]), HEAD_POSE, turn)
+    rng = np.random.default_rng(2)
+    inverse_depth = rng.uniform(0.2, 4.0, (7, 5, 1))
+    source = np.concatenate([rng.uniform(0, [120, 90], (7, 5, 2)), inverse_depth], axis=-1).astype(np.float32)
+    source[3, 2] = np.nan
+    position = position_of_source(view, source)
+    assert np.isnan(position[3, 2]).all()
+    np.testing.assert_allclose(source_of_position(view, position), source, atol=1e-3)
+    # One of them in closed form, through the chain device <- camera and world <- device.
+    tangents = camera.tangents_of_pixel(source[0, 0, :2].astype(float))
+    in_device = view.viewpoint_in_device + turn @ [*tangents, -1.0] / float(source[0, 0, 2])
+    np.testing.assert_allclose(position[0, 0], transforms.apply(HEAD_POSE, in_device), atol=1e-5)
+
+
+def test_nothing_has_no_position():
+    view = View(Pinhole(4, 4, -np.ones(2), np.ones(2)), np.zeros(3), np.eye(4))
+    at_infinity = np.array([[[2.0, 2.0, 0.0], [1.0, 1.0, 0.5]]], np.float32)
+    np.testing.assert_array_equal(np.isnan(position_of_source(view, at_infinity)).all(axis=-1), [[True, False]])
+
+
+@pytest.mark.parametrize("depth", [NEAREST_M, 3.0])
+def test_one_camera_covers_every_viewpoint_of_the_eye_box(toy_headset, depth):
+    scene = unlit((quad((-9, -9), (9, 9)), at(0, 0, -depth)))
+    rasteriser = open_rasteriser(scene, "cpu")
+    painter = WarpedPainter(toy_headset, rasteriser)
+    plan = choose_plan(toy_headset)
+    corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
+    inside = np.random.default_rng(4).uniform(-1, 1, (8, 3))
+    for viewpoint in toy_headset.eye_box.at(np.concatenate([corners, inside])):
+        bend = ray_field(toy_headset, viewpoint, plan).bend
+        view = View(painter.camera, viewpoint, np.eye(4), plan.device_from_camera)
+        warped = rasteriser.draw_warped(view, bend, with_geometry=True)
+        assert (warped.image.status == WarpStatus.SEEN).all()
+        assert np.isfinite(painter.paint(viewpoint, np.eye(4), with_geometry=True).source).all()
+
+
+@pytest.mark.parametrize("resolution", [1.0, 2.0])
+def test_the_camera_has_square_pixels_as_many_as_asked_for(toy_headset, resolution):
+    camera = WarpedPainter(toy_headset, open_rasteriser(ball_before_wall(), "cpu"), resolution).camera
+    assert camera.focal_px[0] == pytest.approx(camera.focal_px[1])
+    # Two pixels of margin to each side.
+    inner = (camera.width_px - 4) * (camera.height_px - 4)
+    assert inner == pytest.approx(resolution**2 * 96 * 80, rel=0.02)
+
+
+@pytest.mark.parametrize("way", ["traced", "plain", "mesh"])
+def test_pixels_without_a_ray_show_the_background_and_nothing_else(toy_headset_with_hole, way):
+    scene = unlit((quad((-9, -9), (9, 9)), at(0, 0, -2)), background=GREEN)
+    headset = toy_headset_with_hole
+    frame = painter_of(way, headset, scene).paint(headset.eye_box.centre, np.eye(4), with_geometry=True)
+    hole = frame.field.status == Status.MISS
+    assert 60 < hole.sum() < 100  # a disc of radius 5 px
+    np.testing.assert_array_equal(np.isnan(frame.position).any(axis=-1), hole)
+    np.testing.assert_array_equal((frame.colour == encode_srgb(np.array(GREEN, np.float32))).all(axis=-1), hole)
+    if frame.source is not None:
+        np.testing.assert_array_equal(np.isnan(frame.source).any(axis=-1), hole)
+
+
+@pytest.mark.parametrize("way", ["traced", "plain"])
+def test_moving_head_and_scene_together_changes_nothing(toy_headset, way):
+    viewpoint = toy_headset.eye_box.at(OFF_CENTRE)
+    moved = at(-0.4, 0.2, 0.7, transforms.rotation_about("z", 0.6) @ transforms.rotation_about("x", 0.3))
+    scene = ball_before_wall()
+    instances = tuple(replace(i, world_from_mesh=moved @ i.world_from_mesh) for i in scene.instances)
+    lights = tuple(_moved(light, moved) for light in scene.lights)
+    frames = [
+        painter_of(way, toy_headset, each).paint(viewpoint, pose, with_geometry=True)
+        for each, pose in ((scene, HEAD_POSE), (replace(scene, instances=instances, lights=lights), moved @ HEAD_POSE))
+    ]
+    settled = off_edges(frames[0].position)
+    carried = transforms.apply(moved, frames[0].position.astype(float))
+    np.testing.assert_allclose(frames[1].position[settled], carried[settled], atol=2e-5)
+    difference = np.abs(frames[1].colour.astype(int) - frames[0].colour)[settled]
+    assert (difference > 1).mean() < 1e-3
+
+
+def _moved(light: Light, moved):
+    vector = moved[:3, :3] @ light.vector + (moved[:3, 3] if light.kind == "point" else 0)
+    return replace(light, vector=vector)
+
+
+def test_one_colour_everywhere_is_the_same_supersampled(toy_headset):
+    renderer = RayRenderer(unlit((quad((-9, -9), (9, 9), base_colour=np.array([0.2, 0.5, 0.7], "f4")), at(0, 0, -2))))
+    plain, fine = (TracedPainter(toy_headset, renderer, supersample=n) for n in (1, 3))
+    viewpoint = toy_headset.eye_box.centre
+    np.testing.assert_array_equal(
+        fine.paint(viewpoint, np.eye(4)).colour, plain.paint(viewpoint, np.eye(4), with_geometry=True).colour
+    )
+
+
+def test_an_edge_is_supersampled_in_linear_light_and_geometry_stays_the_centres(toy_headset):
+    renderer = RayRenderer(unlit((quad((-9, -9), (0.02, 9)), at(0, 0, -2))))
+    viewpoint = toy_headset.eye_box.centre
+    plain, fine = (
+        TracedPainter(toy_headset, renderer, supersample=n).paint(viewpoint, np.eye(4), with_geometry=True)
+        for n in (1, 3)
+    )
+    assert set(np.unique(plain.colour)) == {0, 255}
+    mixed = np.unique(fine.colour)
+    assert mixed.size > 2
+    # Nine samples, each black or white.
+    np.testing.assert_allclose(9 * decode_srgb(mixed), np.rint(9 * decode_srgb(mixed)), atol=0.05)
+    np.testing.assert_array_equal(fine.position, plain.position)
+
+
+def test_shadows_only_darken(toy_headset):
+    scene = ball_before_wall(np.eye(4))
+    viewpoint = toy_headset.eye_box.centre
+    open_sky, shaded = (
+        TracedPainter(toy_headset, RayRenderer(scene), shadows=s).paint(viewpoint, np.eye(4)).colour.astype(int)
+        for s in (False, True)
+    )
+    assert (shaded <= open_sky).all()
+    assert (shaded < open_sky - 10).any(axis=-1).sum() > 10
+
+
+@dataclass(frozen=True)
+class Remembering:
+    """A display whose queries start from the last answer, and that writes down what they were started with."""
+
+    inner: object
+    started_with: list
+
+    @property
+    def panel(self):
+        return self.inner.panel
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        if np.shape(pixel)[:-1] == np.shape(warm_start)[:-1] or warm_start is None:
+            self.started_with.append(warm_start)
+        answer = self.inner.view_dir_of_pixel(pixel, viewpoint)
+        return Mapped(answer.value, answer.status, answer.value[..., :2])
+
+
+@pytest.mark.parametrize("way", ["traced", "plain", "mesh"])
+def test_a_frame_starts_from_the_last_ones_solution_and_is_the_same(toy_headset, way):
+    started_with = []
+    headset = replace(toy_headset, display=Remembering(toy_headset.display, started_with))
+    painter = painter_of(way, headset, ball_before_wall())
+    first = painter.paint(headset.eye_box.centre, HEAD_POSE)
+    cold = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE)
+    started_with.clear()
+    warm = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE, first.field.warm_start)
+    assert started_with[0] is first.field.warm_start.display
+    np.testing.assert_array_equal(warm.colour, cold.colour)
