@@ -32,7 +32,7 @@ def test_results_do_not_depend_on_the_number_of_workers():
     assert heard == [3, 3, 3]
     assert [t.as_record() for t in first.tables] == [t.as_record() for t in second.tables]
     exact, stage, tracking = first.tables[1].rows[0][1:]
-    assert first.tables[0].rows == [["birdbath28", "-20..20 x -11.25..11.25"]]
+    assert first.tables[0].rows == [["birdbath28", "-20 to +20 x -11.25 to +11.25 degrees"]]
     assert exact < 0.01
     # 0.05 mm per axis at the swim of this device, 4.2, 4.6 and 1.1 arcmin per mm on average.
     np.testing.assert_allclose([stage, tracking], 0.05 * np.sqrt(4.2**2 + 4.6**2 + 1.1**2), rtol=0.35)
@@ -54,7 +54,9 @@ def test_results_do_not_depend_on_the_number_of_workers():
     ],
 )
 def test_first_figures_are_reproduced(trial, measure, expected):
-    # Found once with an independent program, at other random viewpoints of the same eye box and field.
+    # Found once with an independent program in the same eye box. Its field is not known: northstar's nominal field was
+    # picked, among some tried, because the display figures at N=3 to 5 are met in it. Their agreement says that tracer,
+    # fit and judge go together; it is no evidence for the field.
     np.testing.assert_allclose(trial.run(SEED).rms(measure), expected, rtol=0.2)
 
 
@@ -78,6 +80,11 @@ def test_a_planar_model_never_contradicts_itself_along_a_ray_and_a_volumetric_on
 def test_a_fault_that_is_no_want_of_viewpoints_is_not_hidden():
     with pytest.raises(BadInputError, match="kind of display model 'cubic'"):
         DisplayTrial("birdbath28", "cubic", 1, 5).run(SEED)
+
+
+def test_errors_depend_on_the_field_that_they_are_stated_in():
+    nominal, whole = (DisplayTrial("northstar", "planar", 5, 25, whole_panel=w).run(SEED) for w in (False, True))
+    assert whole.rms(Measure.FORWARD) > 3 * nominal.rms(Measure.FORWARD)
 
 
 def test_each_trial_has_its_own_random_numbers():

@@ -10,11 +10,16 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.studies import sampling_plots
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.studies.sampling.capture_experiments import NOISE_EXPERIMENT, POSITION_EXPERIMENT, VIEWPOINT_EXPERIMENT
-from wlr_render.studies.sampling.dense_experiments import DENSE_EXPERIMENT, DEPTH_EXPERIMENT, EYE_BOX_EXPERIMENT
+from wlr_render.studies.sampling.dense_experiments import (
+    DENSE_EXPERIMENT,
+    DEPTH_EXPERIMENT,
+    EYE_BOX_EXPERIMENT,
+    FIELD_EXPERIMENT,
+)
 from wlr_render.studies.sampling.experiment import Experiment, Plot, StudyOptions
 from wlr_render.studies.sampling.pool import run_all
 from wlr_render.studies.sampling.see_through_experiment import SEE_THROUGH_EXPERIMENT
-from wlr_render.studies.sampling.world import EYE_BOX_MM, TEST_RAYS, TEST_VIEWPOINTS, truth
+from wlr_render.studies.sampling.world import EYE_BOX_MM, TEST_RAYS, TEST_VIEWPOINTS, Setting, truth
 
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment
@@ -25,6 +30,7 @@ EXPERIMENTS: dict[str, Experiment] = {
         POSITION_EXPERIMENT,
         DEPTH_EXPERIMENT,
         EYE_BOX_EXPERIMENT,
+        FIELD_EXPERIMENT,
         SEE_THROUGH_EXPERIMENT,
     )
 }
@@ -78,10 +84,11 @@ def write(report: StudyReport, folder: str | Path) -> list[Path]:
 def _conditions(options: StudyOptions) -> ReportTable:
     rows: list[list[Cell]] = []
     for device in options.devices:
-        rows.append([device, str(truth(device, EYE_BOX_MM).field or "whole panel")])
+        rows.append([device, str(truth(Setting(device)).field or "whole panel")])
     box = " x ".join(f"{edge:g}" for edge in EYE_BOX_MM) + " mm"
     notes = (
-        "Captures are taken and errors are stated in this field; towards the corners of a larger panel they grow.",
+        "Captures are taken and errors are stated in this field. It is a choice, and they depend on it: the table"
+        " 'Size of the field' has the whole panel beside it.",
         f"Each rms is over {TEST_RAYS} rays from each of {TEST_VIEWPOINTS} random viewpoints in an eye box of {box}.",
     )
     return ReportTable("Conditions", ["device", "field, horizontal x vertical"], rows, notes)

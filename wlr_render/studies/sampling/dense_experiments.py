@@ -12,6 +12,7 @@ KINDS = ("planar", "volumetric")
 DENSE = {"planar": 121, "volumetric": 125}
 EYE_BOXES_MM = ((6.0, 4.0, 4.0), EYE_BOX_MM, (14.0, 10.0, 12.0))
 _DEGREE = 5
+_FIELD_VIEWPOINTS = {"planar": 25, "volumetric": 84}
 _CLEARLY = 1.05  # smaller differences than 5 % are called none: the rms at random viewpoints is uncertain by about that
 
 
@@ -114,6 +115,28 @@ def eye_box_findings(options: StudyOptions, outcomes: Mapping[Key, Outcome]) -> 
     return Findings((ReportTable(title, ["device", *names], rows),), (plot,))
 
 
+def field_cells(options: StudyOptions) -> Mapping[Key, AnyTrial]:
+    """Keys: device, whether the whole panel, kind."""
+    return {
+        (device, whole, kind): DisplayTrial(device, kind, _DEGREE, count, whole_panel=whole)
+        for device in options.devices
+        for whole in (False, True)
+        for kind, count in _FIELD_VIEWPOINTS.items()
+    }
+
+
+def field_findings(options: StudyOptions, outcomes: Mapping[Key, Outcome]) -> Findings:
+    """Nor does it say much without its field."""
+    rows = [
+        [device, *(outcomes[device, whole, kind].cell(Measure.FORWARD) for whole in (False, True) for kind in KINDS)]
+        for device in options.devices
+    ]
+    columns = ["device", *_per_kind("nominal field, {} (arcmin)"), *_per_kind("whole panel, {} (arcmin)")]
+    counts = " and ".join(f"{count} {kind}" for kind, count in _FIELD_VIEWPOINTS.items())
+    return Findings((ReportTable(f"Size of the field: forward rms, N={_DEGREE}, {counts} viewpoints", columns, rows),))
+
+
 DENSE_EXPERIMENT = Experiment("dense", dense_cells, dense_findings)
 DEPTH_EXPERIMENT = Experiment("depth", depth_cells, depth_findings)
 EYE_BOX_EXPERIMENT = Experiment("eye-box", eye_box_cells, eye_box_findings)
+FIELD_EXPERIMENT = Experiment("field", field_cells, field_findings)

@@ -58,7 +58,7 @@ def _tasks(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
 def _captures_of(trial: AnyTrial) -> object:
     if isinstance(trial, NoModelTrial):
         return trial
-    return (type(trial), trial.device, trial.eye_box_mm, trial.kind, trial.viewpoints)
+    return (type(trial), trial.setting, trial.kind, trial.viewpoints)
 
 
 def _cost(group: list[AnyTrial]) -> int:

@@ -76,6 +76,7 @@ class Trial:
         eye_box_mm: the eye box.
         camera_noise_arcmin, stage_error_mm: errors of the bench.
         repeat: number of the repetition, for other random errors.
+        whole_panel: all that the panel shows is captured and judged, not only the nominal field.
     """
 
     device: str
@@ -86,6 +87,12 @@ class Trial:
     camera_noise_arcmin: float = 0.0
     stage_error_mm: float = 0.0
     repeat: int = 0
+    whole_panel: bool = False
+
+    @property
+    def setting(self) -> world.Setting:
+        """Where captures are taken and errors are stated."""
+        return world.Setting(self.device, self.eye_box_mm, self.whole_panel)
 
     @property
     def needed_viewpoints(self) -> int:
@@ -126,7 +133,7 @@ class DisplayTrial(Trial):
         return Outcome(self._errors(model, rng, seed))
 
     def _errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[Measure, Summary]:
-        sightings = world.display_sightings(self.device, self.eye_box_mm, seed)
+        sightings = world.display_sightings(self.setting, seed)
         offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, sightings.viewpoint.shape)
         error = mapping_error.display_error(model, mapping_error.displaced(sightings, offset))
         back = mapping_error.moved_back(sightings, BACK_M)
@@ -157,7 +164,7 @@ class SeeThroughTrial(Trial):
             model, _ = fit_see_through(captures, self.kind, self.degree)
         except BadInputError as fault:
             return self.refusal(fault)
-        sightings = world.see_through_sightings(self.device, self.eye_box_mm, seed)
+        sightings = world.see_through_sightings(self.setting, seed)
         error = mapping_error.see_through_error(model, sightings)
         return Outcome(
             {
@@ -173,26 +180,25 @@ class NoModelTrial:
     """What an eye is wrong by that takes the world through the combiner to be the world without it."""
 
     device: str
-    eye_box_mm: world.BoxSize = world.EYE_BOX_MM
 
     def run(self, seed: int) -> Outcome:
         """The straight line to a real point against the direction in which it is seen."""
-        sightings = world.see_through_sightings(self.device, self.eye_box_mm, seed)
+        sightings = world.see_through_sightings(world.Setting(self.device), seed)
         return Outcome({Measure.REAL_POINT: summary(mapping_error.straight_error(sightings))})
 
 
 def _measured(
     trial: Trial,
-    exact: Callable[[str, world.BoxSize, str, int], AnyCaptures],
+    exact: Callable[[world.Setting, str, int], AnyCaptures],
     simulate: Callable[[Bench, NDArray[np.float64], np.random.Generator], AnyCaptures],
     rng: np.random.Generator,
 ) -> AnyCaptures:
     """The trial's captures; camera noise needs no new tracing, a camera that stands elsewhere does."""
     if trial.stage_error_mm == 0.0:
-        captures = exact(trial.device, trial.eye_box_mm, trial.kind, trial.viewpoints)
+        captures = exact(trial.setting, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)
     on = replace(
-        world.bench(trial.device, trial.eye_box_mm),
+        world.bench(trial.setting),
         camera_noise_arcmin=trial.camera_noise_arcmin,
         stage_error_m=1e-3 * trial.stage_error_mm,
     )
