@@ -25,9 +25,11 @@ _EXTRA = {"position": (3, "f4"), "normal": (3, "f4"), "ids": (2, "i4")}
 
 
 @dataclass(frozen=True, eq=False)
-class _MeshOnGpu:
-    vertex_array: gl.VertexArray
-    texture: gl.Texture | None
+class _Pass:
+    """A program and the scene's meshes bound to it."""
+
+    program: gl.Program
+    meshes: list[gl.VertexArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +47,11 @@ class GlRaster:
         self._lamps = [light for light in scene.lights if light.kind == "point"]
         self._suns = [light for light in scene.lights if light.kind == "directional"]
         self._targets: dict[bool, _Targets] = {}
+        self._passes: dict[bool, _Pass] = {}
         with context.drawing():
-            self._program = context.program(
-                "scene.vert", "scene.frag", POINT_LIGHTS=len(self._lamps), DIRECTIONAL_LIGHTS=len(self._suns)
-            )
             self._background = context.full_screen("background.frag")
-            self._meshes = [_upload(context, self._program, mesh) for mesh in scene.meshes]
+            self._textures = [None if m.texture is None else context.srgb_texture(m.texture) for m in scene.meshes]
+            self._pass_for(with_extra=False)
 
     def draw(self, view: View, buffers: Collection[str] = ()) -> GeometryImage:
         """Draw and fetch colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
@@ -82,16 +83,31 @@ class GlRaster:
         # Only the depth matters here: the background is drawn last, at infinity, over what nothing has covered.
         targets.framebuffer.clear(depth=1.0)
         self._context.depth_test()
-        self._set_view(view)
+        drawing = self._pass_for(with_extra)
+        self._set_view(drawing.program, view)
         for index, instance in enumerate(self._scene.instances):
-            self._set_instance(view, index)
-            on_gpu = self._meshes[instance.mesh]
-            if on_gpu.texture is not None:
-                on_gpu.texture.use(0)
-            on_gpu.vertex_array.render()
+            self._set_instance(drawing.program, view, index)
+            texture = self._textures[instance.mesh]
+            if texture is not None:
+                texture.use(0)
+            drawing.meshes[instance.mesh].render()
         gl.set_uniforms(self._background.program, background=_triple(self._scene.background))
         self._background.render(vertices=3)
         return targets.textures
+
+    def _pass_for(self, with_extra: bool) -> _Pass:
+        """Software renderers compute every output of a shader, whether or not anything takes it: hence two programs."""
+        if with_extra not in self._passes:
+            program = self._context.program(
+                "scene.vert",
+                "scene.frag",
+                POINT_LIGHTS=len(self._lamps),
+                DIRECTIONAL_LIGHTS=len(self._suns),
+                WITH_EXTRA=int(with_extra),
+            )
+            meshes = [_upload(self._context, program, mesh) for mesh in self._scene.meshes]
+            self._passes[with_extra] = _Pass(program, meshes)
+        return self._passes[with_extra]
 
     def _targets_for(self, view: View, with_extra: bool) -> _Targets:
         size = view.camera.width_px, view.camera.height_px
@@ -106,17 +122,17 @@ class GlRaster:
         self._targets[with_extra] = targets
         return targets
 
-    def _set_view(self, view: View) -> None:
+    def _set_view(self, program: gl.Program, view: View) -> None:
         scene, camera = self._scene, view.camera
         camera_from_world = transforms.inverse(view.world_from_camera)
         lamps = [transforms.apply(camera_from_world, light.vector) for light in self._lamps]
         suns = [-transforms.rotate(camera_from_world, light.vector) for light in self._suns]
-        gl.set_array(self._program, "point_light_position", lamps)
-        gl.set_array(self._program, "point_light_colour", [light.colour for light in self._lamps])
-        gl.set_array(self._program, "towards_directional_light", suns)
-        gl.set_array(self._program, "directional_light_colour", [light.colour for light in self._suns])
+        gl.set_array(program, "point_light_position", lamps)
+        gl.set_array(program, "point_light_colour", [light.colour for light in self._lamps])
+        gl.set_array(program, "towards_directional_light", suns)
+        gl.set_array(program, "directional_light_colour", [light.colour for light in self._suns])
         gl.set_uniforms(
-            self._program,
+            program,
             lens=lens_of(camera),
             size_px=(camera.width_px, camera.height_px),
             near=NEAR_M,
@@ -124,23 +140,23 @@ class GlRaster:
             ambient=_triple(scene.ambient),
             base_texture=0,
         )
-        gl.set_matrix(self._program, "world_from_camera", view.world_from_camera[:3, :3])
+        gl.set_matrix(program, "world_from_camera", view.world_from_camera[:3, :3])
 
-    def _set_instance(self, view: View, index: int) -> None:
+    def _set_instance(self, program: gl.Program, view: View, index: int) -> None:
         instance = self._scene.instances[index]
         mesh = self._scene.mesh_of(instance)
         camera_from_mesh = transforms.inverse(view.world_from_camera) @ instance.world_from_mesh
-        gl.set_matrix(self._program, "camera_from_mesh", camera_from_mesh)
-        gl.set_matrix(self._program, "camera_from_mesh_normal", np.asarray(np.linalg.inv(camera_from_mesh[:3, :3]).T))
+        gl.set_matrix(program, "camera_from_mesh", camera_from_mesh)
+        gl.set_matrix(program, "camera_from_mesh_normal", np.asarray(np.linalg.inv(camera_from_mesh[:3, :3]).T))
         gl.set_uniforms(
-            self._program,
+            program,
             base_colour=_triple(mesh.base_colour),
             has_texture=mesh.texture is not None,
             instance=index,
         )
 
 
-def _upload(context: gl.GlContext, program: gl.Program, mesh: Mesh) -> _MeshOnGpu:
+def _upload(context: gl.GlContext, program: gl.Program, mesh: Mesh) -> gl.VertexArray:
     count = len(mesh.position)
     attributes = {
         "position": mesh.position,
@@ -148,8 +164,7 @@ def _upload(context: gl.GlContext, program: gl.Program, mesh: Mesh) -> _MeshOnGp
         "uv": np.zeros((count, 2)) if mesh.uv is None else mesh.uv,
         "vertex_colour": np.ones((count, 3)) if mesh.vertex_colour is None else mesh.vertex_colour,
     }
-    texture = None if mesh.texture is None else context.srgb_texture(mesh.texture)
-    return _MeshOnGpu(context.triangles(program, attributes, mesh.triangles), texture)
+    return context.triangles(program, attributes, mesh.triangles)
 
 
 def _triple(vector: NDArray[np.floating]) -> tuple[float, ...]:
