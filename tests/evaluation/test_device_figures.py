@@ -109,7 +109,8 @@ def test_what_is_not_seen_has_no_figure(flat_image_headset):
     assert "-19.2 to +19.1 degrees horizontally" in table.notes[0]
 
 
-# Arcminutes that another exact tracer gave over the same nominal fields: swim per mm in x, y and z, deviation at
+# Arcminutes that another exact tracer gave over fields of its own that are not known (see the device files on how
+# the nominal fields were chosen): swim per mm in x, y and z, deviation at
 # infinity and at 0.3 m, each as mean and maximum; rms change of the deviation over the eye box; rms of ignoring the
 # viewpoint.
 ELSEWHERE = {
