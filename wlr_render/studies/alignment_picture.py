@@ -73,11 +73,11 @@ def save_picture(path: Path, panoramas: Sequence[Panorama], window: tuple[Pinhol
 
     height, width = panoramas[0].overview.shape[:2]
     rows = [_COLUMN_INCH * height / width, _COLUMN_INCH]
-    size = (_COLUMN_INCH * len(panoramas) + 0.3, sum(rows) + 1.75)
+    size = (_COLUMN_INCH * len(panoramas) + 0.3, sum(rows) + 2.0)
     figure = Figure(figsize=size, dpi=130, facecolor="white")
     grid = figure.add_gridspec(
         2, len(panoramas), height_ratios=rows, wspace=0.03, hspace=0.02,
-        left=0.01, right=0.99, bottom=0.82 / size[1], top=1 - 0.93 / size[1],
+        left=0.01, right=0.99, bottom=1.07 / size[1], top=1 - 0.93 / size[1],
     )  # fmt: skip
     corner, extent = _window_px(*window)
     for column, panorama in enumerate(panoramas):
