@@ -11,9 +11,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
-from wlr_render.mappings import EyeBox, Mapped, Panel
-from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.base import FittedDisplay
+from wlr_render.models.queries import Answer, Forms
 from wlr_render.numerics.newton import solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -24,8 +25,11 @@ _TOLERANCE = 1e-12  # tangents
 
 
 @dataclass(frozen=True)
-class PointPerPixelDisplay:
+class PointPerPixelDisplay(FittedDisplay):
     """`DisplayMapping` with one virtual point per pixel.
+
+    The forward query is a closed form; the backward one is a solve from the panel's centre, whose warm start is the
+    pixel, (..., 2).
 
     Attributes:
         panel: the panel.
@@ -38,22 +42,6 @@ class PointPerPixelDisplay:
     point: Polynomial
 
     FORMS: ClassVar[Forms] = {"point": (2, 3)}
-
-    def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
-
-    def view_dir_of_pixel(
-        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Forward, closed form; see `mappings.DisplayMapping`."""
-        return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box)
-
-    def pixel_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Backward, by a solve from the panel's centre; the warm start is the pixel, (..., 2)."""
-        tangents = tangents_of_dir(np.asarray(view_dir))
-        return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
 
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         point = self.point(pixel)

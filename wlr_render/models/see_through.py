@@ -13,25 +13,23 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import EyeBox, Mapped
+from wlr_render.mappings import EyeBox
+from wlr_render.models.base import FittedSeeThrough
 from wlr_render.models.bundle_projection import solve_see_through
-from wlr_render.models.queries import Answer, Forms, answer_in_chunks, joined, require_forms
+from wlr_render.models.queries import Answer, Forms, joined
 from wlr_render.numerics.polynomial import Polynomial
 
 FloatArray = NDArray[np.float64]
 
 
-def points_in_front(point: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Real points (..., 3), NaN where they are not in front of the viewpoint (..., 3)."""
-    point, viewpoint = np.broadcast_arrays(np.asarray(point, dtype=np.float64), viewpoint)
-    return np.where(point[..., 2:] < viewpoint[..., 2:], point, np.nan)
-
-
 @dataclass(frozen=True)
-class BundleSeeThrough:
+class BundleSeeThrough(FittedSeeThrough):
     """`SeeThroughMapping` fitted on viewpoints in a plane and projected to all others.
+
+    The forward query is a closed form, and its ray's point lies in the base plane; the backward one is a solve, whose
+    warm start is the view tangents, (..., 2).
 
     Attributes:
         eye_box: where the pupil may be.
@@ -44,22 +42,6 @@ class BundleSeeThrough:
     deviation: Polynomial
 
     FORMS: ClassVar[Forms] = {"deviation": (4, 4)}
-
-    def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
-
-    def real_ray_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Forward, closed form; see `mappings.SeeThroughMapping`. The ray's point lies in the base plane."""
-        return answer_in_chunks(self._forward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
-
-    def view_dir_of_real_point(
-        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Backward, by a solve; see `mappings.SeeThroughMapping`. The warm start is the view tangents, (..., 2)."""
-        in_front = points_in_front(point, viewpoint)
-        return answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         in_plane = self.base_plane.carry(viewpoint, tangents)

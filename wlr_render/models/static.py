@@ -11,10 +11,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
-from wlr_render.mappings import EyeBox, Mapped, Panel
-from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
-from wlr_render.models.see_through import points_in_front
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.base import FittedDisplay, FittedSeeThrough
+from wlr_render.models.queries import Answer, Forms
 from wlr_render.models.volumetric import deviated_ray, deviated_view, straight_tangents
 from wlr_render.numerics.polynomial import Box, Polynomial
 
@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class StaticDisplay:
+class StaticDisplay(FittedDisplay):
     """`DisplayMapping` that is the same for every viewpoint.
 
     Attributes:
@@ -39,21 +39,6 @@ class StaticDisplay:
 
     FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward": (2, 2)}
 
-    def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
-
-    def view_dir_of_pixel(
-        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Forward; see `mappings.DisplayMapping`."""
-        return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box)
-
-    def pixel_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Backward; see `mappings.DisplayMapping`."""
-        return answer_in_chunks(self._backward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
-
     def _forward(self, pixel: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         return Answer(dir_of_tangents(self.forward(pixel)), self.forward.box.contains(pixel))
 
@@ -63,8 +48,10 @@ class StaticDisplay:
 
 
 @dataclass(frozen=True)
-class StaticSeeThrough:
+class StaticSeeThrough(FittedSeeThrough):
     """`SeeThroughMapping` whose deviation is the same for every viewpoint.
+
+    The ray's point has the viewpoint's z.
 
     Attributes:
         eye_box: where the pupil may be; only the status knows it.
@@ -77,21 +64,6 @@ class StaticSeeThrough:
     backward: Polynomial
 
     FORMS: ClassVar[Forms] = {"forward": (2, 4), "backward": (2, 4)}
-
-    def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
-
-    def real_ray_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Forward; see `mappings.SeeThroughMapping`. The ray's point has the viewpoint's z."""
-        return answer_in_chunks(self._forward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
-
-    def view_dir_of_real_point(
-        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Backward; see `mappings.SeeThroughMapping`."""
-        return answer_in_chunks(self._backward, points_in_front(point, viewpoint), viewpoint, self.eye_box)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         return deviated_ray(self.forward, tangents, tangents, viewpoint)

@@ -9,17 +9,17 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
-from wlr_render.mappings import EyeBox, Mapped, Panel
-from wlr_render.models.queries import Answer, Forms, answer_in_chunks, joined, require_forms
-from wlr_render.models.see_through import points_in_front
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.base import FittedDisplay, FittedSeeThrough
+from wlr_render.models.queries import Answer, Forms, joined
 from wlr_render.numerics.polynomial import Polynomial
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class VolumetricDisplay:
+class VolumetricDisplay(FittedDisplay):
     """`DisplayMapping` fitted on viewpoints in a volume.
 
     Attributes:
@@ -36,21 +36,6 @@ class VolumetricDisplay:
 
     FORMS: ClassVar[Forms] = {"forward": (5, 2), "backward": (5, 2)}
 
-    def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
-
-    def view_dir_of_pixel(
-        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Forward; see `mappings.DisplayMapping`."""
-        return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box)
-
-    def pixel_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Backward; see `mappings.DisplayMapping`."""
-        return answer_in_chunks(self._backward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
-
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         inputs = joined(pixel, viewpoint)
         return Answer(dir_of_tangents(self.forward(inputs)), self.forward.box.contains(inputs))
@@ -63,7 +48,7 @@ class VolumetricDisplay:
 
 
 @dataclass(frozen=True)
-class VolumetricSeeThrough:
+class VolumetricSeeThrough(FittedSeeThrough):
     """`SeeThroughMapping` fitted on viewpoints in a volume.
 
     Forward, the ray in the world passes through viewpoint_xy + B at the viewpoint's own z and has tangents t + A.
@@ -81,21 +66,6 @@ class VolumetricSeeThrough:
     backward: Polynomial
 
     FORMS: ClassVar[Forms] = {"forward": (5, 4), "backward": (5, 4)}
-
-    def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
-
-    def real_ray_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Forward; see `mappings.SeeThroughMapping`. The ray's point has the viewpoint's z."""
-        return answer_in_chunks(self._forward, tangents_of_dir(np.asarray(view_dir)), viewpoint, self.eye_box)
-
-    def view_dir_of_real_point(
-        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
-        """Backward; see `mappings.SeeThroughMapping`."""
-        return answer_in_chunks(self._backward, points_in_front(point, viewpoint), viewpoint, self.eye_box)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         return deviated_ray(self.forward, joined(viewpoint, tangents), tangents, viewpoint)
