@@ -46,7 +46,9 @@ def test_opengl_and_the_cpu_warp_the_same_frame(scene, bend, backend):
     except MissingGlError as error:
         pytest.skip(str(error))
     assert theirs.backend == backend
-    drawn, ours = (r.draw_warped(view(CAMERA), bend, with_geometry=True) for r in (theirs, open_rasteriser(scene, "cpu")))
+    drawn, ours = (
+        r.draw_warped(view(CAMERA), bend, with_geometry=True) for r in (theirs, open_rasteriser(scene, "cpu"))
+    )
     difference = np.abs(drawn.image.colour.astype(int) - ours.image.colour).max(axis=-1)
     # The texture unit mixes texels with 8-bit weights; a silhouette may fall on either side of a pixel's centre.
     assert (difference > 3).mean() < 0.005

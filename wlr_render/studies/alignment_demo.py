@@ -96,17 +96,18 @@ def run(options: Options, progress: Progress = silent) -> Result:
     """
     if options.viewpoints < 5:
         raise BadInputError(f"--viewpoints is {options.viewpoints}; a statement about the eye box needs 5 or more.")
-    folder = output_folder(options.out)
-    truth = traced_eye(load_device(options.device), options.eye)
+    device = load_device(options.device)
+    truth = traced_eye(device, options.eye)
     scene = load_scene(options.scene)
+    folder = output_folder(options.out)
     renderer = RayRenderer(scene)
     painters = _painters(truth, scene, renderer, options)
     places = judged_viewpoints(truth, options.viewpoints)
     seen = list(progress(_sights(truth, painters, places), len(places), "viewpoints"))
     tables = [_overall(truth, scene, seen), _by_viewpoint(seen)]
-    picture = _save_views(folder, options.device, truth, renderer, seen[1])
+    picture = _save_views(folder, device.name, truth, renderer, seen[1])
     write_text(folder / "misalignment.md", "\n".join(table.markdown() for table in tables))
-    write_text(folder / "misalignment.json", tables_as_json(tables, device=options.device, seed=options.seed))
+    write_text(folder / "misalignment.json", tables_as_json(tables, device=device.name, seed=options.seed))
     return Result(tables, picture)
 
 

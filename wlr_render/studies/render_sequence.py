@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
 METHODS = ("raster", "raytrace")
 MAP_SUFFIXES = ("tiff", "pfm")
+RECORD = "sequence.json"
 
 
 @dataclass(frozen=True)
@@ -107,11 +109,13 @@ def run(options: Options, progress: Progress = silent) -> Rendered:
     mappings = {eye: open_eye(_headset_of(options, number), eye) for number, eye in enumerate(options.eyes)}
     moments = planned_moments(options, mappings)
     scene = load_scene(options.scene)
+    record = _record(options, moments)
     folder = output_folder(options.out)
-    _claim(folder, options, moments)
+    _require_same_job(folder, record)
     missing = [moment for moment in moments if not _is_done(folder, moment, options)]
+    painters = _painters(options, mappings, scene) if missing else {}
+    write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
-        painters = _painters(options, mappings, scene)
         for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
             pass
     videos = tuple(_video(folder, eye, moments, options) for eye in options.eyes) if options.video else ()
@@ -119,6 +123,11 @@ def run(options: Options, progress: Progress = silent) -> Rendered:
 
 
 def _require_consistent(options: Options) -> None:
+    if options.method not in METHODS or options.maps not in (None, *MAP_SUFFIXES):
+        raise BadInputError(
+            f"Method '{options.method}' with maps '{options.maps}': the methods are {', '.join(METHODS)}, the maps "
+            f"{', '.join(MAP_SUFFIXES)}."
+        )
     if len(options.headset) not in (1, len(options.eyes)):
         raise BadInputError(
             f"{len(options.headset)} headsets are given for {len(options.eyes)} eyes; give one device, or one model "
@@ -130,8 +139,8 @@ def _require_consistent(options: Options) -> None:
         )
     if options.method == "raster" and (options.supersample != 1 or options.shadows):
         raise BadInputError("Supersampling and shadows need the method raytrace.")
-    if not options.frames_per_second > 0:
-        raise BadInputError(f"The frame rate is {options.frames_per_second}; it must be positive.")
+    if not 0 < options.frames_per_second < np.inf:
+        raise BadInputError(f"The frame rate is {options.frames_per_second}; it must be positive and finite.")
 
 
 def _headset_of(options: Options, number: int) -> str:
@@ -165,13 +174,15 @@ def _times(options: Options, head: HeadTrajectory | None, eyes: EyeTrajectory | 
         return np.zeros(1)
     start, end = max(first for first, _ in spans), min(last for _, last in spans)
     if end < start:
-        raise BadInputError(f"{options.head} and {options.eyes_file} do not overlap in time; record them together.")
+        files = " and ".join(str(path) for path in (options.head, options.eyes_file) if path)
+        raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
     times = start + np.arange(int((end - start) * options.frames_per_second + 1e-9) + 1) / options.frames_per_second
-    return np.asarray(times[: options.frame_limit])
+    # Rounding must not carry the last moment beyond the tracks.
+    return np.asarray(np.minimum(times, end)[: options.frame_limit])
 
 
-def _claim(folder: Path, options: Options, moments: list[Moment]) -> None:
-    """Write down what the folder's frames are, or refuse a folder that holds others."""
+def _record(options: Options, moments: list[Moment]) -> dict[str, Any]:
+    """What the folder's frames are, as plain JSON."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     for key in ("out", "video", "frame_limit", "backend"):  # these do not change what a frame shows
         job.pop(key)
@@ -184,21 +195,28 @@ def _claim(folder: Path, options: Options, moments: list[Moment]) -> None:
         }
         for m in moments
     ]
-    path = folder / "sequence.json"
-    job = json.loads(json.dumps(job))
-    if path.exists() and _job_of(path) != job:
-        raise BadInputError(
-            f"{folder}: holds the frames of another job ({path.name}); choose another folder or empty it."
-        )
     record = {"format": "wlr-sequence", "version": 1, "frame": "openxr", "job": job, "frames": frames}
-    write_text(path, json.dumps(record, indent=1) + "\n")
+    return dict(json.loads(json.dumps(record)))
 
 
-def _job_of(path: Path) -> object:
+def _require_same_job(folder: Path, record: dict[str, Any]) -> None:
+    """Refuse a folder whose frames are of other options, or of trajectories that have been changed since."""
+    path = folder / RECORD
+    if path.exists():
+        same = _same_job(path, record)
+    else:
+        same = not any((folder / frame["file"]).exists() for frame in record["frames"])
+    if not same:
+        raise BadInputError(f"{folder}: holds the frames of another job; choose another folder or empty it.")
+
+
+def _same_job(path: Path, record: dict[str, Any]) -> bool:
     try:
-        return json.loads(path.read_text(encoding="utf-8")).get("job")
-    except (json.JSONDecodeError, UnicodeDecodeError, AttributeError):
-        return None
+        earlier = json.loads(path.read_text(encoding="utf-8"))
+        frames = zip(earlier["frames"], record["frames"], strict=False)  # either may have been limited to fewer
+        return earlier["job"] == record["job"] and all(old == new for old, new in frames)
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError):
+        return False
 
 
 def _files(folder: Path, moment: Moment, options: Options) -> list[Path]:
