@@ -215,6 +215,10 @@ def _add_render(verbs: Verbs) -> None:
     parser.add_argument("--supersample", type=_count, default=1, help="rays per pixel and axis (raytrace)")
     parser.add_argument("--shadows", action="store_true", help="cast shadows (raytrace)")
     parser.add_argument("--materials", choices=("own", "gltf"), default="own", help="gltf: by pyrender (raster)")
+    parser.add_argument(
+        "--resolution", type=float, default=1.0, help="raster pixels per display pixel and axis (raster)"
+    )
+    parser.add_argument("--map-from", choices=("depth", "mesh"), default="depth", help="meet rays with what (raster)")
     parser.add_argument("--maps", choices=("tiff", "pfm"), help="also write each frame's warp map (raster)")
     parser.add_argument("--video", action="store_true", help="also write an .mp4 per eye")
     _add_backend(parser)
@@ -236,6 +240,8 @@ def _render(args: argparse.Namespace) -> None:
         supersample=args.supersample,
         shadows=args.shadows,
         materials=args.materials,
+        resolution=args.resolution,
+        map_from=args.map_from,
         maps=args.maps,
         video=args.video,
         backend=args.backend,

@@ -153,6 +153,15 @@ def test_backend_and_video_may_change_between_runs(options):
     assert render_sequence.run(replace(options, backend="auto", video=False)).kept == 1
 
 
+def test_map_from_the_mesh_shows_the_same_picture(options):
+    render_sequence.run(options)
+    meshed = replace(options, map_from="mesh", out=options.out.with_name("meshed"))
+    render_sequence.run(meshed)
+    depth, mesh = (read_png(each.out / "right-000000.png").astype(int) for each in (options, meshed))
+    differs = np.abs(depth - mesh).max(axis=-1) > 8
+    assert differs.mean() < 0.02  # silhouettes
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -163,8 +172,11 @@ def test_backend_and_video_may_change_between_runs(options):
         ({"headset": ("a", "b")}, "2 headsets are given for 1 eyes"),
         ({"frames_per_second": 0.0}, "frame rate is 0.0"),
         ({"frames_per_second": np.inf}, "frame rate is inf"),
-        ({"method": "paint"}, "the methods are raster, raytrace"),
-        ({"maps": "png"}, "maps tiff, pfm"),
+        ({"method": "raytrace", "map_from": "mesh"}, "no intermediate image"),
+        ({"method": "paint"}, "'paint' is no choice for 'method'; choose from raster, raytrace"),
+        ({"maps": "png"}, "'png' is no choice for 'maps'; choose from None, tiff, pfm"),
+        ({"map_from": "thin air"}, "choose from depth, mesh"),
+        ({"resolution": 0.0}, "resolution is 0.0"),
         ({"headset": ("norhtstar",)}, "Did you mean northstar"),
         ({"scene": "dosts"}, "Did you mean dots"),
         ({"eyes": ("left",), "headset": ("no_optics",)}, "no left eye"),
@@ -192,7 +204,9 @@ def test_a_viewpoint_outside_the_eye_box_names_file_time_and_eye(options, tmp_pa
     track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.zeros(3), step_m=(0.02, 0.0, 0.0))
     job = replace(options, eyes_file=track, frames_per_second=10.0)
     # 20 mm/s reach the box's edge, 5 mm out, after 0.25 s.
-    with pytest.raises(BadInputError, match=r"eyes\.txt at 0\.3000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"):
+    with pytest.raises(
+        BadInputError, match=r"eyes\.txt at 0\.3000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"
+    ):
         render_sequence.run(job)
     assert not options.out.exists()
 

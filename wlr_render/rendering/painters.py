@@ -159,8 +159,11 @@ class MeshWarpedPainter:
     The map is right everywhere; where the intermediate image hides a point, its colour is that of what hides it.
     """
 
-    def __init__(self, mappings: EyeMappings, rasteriser: Rasteriser, renderer: RayRenderer) -> None:
-        self._plain = WarpedPainter(mappings, rasteriser)
+    def __init__(
+        self, mappings: EyeMappings, rasteriser: Rasteriser, renderer: RayRenderer, resolution: float = 1.0
+    ) -> None:
+        """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
+        self._plain = WarpedPainter(mappings, rasteriser, resolution)
         self._traced = TracedPainter(mappings, renderer)
         self._rasteriser = rasteriser
         self._background = encode_srgb(renderer.scene.background)

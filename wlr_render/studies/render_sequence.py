@@ -16,7 +16,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
-from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_field import WarmStart
 from wlr_render.rendering.ray_render import RayRenderer
@@ -30,6 +30,8 @@ from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
 METHODS = ("raster", "raytrace")
 MAP_SUFFIXES = ("tiff", "pfm")
+MAPS_FROM = ("depth", "mesh")
+_RASTER_ONLY = ("maps", "materials", "resolution", "map_from")
 RECORD = "sequence.json"
 
 
@@ -49,6 +51,8 @@ class Options:
         supersample: rays per pixel and axis ("raytrace").
         shadows: whether surfaces cast shadows ("raytrace").
         materials: "own" or "gltf" ("raster").
+        resolution: of the intermediate image, as in `WarpedPainter` ("raster").
+        map_from: where a world ray meets the scene: in the intermediate image's "depth", or on the "mesh" ("raster").
         maps: also write the warp map of each frame ("raster"), as "tiff" or "pfm"; None for none.
         video: also write EYE.mp4.
         backend: who rasterises.
@@ -66,6 +70,8 @@ class Options:
     supersample: int = 1
     shadows: bool = False
     materials: str = "own"
+    resolution: float = 1.0
+    map_from: str = "depth"
     maps: str | None = None
     video: bool = False
     backend: str = "auto"
@@ -123,22 +129,29 @@ def run(options: Options, progress: Progress = silent) -> Rendered:
 
 
 def _require_consistent(options: Options) -> None:
-    if options.method not in METHODS or options.maps not in (None, *MAP_SUFFIXES):
-        raise BadInputError(
-            f"Method '{options.method}' with maps '{options.maps}': the methods are {', '.join(METHODS)}, the maps "
-            f"{', '.join(MAP_SUFFIXES)}."
-        )
+    choices = {
+        "method": (options.method, METHODS),
+        "maps": (options.maps, (None, *MAP_SUFFIXES)),
+        "map_from": (options.map_from, MAPS_FROM),
+    }
+    for name, (chosen, known) in choices.items():
+        if chosen not in known:
+            raise BadInputError(f"'{chosen}' is no choice for '{name}'; choose from {', '.join(map(str, known))}.")
     if len(options.headset) not in (1, len(options.eyes)):
         raise BadInputError(
             f"{len(options.headset)} headsets are given for {len(options.eyes)} eyes; give one device, or one model "
             "file per eye in the order of the eyes."
         )
-    if options.method == "raytrace" and (options.maps or options.materials != "own"):
+    plain = Options(options.headset, options.scene)
+    if options.method == "raytrace" and any(getattr(options, name) != getattr(plain, name) for name in _RASTER_ONLY):
         raise BadInputError(
-            "A ray-traced frame has no warp map and our own materials; use the method raster for those."
+            "A ray-traced frame has no warp map and no intermediate image, and our own materials; use the method "
+            "raster for those."
         )
     if options.method == "raster" and (options.supersample != 1 or options.shadows):
         raise BadInputError("Supersampling and shadows need the method raytrace.")
+    if not 0 < options.resolution <= 4:
+        raise BadInputError(f"The resolution is {options.resolution}; it must be above 0 and at most 4.")
     if not 0 < options.frames_per_second < np.inf:
         raise BadInputError(f"The frame rate is {options.frames_per_second}; it must be positive and finite.")
 
@@ -233,7 +246,10 @@ def _painters(options: Options, mappings: dict[str, EyeMappings], scene: Scene) 
         renderer = RayRenderer(scene)
         return {e: TracedPainter(m, renderer, options.supersample, options.shadows) for e, m in mappings.items()}
     rasteriser = open_rasteriser(scene, options.backend, options.materials)
-    return {eye: WarpedPainter(m, rasteriser) for eye, m in mappings.items()}
+    if options.map_from == "depth":
+        return {eye: WarpedPainter(m, rasteriser, options.resolution) for eye, m in mappings.items()}
+    renderer = RayRenderer(scene)
+    return {e: MeshWarpedPainter(m, rasteriser, renderer, options.resolution) for e, m in mappings.items()}
 
 
 def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments: list[Moment]) -> Iterator[Moment]:
