@@ -130,6 +130,7 @@ def _clip_from_world(view: View) -> NDArray[np.float64]:
     (left, bottom), (right, top) = view.camera.tangent_min, view.camera.tangent_max
     projection = np.zeros((4, 4))
     projection[0, 0], projection[0, 2] = 2 / (right - left), (right + left) / (right - left)
-    projection[1, 1], projection[1, 2] = 2 / (top - bottom), (top + bottom) / (top - bottom)
+    # Turned over: the top row comes first, as in the map.
+    projection[1, 1], projection[1, 2] = -2 / (top - bottom), -(top + bottom) / (top - bottom)
     projection[2, 2], projection[2, 3], projection[3, 2] = -1.0, -2 * near, -1.0
     return np.asarray(projection @ np.linalg.inv(view.world_from_camera))
