@@ -69,7 +69,7 @@ def test_a_panel_driven_by_the_truth_shows_the_real_object_where_it_is(headset):
     viewpoint = headset.eye_box.at(np.array([0.8, -0.7, 0.6]))
     renderer = RayRenderer(ball_and_board())
     seen = eye_view(headset, renderer, viewpoint, HEAD_POSE, eyeball_camera(headset, viewpoint))
-    painter = TracedPainter(headset, renderer, supersample=3, shadows=True)
+    painter = TracedPainter(headset, renderer, supersample=2, shadows=True)
     virtual = seen.with_display(painter.paint(viewpoint, HEAD_POSE).colour, see_through=0.0)
     assert np.corrcoef(virtual.ravel(), seen.real.ravel())[0, 1] > 0.98
     # What is left is the jagged edges of the eyeball camera's own picture.
