@@ -78,4 +78,10 @@ def test_the_picture_shows_every_panorama_with_its_close_up(tmp_path):
     assert (rows[0] < rows[1]).all()  # close-ups lie below
     assert (np.diff(across, axis=1) > 100).all()  # in the given order
     np.testing.assert_allclose(across[0], across[1], atol=30)
+    # The yellow frame in the first overview stands where the close-up looks.
+    yellow, first = (np.argwhere((np.abs(picture - c) <= 2).all(axis=-1)) for c in ((255, 255, 0), colours[0]))
+    framed = yellow[yellow[:, 1] <= first[:, 1].max()].mean(axis=0)
+    share = (framed - first.min(axis=0)) / np.ptp(first, axis=0)
+    centre = overview.pixel_of_tangents(np.array([0.1, 0.1]))[::-1] / [overview.height_px, overview.width_px]
+    np.testing.assert_allclose(share, centre, atol=0.01)
     assert [path.name for path in tmp_path.iterdir()] == ["picture.png"]

@@ -12,7 +12,7 @@ from wlr_render.rendering import gl
 from wlr_render.rendering.painters import TracedPainter, WarpedPainter
 from wlr_render.rendering.raster import GlRaster
 from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_field import choose_plan, ray_field
+from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.view import View
 from wlr_render.studies import bench
@@ -48,11 +48,20 @@ def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model):
     assert 0 < bench.map_error_px(small_panel_model, viewpoint) < 0.02
 
 
-def test_a_coarse_map_has_a_larger_error(small_panel_model, monkeypatch):
-    viewpoint = small_panel_model.eye_box.centre
-    fine = bench.map_error_px(small_panel_model, viewpoint)
-    monkeypatch.setattr("wlr_render.rendering.ray_field.NODE_COUNTS", (3,))
-    assert bench.map_error_px(small_panel_model, viewpoint) > 10 * fine
+@pytest.mark.parametrize("component", [0, 3])
+def test_the_maps_error_is_that_of_its_worst_pixel(small_panel_model, monkeypatch, component):
+    """One pixel is moved by a third of a pixel, at infinity by its tangent or at 0.25 m by its offset."""
+
+    def with_a_fault(mappings, viewpoint, plan):
+        field = ray_field(mappings, viewpoint, plan)
+        a, b = field.bend[0, 40, 30:32], field.bend[1, 40:42, 30]
+        pixel_size = min(abs(np.diff(a)[0]), abs(np.diff(b)[0]))
+        field.bend[component, 40, 30] += pixel_size / 3 * (1.0 if component == 0 else NEAREST_M)
+        return field
+
+    monkeypatch.setattr(bench, "ray_field", with_a_fault)
+    error = bench.map_error_px(small_panel_model, small_panel_model.eye_box.centre)
+    assert error == pytest.approx(1 / 3, rel=0.1)
 
 
 def test_raw_embree_finds_what_our_tracer_finds(scene, small_panel_model):

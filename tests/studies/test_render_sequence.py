@@ -1,3 +1,4 @@
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
 from wlr_render.rendering.image_files import read_map, read_png
+from wlr_render.rendering.painters import WarpedPainter
 from wlr_render.studies import render_sequence
 from wlr_render.studies.headset import open_eye
 from wlr_render.studies.render_sequence import Options
@@ -81,6 +83,26 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
     assert pictures(again.out) == pictures(moving.out)
     assert (again.out / "sequence.json").read_bytes() == (moving.out / "sequence.json").read_bytes()
     assert len(set(pictures(moving.out).values())) == 5
+
+
+def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monkeypatch):
+    painted = []
+    paint = WarpedPainter.paint
+
+    def spy(painter, viewpoint, world_from_device, warm_start=None, with_geometry=False):
+        frame = paint(painter, viewpoint, world_from_device, warm_start, with_geometry)
+        painted.append((painter, warm_start, frame.field.warm_start))
+        return frame
+
+    monkeypatch.setattr(WarpedPainter, "paint", spy)
+    head = still_head(tmp_path / "head.tum", [0.0, 0.2])
+    render_sequence.run(replace(options, head=head, eyes=("left", "right"), frames_per_second=10.0))
+    assert len(painted) == 6
+    for eye in (0, 1):
+        own = painted[eye::2]
+        assert len({painter for painter, _, _ in own}) == 1
+        assert own[0][1] is None
+        assert all(later[1] is earlier[2] for earlier, later in itertools.pairwise(own))
 
 
 def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
