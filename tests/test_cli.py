@@ -295,6 +295,8 @@ def test_render_options_reach_the_job(monkeypatch):
     files = ["--head", "h.tum", "--eye-track", "e.txt"]
     drawing = ["--method", "raytrace", "--supersample", "2", "--shadows", "--fps", "72", "--frames", "9"]
     assert main(["render", "l.json", "r.json", "desk", "--eye", "both", *files, *drawing, "--video"]) == 0
+    warping = ["--materials", "gltf", "--resolution", "1.5", "--map-from", "mesh", "--maps", "pfm"]
+    assert main(["render", "northstar", "desk", *warping, "--backend", "osmesa", "--out", "elsewhere"]) == 0
     assert given == [
         render_sequence.Options(
             headset=("l.json", "r.json"),
@@ -308,7 +310,17 @@ def test_render_options_reach_the_job(monkeypatch):
             supersample=2,
             shadows=True,
             video=True,
-        )
+        ),
+        render_sequence.Options(
+            headset=("northstar",),
+            scene="desk",
+            materials="gltf",
+            resolution=1.5,
+            map_from="mesh",
+            maps="pfm",
+            backend="osmesa",
+            out=Path("elsewhere"),
+        ),
     ]
 
 
