@@ -8,9 +8,12 @@
 uniform sampler2D bend;  // a, b, c, d
 uniform sampler2D picture;
 uniform sampler2D inverse_depth;
-uniform sampler2D largest_inverse_depth;  // one texel
 uniform vec4 lens;
 uniform vec3 background;
+
+flat in vec2 per_bend_texel;
+flat in vec2 per_texel;  // of picture and inverse_depth
+flat in float largest;  // inverse depth in the whole image
 
 layout(location = 0) out vec4 colour_and_status;
 layout(location = 1) out vec2 source;
@@ -19,14 +22,14 @@ const float NOWHERE = uintBitsToFloat(0x7fc00000u);
 
 float nearest_inverse_depth(vec2 pixel)
 {
-    return texture(inverse_depth, pixel / vec2(textureSize(inverse_depth, 0))).r;
+    return texture(inverse_depth, pixel * per_texel).r;
 }
 
 float smooth_inverse_depth(vec2 pixel)
 {
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
-    vec2 shared_corner = (base + 1.0) / vec2(textureSize(inverse_depth, 0));
+    vec2 shared_corner = (base + 1.0) * per_texel;
     vec4 taps = textureGather(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
     float high = max(max(taps.x, taps.y), max(taps.z, taps.w));
     float low = min(min(taps.x, taps.y), min(taps.z, taps.w));
@@ -38,7 +41,7 @@ vec3 colour_at(vec2 pixel)
 {
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
-    vec2 texel = (base + 0.5) / vec2(textureSize(picture, 0));
+    vec2 texel = (base + 0.5) * per_texel;
     vec3 upper = mix(texture(picture, texel).rgb, textureOffset(picture, texel, ivec2(1, 0)).rgb, weight.x);
     vec3 lower = mix(
         textureOffset(picture, texel, ivec2(0, 1)).rgb, textureOffset(picture, texel, ivec2(1, 1)).rgb, weight.x
@@ -48,8 +51,7 @@ vec3 colour_at(vec2 pixel)
 
 int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)
 {
-    float nearest = texelFetch(largest_inverse_depth, ivec2(0), 0).r;
-    float seen = nearest_inverse_depth(at_infinity + nearest * shift);
+    float seen = nearest_inverse_depth(at_infinity + largest * shift);
     pixel = at_infinity + seen * shift;
     vec2 previous;
     float previously_seen;
@@ -68,7 +70,7 @@ int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)
 
 void main()
 {
-    vec4 ray = texture(bend, gl_FragCoord.xy / vec2(textureSize(bend, 0)));
+    vec4 ray = texture(bend, gl_FragCoord.xy * per_bend_texel);
     bool lost = any(isnan(ray));
     ray = lost ? vec4(0.0) : ray;
     vec2 pixel;

@@ -91,9 +91,9 @@ class GlContext:
             )
         return self._programs[key]
 
-    def full_screen(self, fragment: str, **constants: float) -> VertexArray:
+    def full_screen(self, fragment: str, vertex: str = "full_screen.vert", **constants: float) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self._ctx.vertex_array(self.program("full_screen.vert", fragment, **constants), [])
+        return self._ctx.vertex_array(self.program(vertex, fragment, **constants), [])
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
         """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4" or "i4"."""

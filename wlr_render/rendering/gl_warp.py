@@ -36,7 +36,7 @@ class GlWarp:
         self._targets: _Targets | None = None
         self._tiles: tuple[gl.Texture, gl.Texture] | None = None
         with context.drawing():
-            self._warp = context.full_screen("warp.frag", **_CONSTANTS)
+            self._warp = context.full_screen("warp.frag", "warp.vert", **_CONSTANTS)
             self._largest = context.full_screen("largest.frag")
 
     def warp(

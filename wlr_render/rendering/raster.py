@@ -16,6 +16,7 @@ from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
 from wlr_render.rendering.gpu_image import GpuImage, lens_of, rgb_of_rgba
 from wlr_render.rendering.scene import Mesh, Scene
+from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.view import GeometryImage, View
 
 NEAR_M = 0.05
@@ -26,10 +27,11 @@ _EXTRA = {"position": (3, "f4"), "normal": (3, "f4"), "ids": (2, "i4")}
 
 @dataclass(frozen=True, eq=False)
 class _Pass:
-    """A program and the scene's meshes bound to it."""
+    """A program, the scene's meshes bound to it, and what fills the rest."""
 
     program: gl.Program
     meshes: list[gl.VertexArray]
+    background: gl.VertexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,6 @@ class GlRaster:
         self._targets: dict[bool, _Targets] = {}
         self._passes: dict[bool, _Pass] = {}
         with context.drawing():
-            self._background = context.full_screen("background.frag")
             self._textures = [None if m.texture is None else context.srgb_texture(m.texture) for m in scene.meshes]
             self._pass_for(with_extra=False)
 
@@ -91,8 +92,8 @@ class GlRaster:
             if texture is not None:
                 texture.use(0)
             drawing.meshes[instance.mesh].render()
-        gl.set_uniforms(self._background.program, background=_triple(self._scene.background))
-        self._background.render(vertices=3)
+        gl.set_uniforms(drawing.background.program, background=_triple(encode_srgb(self._scene.background) / 255))
+        drawing.background.render(vertices=3)
         return targets.textures
 
     def _pass_for(self, with_extra: bool) -> _Pass:
@@ -106,7 +107,8 @@ class GlRaster:
                 WITH_EXTRA=int(with_extra),
             )
             meshes = [_upload(self._context, program, mesh) for mesh in self._scene.meshes]
-            self._passes[with_extra] = _Pass(program, meshes)
+            background = self._context.full_screen("background.frag", WITH_EXTRA=int(with_extra))
+            self._passes[with_extra] = _Pass(program, meshes, background)
         return self._passes[with_extra]
 
     def _targets_for(self, view: View, with_extra: bool) -> _Targets:
