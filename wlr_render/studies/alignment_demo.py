@@ -32,7 +32,7 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.eye_view import EyeView, eye_view
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.rasteriser import Rasteriser, open_rasteriser
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
@@ -99,9 +99,10 @@ def run(options: Options, progress: Progress = silent) -> Result:
     device = load_device(options.device)
     truth = traced_eye(device, options.eye)
     scene = load_scene(options.scene)
+    rasteriser = open_rasteriser(scene, options.backend)
     folder = output_folder(options.out)
     renderer = RayRenderer(scene)
-    painters = _painters(truth, scene, renderer, options)
+    painters = _painters(truth, renderer, rasteriser, options.seed)
     places = judged_viewpoints(truth, options.viewpoints)
     seen = list(progress(_sights(truth, painters, places), len(places), "viewpoints"))
     tables = [_overall(truth, scene, seen), _by_viewpoint(seen)]
@@ -118,13 +119,12 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
     return truth.eye_box.at(unit)
 
 
-def _painters(truth: EyeMappings, scene: Scene, renderer: RayRenderer, options: Options) -> dict[str, Painter]:
-    captures = simulated_captures(truth, options.seed)
+def _painters(truth: EyeMappings, renderer: RayRenderer, rasteriser: Rasteriser, seed: int) -> dict[str, Painter]:
+    captures = simulated_captures(truth, seed)
     planar = fit_eye(captures, "planar", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
     static = fit_eye(captures, "static", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
     flat, _ = fit_display(captures.display, "static", 1)
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
-    rasteriser = open_rasteriser(scene, options.backend)
     return {
         "naive": TracedPainter(naive, renderer),
         "static": TracedPainter(static, renderer),

@@ -61,9 +61,9 @@ def run(options: Options, progress: Progress = silent) -> Result:
     viewpoint = mappings.eye_box.centre + 1e-3 * np.asarray(options.viewpoint_offset_mm)
     require_in_eye_box(mappings, viewpoint, "--viewpoint-offset-mm")
     scene = load_scene(options.scene)
-    folder = output_folder(options.out)
-    renderer = RayRenderer(scene)
     rasteriser = open_rasteriser(scene, options.backend)
+    renderer = RayRenderer(scene)
+    folder = output_folder(options.out)
     traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
     ways: dict[str, Painter] = {
         "raster + warp": WarpedPainter(mappings, rasteriser),
