@@ -35,6 +35,6 @@ def require_in_eye_box(mappings: EyeMappings, viewpoint: FloatArray, where: str)
         at, low_text, high_text = (", ".join(f"{x:.2f}" for x in v) for v in (viewpoint * 1e3, low, high))
         raise BadInputError(
             f"{where}: the viewpoint ({at}) mm lies outside the eye box of {mappings.name}, ({low_text}) to "
-            f"({high_text}) mm in the device frame; correct the eye position, or enlarge the eye box in the device file or "
-            "in the captures that the model is fitted to."
+            f"({high_text}) mm in the device frame; correct the eye position, or enlarge the eye box in the device file"
+            " or in the captures that the model is fitted to."
         )
