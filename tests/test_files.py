@@ -62,10 +62,9 @@ def read_a(tmp_path, text):
 
 
 def test_readers_of_every_kind(tmp_path):
-    content = table(tmp_path, 'v = [1, 2]\nt = "x"\nl = ["a"]\nf = true\n[s]\nk = 1\n[[r]]\nk = 2\n[[r]]\nk = 3')
+    content = table(tmp_path, 'v = [1, 2]\nt = "x"\nf = true\n[s]\nk = 1\n[[r]]\nk = 2\n[[r]]\nk = 3')
     assert content.vector("v", 2).tolist() == [1, 2]
     assert content.text("t", choices=["x"]) == "x"
-    assert content.texts("l") == ["a"]
     assert content.flag("f", False)
     assert content.table("s").number("k") == 1
     assert [row.number("k") for row in content.tables("r")] == [2, 3]

@@ -164,13 +164,6 @@ class Table:
             raise self.fail(f"'{key}' must be a list of {size} numbers, not {value!r}.")
         return np.array([self._number(item, key) for item in value])
 
-    def texts(self, key: str) -> list[str]:
-        """A list of strings."""
-        value = self._get(key)
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            raise self.fail(f"'{key}' must be a list of texts, not {value!r}.")
-        return list(value)
-
     def table(self, key: str) -> "Table":
         """A sub-table `[key]`."""
         value = self._get(key)

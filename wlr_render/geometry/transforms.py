@@ -61,21 +61,6 @@ def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def quaternion_of_rotation(rotation: FloatArray) -> FloatArray:
-    """(3, 3) -> (4,) unit quaternion xyzw with w >= 0.
-
-    Takes the eigenvector of the largest eigenvalue of a symmetric 4x4 matrix (Bar-Itzhack 2000), which has no
-    branch and no weak spot at half turns.
-    """
-    r = np.asarray(rotation, dtype=np.float64)
-    k = np.zeros((4, 4))
-    k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
-    k[:3, 3] = k[3, :3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
-    k[3, 3] = np.trace(r)
-    xyzw = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(xyzw if xyzw[3] >= 0 else -xyzw)
-
-
 def slerp(first_xyzw: FloatArray, second_xyzw: FloatArray, fraction: FloatArray) -> FloatArray:
     """Spherical interpolation between unit quaternions (..., 4) at `fraction` (...) in 0..1, the short way."""
     cosine = np.sum(first_xyzw * second_xyzw, axis=-1)

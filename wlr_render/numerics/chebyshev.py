@@ -24,25 +24,3 @@ def interpolation_matrix(count: int, low: float, high: float, at: FloatArray) ->
     hit = exact.any(axis=1)
     matrix[hit] = exact[hit]
     return np.asarray(matrix)
-
-
-def tail(values: FloatArray) -> FloatArray:
-    """How much of a field is left in its highest-order coefficients: an estimate of the interpolation error.
-
-    Args:
-        values: (rows, columns, outputs) at the tensor nodes.
-
-    Returns:
-        (outputs,) sum of the absolute Chebyshev coefficients whose row or column order is among the last two.
-    """
-    spectrum = values
-    for axis in (0, 1):
-        count = values.shape[axis]
-        k = np.arange(count)
-        cosine = np.cos(np.outer(k, (k + 0.5) * np.pi / count)) * (2.0 / count)
-        cosine[0] *= 0.5
-        # The nodes ascend, so odd orders change sign; only magnitudes are used here.
-        spectrum = np.moveaxis(np.tensordot(cosine, spectrum, axes=(1, axis)), 0, axis)
-    magnitude = np.abs(spectrum)
-    magnitude[:-2, :-2] = 0.0
-    return np.asarray(magnitude.sum(axis=(0, 1)))
