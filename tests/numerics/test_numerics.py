@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from numpy.polynomial import chebyshev as numpy_chebyshev
@@ -109,5 +111,5 @@ def test_chebyshev_interpolation_is_exact_for_polynomials_and_converges_geometri
         node = chebyshev.nodes(count, -1, 1)
         weights = chebyshev.interpolation_matrix(count, -1, 1, fine)
         errors.append(np.abs(weights @ np.exp(np.sin(4 * node)) - np.exp(np.sin(4 * fine))).max())
-    assert all(later < 0.3 * earlier for earlier, later in zip(errors, errors[1:], strict=False))
+    assert all(later < 0.3 * earlier for earlier, later in itertools.pairwise(errors))
     assert errors[-1] < 1e-3
