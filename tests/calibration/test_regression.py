@@ -40,7 +40,7 @@ def test_compressed_fit_equals_plain_least_squares_on_all_rows(degree):
 
 
 def test_held_out_error_equals_leaving_each_group_out_by_hand():
-    regression = noisy_deviation(groups=5)  # as many groups as folds: each fold is one group
+    regression = noisy_deviation(groups=5)  # fewer groups than folds: each fold is one group
     fitted = fit(regression, None)
     assert [entry.degree for entry in fitted.held_out] == [1, 2, 3, 4, 5, 6, 7]
     for entry in fitted.held_out:

@@ -23,7 +23,7 @@ HIGHEST_DEGREE = 7
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero; sound designs stay above 1e-5."""
 
-_FOLDS = 5
+_FOLDS = 10
 _BLOCK = 8_192  # samples per compression step
 _BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 

@@ -1,6 +1,7 @@
 """Eye models as files: one JSON text per eye, readable without this package.
 
     format "wlr-eye-model", version 1, package_version, frame "openxr", name, device, eye
+    units        {length "m", direction "tangent", pixel "px"}
     eye_box      {centre_m, size_m}
     display      {kind, panel {width_px, height_px}, base_plane {z_m} (planar only), and its polynomials}
     see_through  {kind, base_plane {z_m} (planar only), and its polynomials}
@@ -35,6 +36,7 @@ from wlr_render.numerics.polynomial import Box, Polynomial, exponents, term_coun
 
 FORMAT = "wlr-eye-model"
 VERSION = 1
+_UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
 # A new model needs a line here and nothing else: its fields and FORMS say how it is written.
 DISPLAYS: dict[str, type[Any]] = {
@@ -77,6 +79,7 @@ def save_eye_model(path: str | Path, model: EyeModel) -> Path:
         "version": VERSION,
         "package_version": metadata.version("wlr_render"),
         "frame": "openxr",
+        "units": _UNITS,
         "name": eye.name,
         "device": model.device,
         "eye": eye.eye,
@@ -133,6 +136,10 @@ def _check_header(table: Table) -> None:
         raise table.fail(f"has version {version:g}; this program reads version {VERSION}: calibrate again.")
     table.text("package_version")
     table.text("frame", choices=["openxr"])
+    units = table.table("units")
+    for quantity, unit in _UNITS.items():
+        units.text(quantity, choices=[unit])
+    units.finish()
 
 
 def _mapping_record(mapping: object, kinds: dict[str, type[Any]]) -> dict[str, Any]:
