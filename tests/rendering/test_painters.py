@@ -149,6 +149,8 @@ def test_pixels_without_a_ray_show_the_background_and_nothing_else(toy_headset_w
     np.testing.assert_array_equal((frame.colour == encode_srgb(np.array(GREEN, np.float32))).all(axis=-1), hole)
     if frame.source is not None:
         np.testing.assert_array_equal(np.isnan(frame.source).any(axis=-1), hole)
+    if way == "plain":
+        np.testing.assert_array_equal(frame.warp_status == WarpStatus.NO_RAY, hole)
 
 
 @pytest.mark.parametrize("way", ["traced", "plain"])

@@ -1,6 +1,6 @@
 """Frames of one eye: what its panel must show for a viewpoint and a head pose, by ray tracing or by raster and warp."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +26,7 @@ class Frame:
     Attributes:
         colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
         field: the world rays; `field.status` says why a pixel has none, `field.warm_start` starts the next frame.
+        warp_status: (height, width) uint8, one `WarpStatus` each; None for frames that were not met with a depth image.
         position: (height, width, 3) float32, the world point that each pixel shows, NaN where none; on request.
         source: (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the intermediate image
             and the inverse depth found there (1/m), NaN where none; on request, None for a ray-traced frame.
@@ -34,6 +35,7 @@ class Frame:
 
     colour: NDArray[np.uint8]
     field: RayField
+    warp_status: NDArray[np.uint8] | None = None
     position: Float32Array | None = None
     source: Float32Array | None = None
     view: View | None = None
@@ -97,11 +99,11 @@ class TracedPainter:
             )
         if not self._sample_plans:
             assert image is not None
-            return Frame(image.colour, field, image.position)
+            return Frame(image.colour, field, position=image.position)
         fields = (ray_field(self._mappings, viewpoint, plan, field.warm_start) for plan in self._sample_plans)
         samples = ((lambda rows, f=f: f.world_rays(world_from_device, rows)) for f in fields)
         colour = self._renderer.render_supersampled(field.shape, samples, self._shadows)
-        return Frame(colour, field, image.position if image is not None else None)
+        return Frame(colour, field, position=image.position if image is not None else None)
 
 
 def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
@@ -147,10 +149,12 @@ class WarpedPainter:
         field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
         view = View(self._camera, viewpoint, world_from_device, self._plan.device_from_camera)
         warped = self._rasteriser.draw_warped(view, field.bend, with_geometry)
+        frame = Frame(warped.image.colour, field, warped.image.status)
         if warped.intermediate is None or warped.image.source is None:
-            return Frame(warped.image.colour, field)
+            return frame
         source = with_inverse_depth(warped.intermediate, warped.image.source)
-        return Frame(warped.image.colour, field, position_of_source(view, source), source, view, warped.intermediate)
+        position = position_of_source(view, source)
+        return replace(frame, position=position, source=source, view=view, intermediate=warped.intermediate)
 
 
 class MeshWarpedPainter:
@@ -182,7 +186,7 @@ class MeshWarpedPainter:
         intermediate = self._rasteriser.draw(view)
         source = source_of_position(view, traced.position)
         colour, _ = remap(intermediate.colour, source[..., :2], self._background)
-        return Frame(np.asarray(colour, np.uint8), traced.field, traced.position, source, view, intermediate)
+        return replace(traced, colour=np.asarray(colour, np.uint8), source=source, view=view, intermediate=intermediate)
 
 
 def source_of_position(view: View, position: Float32Array) -> Float32Array:
