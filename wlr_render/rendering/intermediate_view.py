@@ -180,7 +180,7 @@ def _mesh(pyrender: Any, mesh: Mesh) -> Any:
 
 
 def _light(pyrender: Any, light: Light) -> Any:
-    strength = float(max(light.colour.max(), 1e-12))
+    strength = max(float(light.colour.max()), 1e-12)
     kind = pyrender.PointLight if light.kind == "point" else pyrender.DirectionalLight
     return kind(color=light.colour / strength, intensity=strength * _BRDF_NORMALISATION)
 
