@@ -10,7 +10,7 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.rasteriser import Rasteriser
-from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, ray_field
+from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, asked_tangents, choose_plan, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
@@ -204,8 +204,8 @@ def covering_camera(mappings: EyeMappings, plan: FieldPlan, resolution: float) -
     """
     box, panel = mappings.eye_box, mappings.display.panel
     corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-    fields = (ray_field(mappings, box.at(corner), plan) for corner in [np.zeros(3), *corners])
-    tangents = np.concatenate([field.asked_tangents() for field in fields])
+    axes = plan.device_from_camera
+    tangents = np.concatenate([asked_tangents(mappings, axes, box.at(unit)) for unit in [np.zeros(3), *corners]])
     area = np.prod(np.nanmax(tangents, axis=0) - np.nanmin(tangents, axis=0))
     return Pinhole.covering(tangents, resolution * float(np.sqrt(panel.width_px * panel.height_px / area)))
 

@@ -18,6 +18,7 @@ Float32Array = NDArray[np.float32]
 
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64
+_GRID = 33
 NEAREST_M = 0.25
 """Nearest distance at which the field's error is judged; an offset of the ray counts more the nearer the scene."""
 
@@ -86,16 +87,6 @@ class RayField:
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.bend.shape[1], self.bend.shape[2]
-
-    def asked_tangents(self) -> FloatArray:
-        """Tangents (n, 2) under which the viewpoint sees the rays' points at infinity and at the nearest depth.
-
-        Every eighth pixel and the borders: what a raster camera must cover.
-        """
-        height, width = self.shape
-        some = self.bend[:, np.r_[0:height:8, height - 1]][:, :, np.r_[0:width:8, width - 1]]
-        a_b, c_d = some.reshape(4, -1)[:2], some.reshape(4, -1)[2:]
-        return np.concatenate([a_b, a_b + c_d / NEAREST_M], axis=1).T.astype(np.float64)
 
     def world_rays(self, world_from_device: FloatArray, rows: slice = slice(None)) -> tuple[Float32Array, Float32Array]:
         """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
@@ -262,6 +253,17 @@ def _worst_px(error_px: FloatArray) -> float:
     """The largest of (n,) errors that are known; infinity where none is, because a node itself has no answer."""
     known = error_px[np.isfinite(error_px)]
     return float(known.max()) if known.size else np.inf
+
+
+def asked_tangents(mappings: EyeMappings, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Tangents (n, 2) under which a viewpoint sees the rays' points at infinity and at the nearest depth.
+
+    What a raster camera must cover, from a grid of pixels that reaches the panel's borders; NaN where there is no ray.
+    """
+    panel = mappings.display.panel
+    u, v = (np.linspace(0.5, size - 0.5, _GRID) for size in (panel.width_px, panel.height_px))
+    bend = _solve(mappings, device_from_camera, np.stack(np.meshgrid(u, v), axis=-1), viewpoint).bend.reshape(-1, 4)
+    return np.concatenate([bend[:, :2], bend[:, :2] + bend[:, 2:] / NEAREST_M])
 
 
 def middle_axes(mappings: EyeMappings) -> FloatArray:
