@@ -59,7 +59,7 @@ def load_meshes(path: str | Path) -> MeshFile:
     names = [name for name, geometry in source.geometry.items() if hasattr(geometry, "faces")]
     meshes = tuple(_mesh(path, name, source.geometry[name]) for name in names)
     if not meshes:
-        raise BadInputError(f"{path}: holds no triangles.")
+        raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
     placed = [(node, *source.graph.get(node)) for node in source.graph.nodes_geometry]
     instances = tuple(
         Instance(str(node), names.index(name), np.array(matrix, dtype=np.float64))
@@ -118,7 +118,7 @@ def _loaded(path: Path) -> Any:
         source = trimesh.load_scene(str(path), process=False, resolver=neighbours)
     except Exception as error:
         reason = neighbours.faults[0] if neighbours.faults else f"{type(error).__name__}: {error}"
-        raise BadInputError(f"{path}: cannot be read; {reason}.") from error
+        raise BadInputError(f"{path}: cannot be read as a mesh ({reason}); export it again.") from error
     if neighbours.faults:
         raise BadInputError(f"{path}: {neighbours.faults[0]}; put it beside this one.")
     return source
