@@ -70,7 +70,7 @@ def _add_eye(parser: argparse._ActionsContainer) -> None:
 
 
 def _add_seed(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument("--seed", type=int, default=1, help="of all random numbers")
+    parser.add_argument("--seed", type=_seed, default=1, help="of all random numbers")
 
 
 def _add_backend(parser: argparse.ArgumentParser) -> None:
@@ -86,6 +86,21 @@ def _count(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is not 0 or more")
+    return value
+
+
+def _few(text: str) -> int:
+    """Degrees and rays per pixel and axis: beyond this they only cost time."""
+    value = _count(text)
+    if value > 12:
+        raise argparse.ArgumentTypeError(f"{value} is more than 12")
     return value
 
 
@@ -146,8 +161,8 @@ def _add_calibrate(verbs: Verbs) -> None:
     source.add_argument("--captures", type=Path, metavar="FILE", help="fit a capture file (.npz)")
     kinds = ("planar", "volumetric", "static", "point-per-pixel")
     parser.add_argument("--kind", choices=kinds, default="planar", help="of model")
-    parser.add_argument("--degree", type=_count, help="of the display; chosen by held-out viewpoints if not given")
-    parser.add_argument("--see-through-degree", type=_count, help="likewise for see-through")
+    parser.add_argument("--degree", type=_few, help="of the display; chosen by held-out viewpoints if not given")
+    parser.add_argument("--see-through-degree", type=_few, help="likewise for see-through")
     simulated = parser.add_argument_group("with --simulate")
     simulated.add_argument("--viewpoints", type=_count, default=25, help="camera positions")
     simulated.add_argument("--noise-px", type=_not_negative, default=0.25, help="camera noise; a pixel is 1 arcmin")
@@ -212,7 +227,7 @@ def _add_render(verbs: Verbs) -> None:
     parser.add_argument("--method", choices=("raster", "raytrace"), default="raster", help="how frames are drawn")
     parser.add_argument("--fps", type=float, default=30.0, help="frames per second")
     parser.add_argument("--frames", type=_count, help="at most so many moments")
-    parser.add_argument("--supersample", type=_count, default=1, help="rays per pixel and axis (raytrace)")
+    parser.add_argument("--supersample", type=_few, default=1, help="rays per pixel and axis (raytrace)")
     parser.add_argument("--shadows", action="store_true", help="cast shadows (raytrace)")
     parser.add_argument("--materials", choices=("own", "gltf"), default="own", help="gltf: by pyrender (raster)")
     parser.add_argument(

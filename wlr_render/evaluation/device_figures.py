@@ -123,7 +123,8 @@ def figures_table(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) ->
     notes = (
         f"Field through straight ahead: {extent.left_deg:.1f} to {extent.right_deg:+.1f} degrees horizontally,"
         f" {extent.down_deg:.1f} to {extent.up_deg:+.1f} vertically.",
-        f"Eye box {box_mm} mm, {_BOX_STEPS**3} viewpoints; {_COLUMNS} x {_ROWS} directions over {judged}.",
+        f"Eye box {box_mm} mm, {_BOX_STEPS**3} viewpoints; {_COLUMNS} x {_ROWS} directions over {judged},"
+        f" of which {len(_judged_pixels(mappings))} meet the panel.",
     )
     columns = ("figure", "mean (arcmin)", "rms (arcmin)", "max (arcmin)")
     return ReportTable(f"{mappings.name}, {mappings.eye} eye", columns, rows, notes)

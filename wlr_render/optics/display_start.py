@@ -62,7 +62,10 @@ def fit_display_start(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye_box: 
     half = 0.5 * eye_box.size
     box = Box(np.r_[0.0, 0.0, eye_box.centre - half], np.r_[panel.size_px, eye_box.centre + half])
     targets = np.broadcast_to(tangents, pixel.shape)[kept]
-    solution = least_squares.solve(basis(inputs, _DEGREE, box), targets)
+    try:
+        solution = least_squares.solve(basis(inputs, _DEGREE, box), targets)
+    except least_squares.RankDeficientError as error:
+        raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.") from error
     return DisplayStart(Polynomial(_DEGREE, box, solution.coefficients))
 
 
