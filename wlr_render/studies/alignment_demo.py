@@ -99,6 +99,8 @@ def run(options: Options, progress: Progress = silent) -> Result:
     device = load_device(options.device)
     truth = traced_eye(device, options.eye)
     scene = load_scene(options.scene)
+    if np.all(scene.bounds[:, 2] >= truth.eye_box.centre[2]):
+        raise BadInputError(f"The scene '{scene.name}' lies wholly behind the head; place it at negative z, in front.")
     rasteriser = open_rasteriser(scene, options.backend)
     folder = output_folder(options.out)
     renderer = RayRenderer(scene)
