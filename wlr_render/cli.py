@@ -199,6 +199,7 @@ def _add_evaluate(verbs: Verbs) -> None:
 def _evaluate(args: argparse.Namespace) -> None:
     from dataclasses import replace
 
+    from wlr_render.files import output_folder
     from wlr_render.studies import sampling_study
     from wlr_render.terminal import print_table, progress_bar
 
@@ -210,6 +211,7 @@ def _evaluate(args: argparse.Namespace) -> None:
         seed=args.seed,
         workers=args.workers,
     )
+    output_folder(args.out)  # a minute's work must not end at a folder that cannot be written
     report = sampling_study.run(options, progress_bar)
     for table in report.tables:
         print_table(table)
