@@ -1,3 +1,7 @@
+import math
+import tomllib
+
+import numpy as np
 import pytest
 
 from wlr_render import files
@@ -75,3 +79,35 @@ def test_readers_of_every_kind(tmp_path):
         content.text("t", choices=["y"])
     with pytest.raises(BadInputError, match=r"\[\[r\]\] number 2: key 'q' is missing"):
         content.tables("r")[1].number("q")
+
+
+def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
+    """Values of every kind, headers in headers, and plain values given after tables."""
+    content = {
+        "inner": {"deep": {"k": 1}, "after": 0.1},
+        "rows": [{"name": "a", "cells": [{"v": 1e-300}, {"v": -2}]}, {"name": "b", "sub": {"flag": False}}, {}],
+        "text": 'quote " slash \\ line\n tab\t bell\a delete\x7f umlaut \u00fc beyond \U0001f576',
+        "odd key.": True,
+        "floats": [math.pi, -0.0, 1e16, 5e-324, 1.7976931348623157e308],
+        "matrix": [[1.0, 2.0], [3.0, 4.0]],
+        "none": [],
+        "empty": {},
+    }
+    path = files.write_toml(tmp_path / "deep" / "thing.toml", content, comment="two\nlines = 3")
+    assert path.read_text().startswith("# two\n# lines = 3\n")
+    back = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert back == content
+    assert math.copysign(1, back["floats"][1]) == -1
+
+
+def test_arrays_and_their_numbers_are_written_as_plain_ones(tmp_path):
+    content = {"v": np.array([[0.1, 2.0]]), "n": np.int64(3), "x": np.float64(0.3), "b": np.bool_(True)}
+    back = tomllib.loads(files.write_toml(tmp_path / "thing.toml", content).read_text())
+    assert back == {"v": [[0.1, 2.0]], "n": 3, "x": 0.3, "b": True}
+
+
+@pytest.mark.parametrize("value", [math.nan, np.inf, None, [1.0, np.nan], [{"a": 1}, 2]])
+def test_what_toml_cannot_hold_is_refused_and_no_file_appears(tmp_path, value):
+    with pytest.raises(ValueError, match=r"'outer\.key' cannot be written as TOML"):
+        files.write_toml(tmp_path / "thing.toml", {"outer": {"key": value}})
+    assert not list(tmp_path.iterdir())

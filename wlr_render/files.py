@@ -1,4 +1,4 @@
-"""Where shipped files lie, how files are written, and how TOML is read.
+"""Where shipped files lie, how files are written, and how TOML is read and written.
 
 Every output goes to a temporary name in the same folder and is renamed when it is whole, so that a reader never
 meets half a file and a failed run leaves the old one in place.
@@ -6,11 +6,13 @@ meets half a file and a failed run leaves the old one in place.
 
 import contextlib
 import difflib
+import json
 import math
 import os
+import re
 import tempfile
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -206,3 +208,65 @@ def read_toml(path: str | Path) -> Table:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise BadInputError(f"{path}: is not valid TOML ({error}).") from error
     return Table(content, str(path))
+
+
+def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") -> Path:
+    """Write a TOML file whole or not at all, so that `read_toml` gives the same values back to the last bit.
+
+    Args:
+        path: where; its folder is made.
+        table: text, booleans, integers, floats, lists and arrays of these, tables (mappings) and lists of tables.
+        comment: put at the head of the file, one `#` a line.
+
+    Raises:
+        ValueError: a value is not finite or of no kind that TOML has; the sentence names the key.
+    """
+    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    return write_text(path, head + "\n".join(_toml_lines(table, ())).lstrip("\n") + "\n")
+
+
+def _toml_lines(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
+    """Lines of the table at `place`: its plain values first, since what follows a header belongs to that header."""
+    headed = {key: value for key, value in table.items() if _is_table(value) or _is_table_list(value)}
+    for key, value in table.items():
+        if key not in headed:
+            yield f"{_toml_key(key)} = {_toml_value(value, '.'.join((*place, key)))}"
+    for key, value in headed.items():
+        inner = (*place, key)
+        header = ".".join(map(_toml_key, inner))
+        for each in [value] if _is_table(value) else value:
+            yield from ("", f"[{header}]" if _is_table(value) else f"[[{header}]]")
+            yield from _toml_lines(each, inner)
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping)
+
+
+def _is_table_list(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and all(map(_is_table, value))
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_string(key)
+
+
+def _toml_string(text: str) -> str:
+    """JSON escapes what TOML does, but for the delete character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _toml_value(value: Any, where: str) -> str:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, str):
+        return _toml_string(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float) and math.isfinite(value):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml_value(item, where) for item in value)}]"
+    raise ValueError(f"'{where}' cannot be written as TOML: {value!r}.")
