@@ -12,16 +12,16 @@ from wlr_render.models.model_file import load_eye_model, save_eye_model
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 truth = traced_eye(load_device("birdbath28"))
-bench = Bench(truth, camera_noise_arcmin=0.25)
+setup = CaptureSetup(truth, camera_noise_arcmin=0.25)
 rng = np.random.default_rng(1)
-positions = viewpoints.planar(truth.eye_box, bench.field.reach, 25)
+positions = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
 
 # Captures of your own are the same two records: who saw which pixel, or which real point, in which direction.
-captures = EyeCaptures(simulate_display(bench, positions, rng), simulate_see_through(bench, positions, rng))
+captures = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 fit = fit_eye(captures, "planar", display_degree=5, see_through_degree=3)
 print(f"display residual {fit.display.residual_arcmin.rms:.3f} arcmin rms, degree {fit.display.degree}")
 

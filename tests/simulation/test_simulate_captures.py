@@ -7,71 +7,71 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.mappings import EyeMappings, Field, Panel
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 
 @pytest.fixture
-def bench(flat_image_headset):
-    return Bench(flat_image_headset)
+def setup(flat_image_headset):
+    return CaptureSetup(flat_image_headset)
 
 
-def planar(bench, count=9):
-    return viewpoints.planar(bench.truth.eye_box, bench.field.reach, count)
+def planar(setup, count=9):
+    return viewpoints.planar(setup.truth.eye_box, setup.field.reach, count)
 
 
 def rng():
     return np.random.default_rng(11)
 
 
-def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(bench):
-    panel = bench.truth.display.panel
-    viewpoint = viewpoints.random_in_eye_box(bench.truth.eye_box, 50, rng())
-    seen = bench.truth.display.view_dir_of_pixel(panel.pixel_centres()[:, :, None], viewpoint)
-    assert bench.field.contains(seen.value).all()
+def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(setup):
+    panel = setup.truth.display.panel
+    viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, 50, rng())
+    seen = setup.truth.display.view_dir_of_pixel(panel.pixel_centres()[:, :, None], viewpoint)
+    assert setup.field.contains(seen.value).all()
     # 1.4 m of picture 2.01 m away, seen from 6 mm off its axis at most.
-    np.testing.assert_allclose(bench.field.reach, [0.706 / 2.007, 0.506 / 2.007], rtol=1e-3)
+    np.testing.assert_allclose(setup.field.reach, [0.706 / 2.007, 0.506 / 2.007], rtol=1e-3)
 
 
-def test_exact_display_captures_are_the_truth(bench):
-    at = planar(bench)
-    captures = simulate_display(bench, at, rng())
+def test_exact_display_captures_are_the_truth(setup):
+    at = planar(setup)
+    captures = simulate_display(setup, at, rng())
     assert len(captures) == 9 * 525
     np.testing.assert_array_equal(captures.viewpoint, at[captures.capture])
-    again = bench.truth.display.pixel_of_view_dir(captures.view_dir, captures.viewpoint)
+    again = setup.truth.display.pixel_of_view_dir(captures.view_dir, captures.viewpoint)
     np.testing.assert_allclose(again.value, captures.pixel, atol=1e-9)
     assert not captures.sigma_arcmin.any()
 
 
-def test_a_camera_with_a_small_field_decodes_its_own_pixels(bench):
-    small = replace(bench, camera_field=Field(np.array([-0.1, -0.05]), np.array([0.2, 0.05])), grid=(4, 3))
-    captures = simulate_display(small, planar(bench), rng())
+def test_a_camera_with_a_small_field_decodes_its_own_pixels(setup):
+    small = replace(setup, camera_field=Field(np.array([-0.1, -0.05]), np.array([0.2, 0.05])), grid=(4, 3))
+    captures = simulate_display(small, planar(setup), rng())
     assert len(captures) == 9 * 12
     tangents = directions.tangents_of_dir(captures.view_dir)
     np.testing.assert_allclose(np.unique(tangents[:, 0].round(9)), [-0.1, 0.0, 0.1, 0.2], atol=1e-9)
-    again = bench.truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint)
+    again = setup.truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint)
     np.testing.assert_allclose(again.value, captures.view_dir, atol=1e-12)
-    world = simulate_see_through(small, planar(bench), rng())
+    world = simulate_see_through(small, planar(setup), rng())
     assert small.field.contains(world.view_dir).all()
 
 
-def test_exact_see_through_captures_are_the_truth_and_cover_the_field(bench):
-    captures = simulate_see_through(bench, planar(bench), rng())
-    again = bench.truth.see_through.view_dir_of_real_point(captures.point, captures.viewpoint)
+def test_exact_see_through_captures_are_the_truth_and_cover_the_field(setup):
+    captures = simulate_see_through(setup, planar(setup), rng())
+    again = setup.truth.see_through.view_dir_of_real_point(captures.point, captures.viewpoint)
     np.testing.assert_allclose(again.value, captures.view_dir, atol=1e-12)
-    centre_z = bench.truth.eye_box.centre[2]
+    centre_z = setup.truth.eye_box.centre[2]
     np.testing.assert_allclose(centre_z - captures.point[:, 2], np.take([0.4, 3.0], captures.target_pose))
-    assert bench.field.contains(captures.view_dir).all()
+    assert setup.field.contains(captures.view_dir).all()
     for pose in (0, 1):
         for position in range(9):
             rows = (captures.target_pose == pose) & (captures.capture == position)
             span = np.ptp(directions.tangents_of_dir(captures.view_dir[rows]), axis=0)
-            assert np.all(span > 0.85 * (bench.field.high - bench.field.low))
+            assert np.all(span > 0.85 * (setup.field.high - setup.field.low))
 
 
-def test_camera_noise_is_isotropic_and_of_the_stated_size(bench):
-    noisy = simulate_display(replace(bench, camera_noise_arcmin=2.0), planar(bench, 20), rng())
-    exact = simulate_display(bench, planar(bench, 20), rng())
+def test_camera_noise_is_isotropic_and_of_the_stated_size(setup):
+    noisy = simulate_display(replace(setup, camera_noise_arcmin=2.0), planar(setup, 20), rng())
+    exact = simulate_display(setup, planar(setup, 20), rng())
     error = (noisy.view_dir - exact.view_dir) / directions.ARCMIN
     right = directions.normalised(np.cross(exact.view_dir, [0.0, 1.0, 0.0]))
     up = np.cross(right, exact.view_dir)
@@ -81,16 +81,16 @@ def test_camera_noise_is_isotropic_and_of_the_stated_size(bench):
     np.testing.assert_array_equal(noisy.sigma_arcmin, 2.0)
 
 
-def test_see_through_noise_has_the_stated_size(bench):
-    noisy = simulate_see_through(replace(bench, camera_noise_arcmin=1.0), planar(bench), rng())
-    exact = simulate_see_through(bench, planar(bench), rng())
+def test_see_through_noise_has_the_stated_size(setup):
+    noisy = simulate_see_through(replace(setup, camera_noise_arcmin=1.0), planar(setup), rng())
+    exact = simulate_see_through(setup, planar(setup), rng())
     angle = directions.arcmin_between(noisy.view_dir, exact.view_dir)
     np.testing.assert_allclose(np.sqrt(np.mean(angle**2)), np.sqrt(2.0), rtol=0.03)
 
 
-def test_stage_error_moves_the_camera_and_not_the_report(bench):
-    at = planar(bench, 400)
-    captures = simulate_display(replace(bench, stage_error_m=5e-5, grid=(2, 2)), at, rng())
+def test_stage_error_moves_the_camera_and_not_the_report(setup):
+    at = planar(setup, 400)
+    captures = simulate_display(replace(setup, stage_error_m=5e-5, grid=(2, 2)), at, rng())
     np.testing.assert_array_equal(captures.viewpoint, at[captures.capture])
     # Follow each measured ray back from the true picture point: it passes by the reported position at the stage error.
     picture = (captures.pixel / [140, 100] - 0.5) * [1.4, -1.0]
@@ -102,9 +102,9 @@ def test_stage_error_moves_the_camera_and_not_the_report(bench):
     assert np.ptp(same_position[:, 0]) < 1e-4
 
 
-def test_same_seed_gives_the_same_captures(bench):
-    noisy = replace(bench, camera_noise_arcmin=1.0, stage_error_m=1e-4)
-    first, second = (simulate_display(noisy, planar(bench), rng()) for _ in range(2))
+def test_same_seed_gives_the_same_captures(setup):
+    noisy = replace(setup, camera_noise_arcmin=1.0, stage_error_m=1e-4)
+    first, second = (simulate_display(noisy, planar(setup), rng()) for _ in range(2))
     np.testing.assert_array_equal(first.view_dir, second.view_dir)
 
 
@@ -120,7 +120,7 @@ def test_same_seed_gives_the_same_captures(bench):
 )
 def test_impossible_benches_are_refused(flat_image_headset, fault, words):
     with pytest.raises(BadInputError, match=words):
-        Bench(flat_image_headset, **fault)
+        CaptureSetup(flat_image_headset, **fault)
 
 
 def test_a_panel_that_nobody_sees_is_said(flat_image_headset):
@@ -133,4 +133,4 @@ def test_a_panel_that_nobody_sees_is_said(flat_image_headset):
 
     truth = EyeMappings("dark", "right", Dark(), flat_image_headset.see_through, flat_image_headset.eye_box)
     with pytest.raises(BadInputError, match="no panel pixel of dark is seen"):
-        _ = Bench(truth).field
+        _ = CaptureSetup(truth).field

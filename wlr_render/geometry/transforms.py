@@ -50,6 +50,19 @@ def rotation_about(axis: str, angle: float) -> FloatArray:
     return rotation
 
 
+def rotations_of_vectors(vector: FloatArray) -> FloatArray:
+    """Right-handed rotations (..., 3, 3) about the directions of vectors (..., 3), by their lengths in radians."""
+    vector = np.asarray(vector, dtype=np.float64)
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    cross = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    # sinc keeps both factors exact down to no rotation at all.
+    half = np.sinc(0.5 * angle / np.pi)
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half * half * (cross @ cross))
+
+
 def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
     """(..., 4) unit quaternion xyzw -> (..., 3, 3)."""
     x, y, z, w = np.moveaxis(np.asarray(xyzw, dtype=np.float64), -1, 0)

@@ -64,7 +64,7 @@ class TracedDisplay:
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> Mapped:
         """See `DisplayMapping`: one trace. CLIPPED outside the panel, MISS where it is never met."""
-        pixel, status = self._pixel(view_dir, viewpoint)
+        pixel, status = self.plane_pixel(view_dir, viewpoint)
         outside = ~self._on_panel(pixel)
         return _mapped(pixel, np.where((status == Status.OK) & outside, Status.CLIPPED, status))
 
@@ -77,19 +77,19 @@ class TracedDisplay:
         outside = ~self._on_panel(wanted)
 
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
-            return self._pixel(dir_of_tangents(tangents), eyes[index])[0] - wanted[index]
+            return self.plane_pixel(dir_of_tangents(tangents), eyes[index])[0] - wanted[index]
 
         cold = np.where(outside[:, None], np.nan, self._start(wanted, eyes))
         tangents, converged = _shoot(miss, _start(warm_start, cold), _PIXEL_TOLERANCE)
         view_dir = dir_of_tangents(tangents)
-        status = np.where(converged, self._pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
+        status = np.where(converged, self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
         status = np.where(outside, Status.CLIPPED, status)
         return _mapped(view_dir.reshape(*lead, 3), status.reshape(lead), tangents.reshape(*lead, 2))
 
     def _on_panel(self, pixel: FloatArray) -> NDArray[np.bool_]:
         return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
 
-    def _pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
+    def plane_pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
         """Pixel on the panel's unbounded plane, (..., 2), and status; CLIPPED rays keep their value."""
         traced = trace(self.optics.display, viewpoint, view_dir, self.wavelength_um)
         pose = self.optics.panel.panel_from_device
@@ -104,7 +104,7 @@ class TracedDisplay:
 
     @cached_property
     def _start(self) -> DisplayStart:
-        return fit_display_start(self._pixel, self.panel, self.optics.eye_box)
+        return fit_display_start(self.plane_pixel, self.panel, self.optics.eye_box)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,89 +1,172 @@
-"""The calibration bench in simulation: a device, an eyeball camera on a stage, targets, and their errors."""
+"""The measuring bench as one frozen value: headset, eyeball camera, stage, target, tracking, eye tracking, clock.
 
-from dataclasses import dataclass
-from functools import cached_property
+Device frame (OpenXR), metres, radians, seconds, pixels with (0, 0) at the outer corner of the top-left pixel. Every
+part has defaults that leave a perfect bench as it is; a bench believed to be wrong somewhere is another bench.
+"""
+
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.errors import BadInputError
-from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings, Field
+from wlr_render.optics.device import Device, EyeOptics
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
-    """What a calibration is simulated with; errors of zero make it exact.
+class EyeballCamera:
+    """The camera in the place of the eye: a pinhole with radial lens distortion that looks along -z.
 
     Attributes:
-        truth: the device's own mappings, and the eye box to be covered.
-        camera_noise_arcmin: standard deviation of a measured direction about each transverse axis. One pixel of a
-            camera with one pixel per arcminute is 1.
-        stage_error_m: standard deviation of the true camera position about the reported one, independent per
-            position and axis.
-        camera_field: the part of the display's field that is photographed, by a grid of camera pixels; None for all
-            of it, by a grid of panel pixels.
-        grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
-        target_depths_m: depths of the flat targets in front of the eye box, at least two different ones.
-
-    Raises:
-        BadInputError: a negative error, an empty grid, or target depths that do not determine a ray.
+        size_px: (2,) width and height.
+        focal_px: (2,) pixels per unit tangent in u and v.
+        centre_px: (2,) where the optical axis meets the image.
+        distortion: (2,) k1 and k2 of the radial model of D. C. Brown, "Close-range camera calibration", Photogrammetric
+            Engineering 37 (1971) 855: seen tangents = true tangents * (1 + k1 r^2 + k2 r^4).
+        device_from_camera: (3, 3) rotation by which the camera is turned from looking along -z.
+        pupil_offset: (3,) from where the stage believes the centre of projection to be, to where it is.
+        point_sigma_px: stated repeatability of a point, per axis.
     """
 
-    truth: EyeMappings
-    camera_noise_arcmin: float = 0.0
-    stage_error_m: float = 0.0
-    camera_field: Field | None = None
-    grid: tuple[int, int] = (25, 21)
-    target_depths_m: tuple[float, ...] = (0.4, 3.0)
+    size_px: FloatArray
+    focal_px: FloatArray
+    centre_px: FloatArray
+    point_sigma_px: float
+    distortion: FloatArray = field(default_factory=partial(np.zeros, 2))
+    device_from_camera: FloatArray = field(default_factory=partial(np.eye, 3))
+    pupil_offset: FloatArray = field(default_factory=partial(np.zeros, 3))
 
-    def __post_init__(self) -> None:
-        for name in ("camera_noise_arcmin", "stage_error_m"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise BadInputError(f"bench: '{name}' is {value}; it must be zero or a positive number.")
-        if min(self.grid) < 1:
-            raise BadInputError(f"bench: the grid {self.grid} needs at least one column and one row.")
-        if len(set(self.target_depths_m)) < 2 or min(self.target_depths_m) <= 0:
-            raise BadInputError(
-                f"bench: target depths {self.target_depths_m} m do not determine a ray; give two or more, all positive."
-            )
 
-    @cached_property
-    def field(self) -> Field:
-        """What the camera sees of the display from the centre and the corners of the eye box.
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """The motion stage.
 
-        Raises:
-            BadInputError: no pixel is seen from there.
-        """
-        if self.camera_field is not None:
-            return self.camera_field
-        box, panel = self.truth.eye_box, self.truth.display.panel
-        corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        viewpoint = box.at(np.concatenate([np.zeros((1, 3)), corners]))
-        pixel = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 9)] * 2), axis=-1).reshape(-1, 2) * panel.size_px
-        seen = self.truth.display.view_dir_of_pixel(pixel[None], viewpoint[:, None])
-        tangents = directions.tangents_of_dir(seen.value[seen.usable])
-        if len(tangents) == 0:
-            raise BadInputError(
-                f"bench: no panel pixel of {self.truth.name} is seen from its eye box; check the device."
-            )
-        return Field(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
+    Attributes:
+        origin: (3,) reading about which its axes are wrong.
+        axes: (3, 3) true displacement from the origin = axes @ displacement that is read.
+        backlash: (2,) true x minus read x where the last move was towards +x, and towards -x, metres.
+    """
 
-    def pixels(self) -> FloatArray:
-        """Panel pixels that are decoded, (n, 2)."""
-        return self.truth.display.panel.grid(*self.grid).reshape(-1, 2)
+    origin: FloatArray
+    axes: FloatArray = field(default_factory=partial(np.eye, 3))
+    backlash: FloatArray = field(default_factory=partial(np.zeros, 2))
 
-    def camera_dirs(self) -> FloatArray:
-        """Directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
-        return self.field.directions(*self.grid)
 
-    def dots(self, depth_m: float, viewpoint: FloatArray) -> FloatArray:
-        """Dots of a flat target, (n, 3) device frame, wide enough to fill the field from all viewpoints (m, 3)."""
-        low = viewpoint[:, :2].min(axis=0) + depth_m * self.field.low
-        high = viewpoint[:, :2].max(axis=0) + depth_m * self.field.high
-        x, y = np.meshgrid(*(np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1)))
-        z = np.full_like(x, self.truth.eye_box.centre[2] - depth_m)
-        return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The printed target: dots in its plane z = 0, in metres.
+
+    Attributes:
+        device_from_target: (k, 4, 4) its poses as tracking reports them.
+        pitch: (k,) distance of neighbouring dots at each pose.
+        scale: (2,) true size over stated size in x and y.
+        bow: (k, 2) at each pose, z = bow_x x^2 + bow_y y^2, per metre: how far it is from flat.
+    """
+
+    device_from_target: FloatArray
+    pitch: FloatArray
+    scale: FloatArray = field(default_factory=partial(np.ones, 2))
+    bow: FloatArray = field(default_factory=partial(np.zeros, (1, 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """The headset's own tracking camera, by what it says of the target.
+
+    Attributes:
+        true_from_reported: (4, 4) carries a reported point, device frame, to where it is.
+    """
+
+    true_from_reported: FloatArray = field(default_factory=partial(np.eye, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """What moves while the session lasts.
+
+    Attributes:
+        panel_creep: (2,) how far the panel creeps in its plane along u and v until it is warm, metres.
+        warm_up_s: time constant of the creep: after t it is 1 - exp(-t / warm_up_s) of the whole.
+        slip_time_s: when the headset slips; never, if infinite.
+        slip: (3,) displacement of the camera in the device frame from then on, metres.
+        slip_rotation: (3,) rotation of the camera in the device frame from then on, radians about x, y, z.
+    """
+
+    panel_creep: FloatArray = field(default_factory=partial(np.zeros, 2))
+    warm_up_s: float = 900.0
+    slip_time_s: float = np.inf
+    slip: FloatArray = field(default_factory=partial(np.zeros, 3))
+    slip_rotation: FloatArray = field(default_factory=partial(np.zeros, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class PanelReadout:
+    """From where light leaves the panel to the position that is decoded.
+
+    Attributes:
+        origin_px: (2,) decoded minus true position.
+        channel_scale: (3,) magnification about the panel's centre in red, green and blue.
+    """
+
+    origin_px: FloatArray = field(default_factory=partial(np.zeros, 2))
+    channel_scale: FloatArray = field(default_factory=partial(np.ones, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class EyeTracking:
+    """From where tracking says the pupil is to where it is.
+
+    Attributes:
+        bias: (3,) true minus tracked place of the pupil, metres.
+        gaze_radius: by so much, in metres, the pupil moves with the gaze beyond what tracking reports: along the gaze
+            minus straight ahead.
+    """
+
+    bias: FloatArray = field(default_factory=partial(np.zeros, 3))
+    gaze_radius: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Delays of the picture.
+
+    Attributes:
+        latency_s: from the time a frame is drawn for to the time its first row is seen.
+        scanout_s: from the first row of the panel to its last.
+    """
+
+    latency_s: float = 0.0
+    scanout_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Everything that decides what a session reads.
+
+    Attributes:
+        device: the headset.
+        eye: which of its eyes.
+        camera, stage, target, tracking, mount, readout, eye_tracking, clock: the parts; see there.
+        wavelengths_um: (3,) vacuum wavelengths of red, green and blue light, micrometres.
+        target_wavelength_um: of the light in which targets and real dots are seen.
+    """
+
+    device: Device
+    eye: str
+    camera: EyeballCamera
+    stage: Stage
+    target: Target
+    tracking: Tracking = field(default_factory=Tracking)
+    mount: Mount = field(default_factory=Mount)
+    readout: PanelReadout = field(default_factory=PanelReadout)
+    eye_tracking: EyeTracking = field(default_factory=EyeTracking)
+    clock: Clock = field(default_factory=Clock)
+    wavelengths_um: tuple[float, float, float] = (0.65, 0.55, 0.45)
+    target_wavelength_um: float = 0.55
+
+    @property
+    def optics(self) -> EyeOptics:
+        """The eye's optics."""
+        return self.device.eyes[self.eye]

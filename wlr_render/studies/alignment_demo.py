@@ -37,7 +37,7 @@ from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.simulation import viewpoints as stage
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.studies.alignment_picture import (
     Panorama,
@@ -138,10 +138,10 @@ def _painters(truth: EyeMappings, renderer: RayRenderer, rasteriser: Rasteriser,
 def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
     """A planar calibration with camera noise, plus one position at the centre for the static map."""
     rng = np.random.default_rng(seed)
-    bench = Bench(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
-    planar = stage.planar(truth.eye_box, bench.field.reach, CAMERA_POSITIONS)
+    setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
+    planar = stage.planar(truth.eye_box, setup.field.reach, CAMERA_POSITIONS)
     positions = np.concatenate([planar, stage.nominal(truth.eye_box)])
-    return EyeCaptures(simulate_display(bench, positions, rng), simulate_see_through(bench, positions, rng))
+    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
 def _sights(truth: EyeMappings, painters: dict[str, Painter], places: FloatArray) -> Iterator[_Sight]:

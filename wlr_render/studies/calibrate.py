@@ -19,7 +19,7 @@ from wlr_render.models.model_file import save_eye_model
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.studies.designs import camera_positions
 
@@ -112,10 +112,10 @@ def calibrate_from_captures(captures: str | Path, folder: str | Path, fit: FitOp
 
 def simulate(truth: EyeMappings, kind: str, options: SimulationOptions) -> EyeCaptures:
     """Captures of both sides of an eye, taken where a kind of model wants them."""
-    bench = Bench(truth, options.camera_noise_arcmin, 1e-3 * options.stage_error_mm)
-    positions = camera_positions(bench, kind, options.viewpoints)
+    setup = CaptureSetup(truth, options.camera_noise_arcmin, 1e-3 * options.stage_error_mm)
+    positions = camera_positions(setup, kind, options.viewpoints)
     rng = np.random.default_rng(options.seed)
-    return EyeCaptures(simulate_display(bench, positions, rng), simulate_see_through(bench, positions, rng))
+    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
 def _write(

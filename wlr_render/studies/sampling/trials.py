@@ -19,7 +19,7 @@ from wlr_render.evaluation.report import Cell
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping
 from wlr_render.numerics.polynomial import term_count
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through, with_camera_noise
 from wlr_render.studies.designs import camera_positions
 from wlr_render.studies.sampling import world
@@ -190,7 +190,7 @@ class NoModelTrial:
 def _measured(
     trial: Trial,
     exact: Callable[[world.Setting, str, int], AnyCaptures],
-    simulate: Callable[[Bench, NDArray[np.float64], np.random.Generator], AnyCaptures],
+    simulate: Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], AnyCaptures],
     rng: np.random.Generator,
 ) -> AnyCaptures:
     """The trial's captures; camera noise needs no new tracing, a camera that stands elsewhere does."""
@@ -198,7 +198,7 @@ def _measured(
         captures = exact(trial.setting, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)
     on = replace(
-        world.bench(trial.setting),
+        world.capture_setup(trial.setting),
         camera_noise_arcmin=trial.camera_noise_arcmin,
         stage_error_m=1e-3 * trial.stage_error_mm,
     )

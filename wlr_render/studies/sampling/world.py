@@ -14,7 +14,7 @@ from wlr_render.mappings import EyeBox, EyeMappings
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.studies.designs import camera_positions
 
@@ -51,30 +51,30 @@ def truth(setting: Setting) -> EyeMappings:
 
 
 @lru_cache
-def bench(setting: Setting) -> Bench:
-    """An exact bench with the device on it; its camera sees the nominal field, if there is one."""
+def capture_setup(setting: Setting) -> CaptureSetup:
+    """Exact captures of the device; the camera sees the nominal field, if there is one."""
     on = truth(setting)
-    return Bench(on, camera_field=on.field)
+    return CaptureSetup(on, camera_field=on.field)
 
 
 @lru_cache(maxsize=16)
 def exact_display(setting: Setting, kind: str, count: int) -> DisplayCaptures:
     """Noise-free captures of the panel."""
-    on = bench(setting)
+    on = capture_setup(setting)
     return simulate_display(on, camera_positions(on, kind, count), np.random.default_rng(0))
 
 
 @lru_cache(maxsize=16)
 def exact_see_through(setting: Setting, kind: str, count: int) -> SeeThroughCaptures:
     """Noise-free captures of the targets."""
-    on = bench(setting)
+    on = capture_setup(setting)
     return simulate_see_through(on, camera_positions(on, kind, count), np.random.default_rng(0))
 
 
 @lru_cache
 def display_sightings(setting: Setting, seed: int) -> mapping_error.DisplaySightings:
     """Directions of the field, or pixels of the whole panel, seen from random viewpoints, mostly off the plane."""
-    on = bench(setting)
+    on = capture_setup(setting)
     rng = np.random.default_rng(seed)
     viewpoint = viewpoints.random_in_eye_box(on.truth.eye_box, TEST_VIEWPOINTS, rng)[:, None]
     if on.truth.field is None:

@@ -1,0 +1,144 @@
+"""One measuring session: what was set up and, row by row, what was seen. Device frame (OpenXR), metres, seconds.
+
+A row of a *plan* says where the bench believed its parts to be when it took one reading; the *session* adds the
+reading. A simulation predicts the readings of a plan, so that measured minus simulated is one subtraction.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class DisplayPlan:
+    """Readings of the panel: which panel position a camera pixel shows.
+
+    Attributes:
+        capture: (n,) index of the photograph.
+        time_s: (n,) since the session's start.
+        travel: (n,) direction of the stage's last move in x, +1 or -1.
+        stage: (n, 3) where the micrometers say that the camera's centre of projection is.
+        channel: (n,) 0 red, 1 green, 2 blue.
+        camera_pixel: (n, 2) in which camera pixel.
+    """
+
+    capture: IntArray
+    time_s: FloatArray
+    travel: FloatArray
+    stage: FloatArray
+    channel: IntArray
+    camera_pixel: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.capture)
+
+
+@dataclass(frozen=True, eq=False)
+class SeeThroughPlan:
+    """Readings of a printed target through the optics: in which camera pixel a dot appears.
+
+    Attributes:
+        capture, time_s, travel, stage: as in `DisplayPlan`; captures count from 0 for every pose of the target.
+        target_pose: (n,) index of the target's pose.
+        dot: (n, 2) the dot's place on the printed target, metres.
+        orientation: (n, 3, 3) device_from_camera where the camera was turned between captures; None where it always
+            looks along -z.
+        bare_pixel: (n, 2) where the same camera, at the same place, saw the dot without the headset; None where that
+            was not photographed. The dot is taken to lie on that pixel's ray, at its distance by the tracked pose.
+    """
+
+    capture: IntArray
+    time_s: FloatArray
+    travel: FloatArray
+    stage: FloatArray
+    target_pose: IntArray
+    dot: FloatArray
+    orientation: FloatArray | None = None
+    bare_pixel: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.capture)
+
+
+@dataclass(frozen=True, eq=False)
+class RunTimePlan:
+    """Readings while the glasses run: where the real dot and the virtual one meant to cover it are seen.
+
+    Attributes:
+        capture: (n,) index of the recording.
+        time_s: (n,) when the frame was meant to be seen.
+        world_from_device: (n, 4, 4) head pose at that time.
+        head_velocity: (n, 3) metres per second, world frame.
+        head_rate: (n, 3) angular velocity, radians per second, world frame.
+        viewpoint: (n, 3) tracked place of the pupil.
+        gaze: (n, 3) unit direction in which the eye looks.
+        dot: (n, 3) the real dot, world frame.
+    """
+
+    capture: IntArray
+    time_s: FloatArray
+    world_from_device: FloatArray
+    head_velocity: FloatArray
+    head_rate: FloatArray
+    viewpoint: FloatArray
+    gaze: FloatArray
+    dot: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.capture)
+
+
+AnyPlan = TypeVar("AnyPlan", DisplayPlan, SeeThroughPlan, RunTimePlan)
+
+
+@dataclass(frozen=True, eq=False)
+class SessionPlan:
+    """All readings that a session takes; a part that it does not have is None."""
+
+    display: DisplayPlan | None = None
+    see_through: SeeThroughPlan | None = None
+    run_time: RunTimePlan | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What was seen, or is predicted to be seen, for each row of a plan; None for a part that is not there.
+
+    Attributes:
+        panel_pixel: (n, 2) panel position for each display row.
+        dot_pixel: (m, 2) camera pixel for each see-through row.
+        seen: (k, 4) tangents of the virtual dot (2), then of the real dot (2), for each run-time row.
+    """
+
+    panel_pixel: FloatArray | None = None
+    dot_pixel: FloatArray | None = None
+    seen: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A plan and what was read.
+
+    Attributes:
+        name: where it came from, for messages and reports.
+        plan: what was set up.
+        readings: what was seen.
+    """
+
+    name: str
+    plan: SessionPlan
+    readings: Readings
+
+
+def select_rows(plan: AnyPlan, rows: NDArray[Any]) -> AnyPlan:
+    """The rows of a plan that an index or mask names."""
+    kept: dict[str, Any] = {}
+    for field in fields(plan):
+        value = getattr(plan, field.name)
+        kept[field.name] = None if value is None else value[rows]
+    return replace(plan, **kept)

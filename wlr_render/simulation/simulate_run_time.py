@@ -1,0 +1,43 @@
+"""Where the real dot and the virtual one that is meant to cover it are seen while the glasses run."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import RunTimePlan
+from wlr_render.geometry.directions import tangents_of_dir
+from wlr_render.geometry.transforms import rotations_of_vectors
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.simulation.bench import Bench
+
+FloatArray = NDArray[np.float64]
+
+_STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
+
+
+def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
+    """Tangents (n, 4) of the virtual dot (2) and the real dot (2) as the true pupil sees them.
+
+    The frame is drawn for the head pose and the tracked viewpoint of its row's time, with exact models of the headset.
+    It is seen later by the clock's latency and, row by row of the panel, its scan-out, when the head has moved on, and
+    from where the pupil truly is. NaN where a dot cannot be seen or drawn.
+    """
+    display = TracedDisplay(bench.optics, bench.target_wavelength_um)
+    see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
+    drawn_for = _dot_in_device(plan, np.zeros(len(plan)))
+    wanted = see_through.view_dir_of_real_point(drawn_for, plan.viewpoint)
+    pixel = display.pixel_of_view_dir(wanted.value, plan.viewpoint).value
+    height = bench.optics.panel.pixels.size_px[1]
+    late_s = bench.clock.latency_s + bench.clock.scanout_s * pixel[:, 1] / height
+    tracking = bench.eye_tracking
+    pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
+    virtual = display.view_dir_of_pixel(pixel, pupil)
+    real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil)
+    return np.concatenate([tangents_of_dir(virtual.value), tangents_of_dir(real.value)], axis=1)
+
+
+def _dot_in_device(plan: RunTimePlan, later_s: FloatArray) -> FloatArray:
+    """Dots (n, 3) in the device frame, each `later_s` (n,) after its row's time, the head moving on evenly."""
+    turn = rotations_of_vectors(plan.head_rate * later_s[:, None])
+    world_from_device = turn @ plan.world_from_device[:, :3, :3]
+    position = plan.world_from_device[:, :3, 3] + plan.head_velocity * later_s[:, None]
+    return np.asarray(np.einsum("nji,nj->ni", world_from_device, plan.dot - position))

@@ -1,0 +1,159 @@
+"""What a bench reads: predicts every reading of a session's plan, without noise."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.transforms import rotations_of_vectors
+from wlr_render.mappings import Status
+from wlr_render.optics.traced_mappings import TracedDisplay
+from wlr_render.simulation import dot_sights
+from wlr_render.simulation.bench import Bench, EyeballCamera
+from wlr_render.simulation.simulate_run_time import run_time_readings
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What a bench has in common with its neighbours: the solved sights of its dots.
+
+    Attributes:
+        bench, plan: of which.
+    """
+
+    bench: Bench
+    plan: SessionPlan
+
+    @cached_property
+    def sights(self) -> dot_sights.SightStart | None:
+        """Solved when first asked for; None where no target was photographed."""
+        if self.plan.see_through is None:
+            return None
+        viewpoint, point, _ = _dot_geometry(self.bench, self.plan.see_through)
+        return dot_sights.solved(self.bench.optics, self.bench.target_wavelength_um, viewpoint, point)
+
+
+def simulate(bench: Bench, plan: SessionPlan, start: Start | None = None) -> Readings:
+    """Predict every reading of a session.
+
+    Args:
+        bench: the bench.
+        plan: what is set up, row by row.
+        start: of a neighbouring bench and the same plan; it makes the solve fast and does not change its result.
+
+    Returns:
+        The readings; NaN where the panel or a dot cannot be seen.
+    """
+    sights = (start or Start(bench, plan)).sights
+    return Readings(
+        None if plan.display is None else panel_pixels(bench, plan.display),
+        None if plan.see_through is None or sights is None else dot_pixels(bench, plan.see_through, sights),
+        None if plan.run_time is None else run_time_readings(bench, plan.run_time),
+    )
+
+
+def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
+    """Decoded panel position (n, 2) for each display row: one trace."""
+    viewpoint = camera_positions(bench, plan)
+    view_dir = _turned(bench, plan.time_s, camera_dirs(bench.camera, plan.camera_pixel))
+    panel = bench.optics.panel
+    pixel = np.full((len(plan), 2), np.nan)
+    for channel in np.unique(plan.channel):
+        rows = plan.channel == channel
+        display = TracedDisplay(bench.optics, bench.wavelengths_um[channel])
+        seen, status = display.plane_pixel(view_dir[rows], viewpoint[rows])
+        # A ray past the edge of an aperture is kept: where the edge is, is no part of what is measured.
+        lost = (status != Status.OK) & (status != Status.CLIPPED)
+        pixel[rows] = np.where(lost[:, None], np.nan, seen)
+    warm = 1.0 - np.exp(-plan.time_s / bench.mount.warm_up_s)
+    pixel -= warm[:, None] * bench.mount.panel_creep / panel.size * panel.pixels.size_px
+    centre = 0.5 * panel.pixels.size_px
+    scale = bench.readout.channel_scale[plan.channel][:, None]
+    return np.asarray(centre + scale * (pixel - centre) + bench.readout.origin_px)
+
+
+def dot_pixels(bench: Bench, plan: SeeThroughPlan, sights: dot_sights.SightStart) -> FloatArray:
+    """Camera pixel (n, 2) of each dot as seen through the optics."""
+    viewpoint, point, device_from_camera = _dot_geometry(bench, plan)
+    tangents = dot_sights.view_tangents(bench.optics, bench.target_wavelength_um, viewpoint, point, sights)
+    in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
+    return pixel_of_tangents(bench.camera, tangents_of_dir(in_camera))
+
+
+def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+    """Where the camera's centre of projection truly is, (n, 3), device frame."""
+    stage, mount = bench.stage, bench.mount
+    position = stage.origin + (plan.stage - stage.origin) @ stage.axes.T + bench.camera.pupil_offset
+    position[:, 0] += np.where(plan.travel > 0, *stage.backlash)
+    return np.asarray(position + np.where(plan.time_s >= mount.slip_time_s, 1.0, 0.0)[:, None] * mount.slip)
+
+
+def camera_dirs(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
+    """Unit directions (n, 3) in which camera pixels look, device frame, before any slip."""
+    return np.asarray(dir_of_tangents(tangents_of_pixel(camera, pixel)) @ camera.device_from_camera.T)
+
+
+def tangents_of_pixel(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
+    """Pixels (n, 2) -> tangents (n, 2) in the camera's frame, y up; Newton's method on the radius undoes distortion."""
+    seen = (pixel - camera.centre_px) / (camera.focal_px * [1.0, -1.0])
+    k1, k2 = camera.distortion
+    if k1 == 0.0 and k2 == 0.0:
+        return np.asarray(seen)
+    seen_radius = np.linalg.norm(seen, axis=-1)
+    radius = seen_radius.copy()
+    for _ in range(8):
+        square = radius * radius
+        excess = radius * (1.0 + square * (k1 + k2 * square)) - seen_radius
+        radius -= excess / (1.0 + square * (3.0 * k1 + 5.0 * k2 * square))
+    square = radius * radius
+    return np.asarray(seen / (1.0 + square * (k1 + k2 * square))[..., None])
+
+
+def pixel_of_tangents(camera: EyeballCamera, tangents: FloatArray) -> FloatArray:
+    """Tangents (n, 2) in the camera's frame -> pixels (n, 2), the inverse of `tangents_of_pixel`."""
+    square = np.sum(tangents * tangents, axis=-1, keepdims=True)
+    k1, k2 = camera.distortion
+    seen = tangents * (1.0 + square * (k1 + k2 * square))
+    return np.asarray(seen * (camera.focal_px * [1.0, -1.0]) + camera.centre_px)
+
+
+def _dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Camera positions (n, 3), dots (n, 3) and camera orientations (n, 3, 3), device frame."""
+    viewpoint = camera_positions(bench, plan)
+    device_from_camera = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
+    if plan.orientation is not None:
+        device_from_camera = plan.orientation @ device_from_camera
+    slipped = plan.time_s >= bench.mount.slip_time_s
+    if slipped.any() and bench.mount.slip_rotation.any():
+        turn = rotations_of_vectors(bench.mount.slip_rotation)
+        device_from_camera = np.where(slipped[:, None, None], turn @ device_from_camera, device_from_camera)
+    point = _dots(bench, plan)
+    if plan.bare_pixel is not None:
+        in_camera = dir_of_tangents(tangents_of_pixel(bench.camera, plan.bare_pixel))
+        ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
+        point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
+    return viewpoint, point, device_from_camera
+
+
+def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
+    """Where the printed dots truly are, (n, 3), device frame."""
+    target = bench.target
+    flat = plan.dot * target.scale
+    bow = np.broadcast_to(target.bow, (len(target.device_from_target), 2))[plan.target_pose]
+    in_target = np.concatenate([flat, np.sum(bow * flat * flat, axis=1, keepdims=True)], axis=1)
+    device_from_target = (bench.tracking.true_from_reported @ target.device_from_target)[plan.target_pose]
+    return np.asarray(np.einsum("nij,nj->ni", device_from_target[:, :3, :3], in_target) + device_from_target[:, :3, 3])
+
+
+def _turned(bench: Bench, time_s: FloatArray, direction: FloatArray) -> FloatArray:
+    """Directions after the slip, if there is one."""
+    mount = bench.mount
+    slipped = time_s >= mount.slip_time_s
+    if not slipped.any() or not mount.slip_rotation.any():
+        return direction
+    return np.where(slipped[:, None], direction @ rotations_of_vectors(mount.slip_rotation).T, direction)
