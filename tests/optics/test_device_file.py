@@ -122,6 +122,28 @@ def test_other_sag_shapes_in_millimetres(tmp_path, lines, kind, sag_mm):
     assert shape.sag_and_slopes(x, y)[0] == pytest.approx(1e-3 * sag_mm, abs=1e-9)
 
 
+@pytest.mark.parametrize("given", ["index = 1.5", 'formula = "pmma_sultanova_2009"'])
+def test_a_medium_can_be_shifted_in_index(tmp_path, given):
+    plain = load(tmp_path, GOOD.replace("index = 1.5", given)).eyes["right"].see_through.steps[0].medium
+    shifted = load(tmp_path, GOOD.replace("index = 1.5", f"{given}\nindex_shift = 0.004"))
+    medium = shifted.eyes["right"].see_through.steps[0].medium
+    assert [medium.index(um) - plain.index(um) for um in (0.45, 0.65)] == pytest.approx([0.004, 0.004], abs=1e-15)
+
+
+@pytest.mark.parametrize("axes", ["rotate_x_deg = -45", "z_axis = [1, 2, 2]\nx_axis = [2, 1, -2]"])
+def test_a_mirrored_surface_has_its_y_turned_round(tmp_path, axes):
+    text = GOOD.replace("rotate_x_deg = -45", axes)
+    proper = load(tmp_path, text).eyes["right"].surfaces()[0].device_from_surface
+    improper = load(tmp_path, text.replace(axes, f"{axes}\nmirrored = true")).eyes["right"].surfaces()
+    np.testing.assert_allclose(improper[0].device_from_surface, proper * [1, -1, 1, 1], atol=1e-16)
+    np.testing.assert_array_equal(improper[1].device_from_surface, improper[0].device_from_surface)
+
+
+def test_an_aperture_is_open_along_an_axis_that_is_left_out(tmp_path):
+    aperture = load(tmp_path, GOOD.replace("aperture_x_mm = [-30, 30]\n", "")).eyes["right"].surfaces()[0].aperture
+    np.testing.assert_allclose([aperture.low, aperture.high], [[-np.inf, -0.02, -np.inf], [np.inf, 0.025, np.inf]])
+
+
 def test_other_eye_is_mirrored(tmp_path):
     device = load(tmp_path, GOOD.replace('side = "right"', 'side = "right"\nalso_mirrored = true'))
     right, left = device.eyes["right"], device.eyes["left"]
@@ -146,6 +168,8 @@ def test_other_eye_is_mirrored(tmp_path):
         ('shape = "conic"', 'shape = "cone"', "'shape' is 'cone'; it must be one of plane"),
         ('frame = "opencv"', 'frame = "opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
         ("index = 1.5", "index = -1.5", "'index' must be positive"),
+        ("index = 1.5", "index = 1.5\nindex_shift = -1.6", "'index_shift' makes the refractive index negative"),
+        ("index = 1.5", "index = 1.5\nindex_shift = nan", "'index_shift' must be finite"),
         ("pixels = [800, 400]", "pixels = [800, 400.5]", "'pixels' must be two whole numbers"),
         ("size_mm = [40, 20]", "size_mm = [40, 0]", "'size_mm' must be positive"),
         ("size_mm = [10, 8, 6]", "size_mm = [10, 8, -6]", "'size_mm' must be positive"),

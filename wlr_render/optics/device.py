@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wlr_render.geometry.transforms import inverse
 from wlr_render.mappings import EyeBox, Field, Panel
-from wlr_render.optics.media import Medium
+from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Shape
 
 FloatArray = NDArray[np.float64]
@@ -135,11 +135,15 @@ class EyeOptics:
     def with_surfaces(self, change: Callable[[PlacedSurface], PlacedSurface]) -> "EyeOptics":
         """A copy with every surface changed, in both paths alike."""
         changed = {surface.name: change(surface) for surface in self.surfaces()}
+        return self._with_steps(lambda step: replace(step, surface=changed[step.surface.name]))
 
-        def rebuilt(path: Path) -> Path:
-            return Path(tuple(replace(step, surface=changed[step.surface.name]) for step in path.steps))
+    def with_media(self, change: Callable[[Medium], Medium]) -> "EyeOptics":
+        """A copy with every medium but air changed, in both paths alike."""
+        return self._with_steps(lambda step: step if step.medium == AIR else replace(step, medium=change(step.medium)))
 
-        return replace(self, display=rebuilt(self.display), see_through=rebuilt(self.see_through))
+    def _with_steps(self, change: Callable[[Step], Step]) -> "EyeOptics":
+        display, see_through = (Path(tuple(map(change, path.steps))) for path in (self.display, self.see_through))
+        return replace(self, display=display, see_through=see_through)
 
 
 @dataclass(frozen=True, eq=False)

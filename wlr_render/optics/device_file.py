@@ -19,10 +19,10 @@ from wlr_render.optics.device import (
     mirrored,
 )
 from wlr_render.optics.media import AIR, FORMULAS, Medium
-from wlr_render.optics.surface_file import MM, axes, named, placed_surface, positive
-from wlr_render.optics.surfaces import Offset, Shape
+from wlr_render.optics.surface_file import MM, axes, named, offset_chain, placed_surface, positive
 
 _FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
+_GREEN_UM = 0.55
 _OTHER_SIDE = {"right": "left", "left": "right"}
 
 
@@ -61,12 +61,20 @@ def _media(file: Table) -> dict[str, Medium]:
         name = table.text("name")
         if name in media:
             raise table.fail(f"there is already a medium '{name}'; choose another name.")
-        if table.has("formula"):
-            media[name] = Medium(name, FORMULAS[table.text("formula", choices=sorted(FORMULAS))])
-        else:
-            media[name] = Medium.constant(name, positive(table, "index"))
+        media[name] = _medium(table, name)
         table.finish()
     return media
+
+
+def _medium(table: Table, name: str) -> Medium:
+    if table.has("formula"):
+        medium = Medium(name, FORMULAS[table.text("formula", choices=sorted(FORMULAS))])
+    else:
+        medium = Medium.constant(name, positive(table, "index"))
+    medium = medium.shifted(table.number("index_shift", default=0.0))
+    if medium.index(_GREEN_UM) <= 0:
+        raise table.fail("'index_shift' makes the refractive index negative; it must stay positive.")
+    return medium
 
 
 def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics:
@@ -80,16 +88,12 @@ def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics
         raise table.fail("'see_through_path' must end in air.")
     panel, eye_box = _panel(table.table("panel"), frame), _eye_box(table.table("eye_box"), frame)
     eye = EyeOptics(display, see_through, panel, eye_box, _field(table))
-    used = {surface.name for surface in eye.surfaces()}
-    for name in surfaces:
-        if name not in used and not any(_is_base(surfaces[other].shape, surfaces[name].shape) for other in used):
+    used = [shape for surface in eye.surfaces() for shape in offset_chain(surface.shape)]
+    for name, surface in surfaces.items():
+        if not any(shape is surface.shape for shape in used):
             raise table.fail(f"surface '{name}' is in no path; remove it or use it.")
     table.finish()
     return eye
-
-
-def _is_base(shape: Shape, base: Shape) -> bool:
-    return isinstance(shape, Offset) and shape.base is base
 
 
 def _path(entries: list[Table], surfaces: dict[str, PlacedSurface], media: dict[str, Medium]) -> Path:

@@ -15,6 +15,8 @@ from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 MM = 1e-3
 """One millimetre in metres."""
 
+_MIRROR_Y = np.diag([1.0, -1.0, 1.0])
+
 
 def placed_surface(table: Table, frame: FloatArray, earlier: dict[str, PlacedSurface]) -> PlacedSurface:
     """Read one [[eye.surface]]; `frame` turns the file's axes into the device's, an offset names an earlier surface."""
@@ -34,9 +36,9 @@ def placed_surface(table: Table, frame: FloatArray, earlier: dict[str, PlacedSur
 
 
 def _aperture(table: Table) -> ClearAperture:
-    """`aperture_x_mm`, `aperture_y_mm` and, for a shape that turns back over itself, `aperture_z_mm`."""
-    sides = [MM * table.vector(f"aperture_{axis}_mm", 2) for axis in "xy"]
-    sides.append(MM * table.vector("aperture_z_mm", 2) if table.has("aperture_z_mm") else np.array([-np.inf, np.inf]))
+    """`aperture_x_mm`, `aperture_y_mm`, `aperture_z_mm`; open along an axis that is left out."""
+    keys = [f"aperture_{axis}_mm" for axis in "xyz"]
+    sides = [MM * table.vector(key, 2) if table.has(key) else np.array([-np.inf, np.inf]) for key in keys]
     low, high = np.stack(sides, axis=1)
     if not np.all(low < high):
         raise table.fail("each 'aperture_*_mm' must be [low, high] with low below high.")
@@ -44,11 +46,13 @@ def _aperture(table: Table) -> ClearAperture:
 
 
 def _pose(table: Table, frame: FloatArray) -> FloatArray:
-    """`origin_mm`, and the axes by `rotate_x_deg` or by the two vectors `x_axis` and `z_axis`."""
+    """`origin_mm`, the axes by `rotate_x_deg` or by the two vectors `x_axis` and `z_axis`, and `mirrored`."""
     if table.has("z_axis"):
         rotation = axes(table, "z_axis", "x_axis")[:, [1, 2, 0]]
     else:
         rotation = rotation_about("x", np.deg2rad(table.number("rotate_x_deg", default=0.0)))
+    if table.flag("mirrored", default=False):
+        rotation = rotation @ _MIRROR_Y
     return rigid(frame @ rotation, frame @ (MM * table.vector("origin_mm", 3)))
 
 
@@ -98,7 +102,7 @@ def _xy_polynomial(table: Table) -> Shape:
 
 def _powers(sag: Table, key: str) -> tuple[int, int]:
     """Powers of x and y that a key such as "x2y", "y3" stands for."""
-    match = re.fullmatch(r"(?:x(\d?))?(?:y(\d?))?", key)
+    match = re.fullmatch(r"(?:x(\d*))?(?:y(\d*))?", key)
     if not key or match is None:
         raise sag.fail(f"'{key}' is no term in x and y; write x2, xy3, y4 and so on.")
     m, n = (0 if power is None else int(power or 1) for power in match.groups())
@@ -127,6 +131,11 @@ _SHAPES = {
     "xy_polynomial": _xy_polynomial,
     "anamorphic": _anamorphic,
 }
+
+
+def offset_chain(shape: Shape) -> list[Shape]:
+    """The shape itself and, if it is an offset, its base, and so on."""
+    return [shape, *offset_chain(shape.base)] if isinstance(shape, Offset) else [shape]
 
 
 def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] | dict[str, Medium]) -> str:

@@ -1,0 +1,218 @@
+"""A saved device is read back as the same one: the same light, the same names, wherever its parts were moved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import shipped_names
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
+from wlr_render.mappings import Status
+from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface, Step, mirrored
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_writer import save_device
+from wlr_render.optics.media import AIR, Medium
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+
+WAVELENGTH_UM = 0.6
+# Some rounding units of a pixel position of 1000; northstar's axes are made unit vectors anew when they are read.
+SAME_PX = 1e-11
+SAME = 1e-14
+GLASS = Medium.constant("glass", 1.5)
+
+
+def saved(device, tmp_path):
+    return load_device(save_device(device, tmp_path / "saved.toml"))
+
+
+def sights(eye, count=300):
+    """View directions and viewpoints all over the field and the eye box."""
+    rng = np.random.default_rng(1)
+    low, high = ([-0.3, -0.3], [0.3, 0.3]) if eye.field is None else (eye.field.low, eye.field.high)
+    viewpoint = eye.eye_box.centre + eye.eye_box.size * rng.uniform(-0.5, 0.5, (count, 3))
+    return dir_of_tangents(rng.uniform(low, high, (count, 2))), viewpoint
+
+
+def assert_same_light(eye, other):
+    view_dir, viewpoint = sights(eye)
+    for mapping, query, tolerance in (
+        (TracedDisplay, "pixel_of_view_dir", SAME_PX),
+        (TracedSeeThrough, "real_ray_of_view_dir", SAME),
+    ):
+        expected = getattr(mapping(eye, WAVELENGTH_UM), query)(view_dir, viewpoint)
+        found = getattr(mapping(other, WAVELENGTH_UM), query)(view_dir, viewpoint)
+        assert (expected.status == Status.OK).mean() > 0.5, "too few rays arrive to compare"
+        np.testing.assert_array_equal(found.status, expected.status)
+        np.testing.assert_allclose(found.value, expected.value, rtol=0, atol=tolerance)
+
+
+def assert_same_parts(eye, other):
+    for path, read in ((eye.display, other.display), (eye.see_through, other.see_through)):
+        assert [step.surface.name for step in read.steps] == [step.surface.name for step in path.steps]
+        assert [step.interaction for step in read.steps] == [step.interaction for step in path.steps]
+        assert [step.medium.name for step in read.steps] == [step.medium.name for step in path.steps]
+    for surface, read in zip(eye.surfaces(), other.surfaces(), strict=True):
+        np.testing.assert_allclose(read.device_from_surface, surface.device_from_surface, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(read.aperture.low, surface.aperture.low, rtol=1e-15)
+        np.testing.assert_allclose(read.aperture.high, surface.aperture.high, rtol=1e-15)
+    assert other.panel.pixels == eye.panel.pixels
+    np.testing.assert_allclose(other.panel.size, eye.panel.size, rtol=1e-15)
+    np.testing.assert_allclose(other.panel.device_from_panel, eye.panel.device_from_panel, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(other.eye_box.centre, eye.eye_box.centre, rtol=1e-15)
+    np.testing.assert_allclose(other.eye_box.size, eye.eye_box.size, rtol=1e-15)
+    assert (other.field is None) == (eye.field is None)
+    if eye.field is not None:
+        np.testing.assert_allclose([other.field.low, other.field.high], [eye.field.low, eye.field.high], rtol=1e-15)
+
+
+def assert_same(device, other):
+    assert (other.name, other.source, list(other.eyes)) == (device.name, device.source, list(device.eyes))
+    for side, eye in device.eyes.items():
+        assert_same_parts(eye, other.eyes[side])
+        assert_same_light(eye, other.eyes[side])
+
+
+def small_motion(seed, size=1e-3):
+    """A rotation by about `size` radians about a random axis, and a shift by about `size` metres."""
+    rng = np.random.default_rng(seed)
+    xyzw = np.append(0.5 * size * rng.normal(size=3), 1.0)
+    return rigid(rotation_of_quaternion(xyzw / np.linalg.norm(xyzw)), size * rng.normal(size=3))
+
+
+def moved(eye, motion):
+    return eye.with_surfaces(lambda s: replace(s, device_from_surface=motion @ s.device_from_surface))
+
+
+def moved_panel(eye, motion):
+    return replace(eye, panel=replace(eye.panel, device_from_panel=motion @ eye.panel.device_from_panel))
+
+
+@pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
+def test_every_shipped_device_survives(tmp_path, name):
+    device = load_device(name)
+    assert_same(device, saved(device, tmp_path))
+
+
+@pytest.mark.parametrize("name", shipped_names("devices", ".toml"))
+def test_every_shipped_device_survives_with_all_its_parts_moved(tmp_path, name):
+    """Each eye its own way, so that a left eye can no longer be written as the right one's mirror image."""
+    device = load_device(name)
+    eyes = {
+        side: moved_panel(moved(eye, small_motion(seed)), small_motion(seed + 10)).with_media(lambda m: m.shifted(0.01))
+        for seed, (side, eye) in enumerate(device.eyes.items())
+    }
+    changed = replace(device, eyes=eyes)
+    assert_same(changed, saved(changed, tmp_path))
+
+
+def test_mirror_images_are_written_once(tmp_path):
+    device = load_device("northstar")
+    text = save_device(device, tmp_path / "saved.toml").read_text()
+    assert text.count("[[eye]]") == 1
+    eyes = {"right": device.eyes["right"], "left": moved_panel(device.eyes["left"], small_motion(0, 1e-9))}
+    text = save_device(replace(device, eyes=eyes), tmp_path / "saved.toml").read_text()
+    assert text.count("[[eye]]") == 2
+
+
+def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path):
+    device = load_device("northstar")
+    alone = replace(device, eyes={"left": device.eyes["left"]})
+    assert_same(alone, saved(alone, tmp_path))
+    assert_same_parts(mirrored(saved(alone, tmp_path).eyes["left"]), device.eyes["right"])
+
+
+@pytest.mark.parametrize("which", ["inner", "outer"])
+def test_an_offset_that_left_its_base_keeps_its_place(tmp_path, which):
+    device = load_device("northstar")
+    motion = small_motion(3)
+    eye = device.eyes["right"].with_surfaces(
+        lambda s: replace(s, device_from_surface=motion @ s.device_from_surface) if s.name == which else s
+    )
+    changed = replace(device, eyes={"right": eye})
+    read = saved(changed, tmp_path)
+    assert_same(changed, read)
+    assert 'of = "inner_base"' in (tmp_path / "saved.toml").read_text()
+    assert_same(changed, saved(read, tmp_path))
+
+
+def device_of_plate(front, back, medium=GLASS):
+    """No optics to the panel, and an element of two surfaces before the world."""
+    device = load_device("no_optics")
+    steps = tuple(Step(s, Interaction.REFRACT, m) for s, m in zip((front, back), (medium, AIR), strict=True))
+    return replace(device, eyes={"right": replace(device.eyes["right"], see_through=Path(steps))})
+
+
+def surface_at(name, shape, depth, low=(-0.05, -0.05, -np.inf), high=(0.05, 0.05, np.inf)):
+    return PlacedSurface(
+        name, shape, rigid(np.eye(3), np.array([0, 0, -depth])), ClearAperture(np.array(low), np.array(high))
+    )
+
+
+BACK = surface_at("back", Conic(0.0), 0.06)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Conic(0.0),
+        Conic(-7.0, -1.3),
+        Toroid(-0.3, 0.2),
+        XYPolynomial(np.zeros((1, 1))),
+        XYPolynomial(np.array([[1e-3, 2e-3, 0.5], [3e-3, -0.4, 0.0], [0.3, 0.1, 7.0]]), -5.0, 0.2),
+        XYPolynomial(np.eye(12)[:, :3] * 0.02),
+        AnamorphicAsphere((-4.0, 3.0)),
+        AnamorphicAsphere((-4.0, 3.0), (0.1, -2.0), (AnamorphicTerm(40.0, -0.2, 2), AnamorphicTerm(-3e4, 1.5, 3))),
+        Offset(Conic(5.0), 1.5e-3),
+        Offset(Offset(Toroid(-0.3, 0.2), -1e-3), 2e-3),
+    ],
+)
+def test_every_shape_survives(tmp_path, shape):
+    """Offsets here have bases, and these bases of their own, that no path meets."""
+    device = device_of_plate(surface_at("front", shape, 0.04), BACK)
+    assert_same(device, saved(device, tmp_path))
+
+
+def test_a_whole_ellipsoid_and_open_apertures_survive(tmp_path):
+    """The far side of an ellipsoid, told from the near one by z, behind a plate without edges."""
+    plate = surface_at("front", Conic(0.0), 0.01, low=(-np.inf,) * 3, high=(np.inf,) * 3)
+    shell = surface_at(
+        "shell", Ellipsoid(np.array([0.1, 0.12, 0.05])), 0.02, low=(-0.09, -0.09, -0.06), high=(0.09, 0.09, 0)
+    )
+    device = device_of_plate(plate, shell)
+    assert_same(device, saved(device, tmp_path))
+
+
+def test_surface_and_base_names_do_not_collide(tmp_path):
+    front = surface_at("front", Offset(Conic(5.0), 1e-3), 0.04)
+    device = device_of_plate(front, replace(BACK, name="front_base"))
+    assert_same(device, saved(device, tmp_path))
+
+
+def test_media_of_one_name_that_differ_between_the_eyes_are_told_apart(tmp_path):
+    device = load_device("northstar")
+    eyes = dict(device.eyes, left=device.eyes["left"].with_media(lambda medium: medium.shifted(0.004)))
+    read = saved(replace(device, eyes=eyes), tmp_path)
+    for side, name, shift in (("right", "pmma", 0.0), ("left", "pmma_left", 0.004)):
+        medium = read.eyes[side].see_through.steps[0].medium
+        assert (medium.name, medium.index_shift) == (name, shift)
+        assert_same_light(eyes[side], read.eyes[side])
+
+
+def test_an_unknown_dispersion_is_refused(tmp_path):
+    front = surface_at("front", Conic(0.0), 0.04)
+    device = device_of_plate(front, BACK, Medium("flint", ((1.5, 0.02),)))
+    with pytest.raises(BadInputError, match=r"Medium 'flint' cannot be written .*pmma_sultanova_2009"):
+        save_device(device, tmp_path / "saved.toml")
+    assert not list(tmp_path.iterdir())
+
+
+def test_saving_and_reading_settles(tmp_path):
+    """Once read, a device whose axes are unit vectors is written to the same text again."""
+    device = load_device("freeform40")
+    first = save_device(device, tmp_path / "first.toml")
+    second = save_device(load_device(first), tmp_path / "second.toml")
+    assert first.read_text() == second.read_text()
