@@ -166,6 +166,14 @@ class Table:
             raise self.fail(f"'{key}' must be a list of {size} numbers, not {value!r}.")
         return np.array([self._number(item, key) for item in value])
 
+    def vectors(self, key: str, size: int, default: Sequence[Sequence[float]] | None = None) -> NDArray[np.float64]:
+        """A list of lists of `size` finite numbers each, shape (n, size) with n >= 1."""
+        value = self._get(key) if default is None or self.has(key) else [list(row) for row in default]
+        whole = isinstance(value, list) and value and all(isinstance(row, list) and len(row) == size for row in value)
+        if not whole:
+            raise self.fail(f"'{key}' must be a list of lists of {size} numbers each, not {value!r}.")
+        return np.array([[self._number(item, key) for item in row] for row in value])
+
     def table(self, key: str) -> "Table":
         """A sub-table `[key]`."""
         value = self._get(key)

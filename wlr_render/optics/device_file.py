@@ -21,7 +21,8 @@ from wlr_render.optics.device import (
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.surface_file import MM, axes, named, offset_chain, placed_surface, positive
 
-_FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
+FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
+"""Rotation from the axes that a file states to the device frame's, by their name."""
 _GREEN_UM = 0.55
 _OTHER_SIDE = {"right": "left", "left": "right"}
 
@@ -37,7 +38,7 @@ def load_device(spec: str | FilePath) -> Device:
 
 def device_of(file: Table) -> Device:
     """Build a device from an opened file; every key must be known."""
-    frame = _FRAMES[file.text("frame", choices=sorted(_FRAMES))]
+    frame = FRAMES[file.text("frame", choices=sorted(FRAMES))]
     media = _media(file)
     eyes: dict[str, EyeOptics] = {}
     for table in file.tables("eye"):

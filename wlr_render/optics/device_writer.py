@@ -38,11 +38,16 @@ def save_device(device: Device, path: str | FilePath) -> FilePath:
     Raises:
         BadInputError: a medium's dispersion is none that the format knows.
     """
+    return write_toml(path, device_content(device))
+
+
+def device_content(device: Device) -> Content:
+    """What `save_device` writes: two devices are the same if it is."""
     names = _medium_names(device)
     head = {"name": device.name, "source": device.source, "frame": "openxr"}
     media = [_medium(name, medium) for medium, name in names.items() if medium != AIR]
     eyes = _eyes(device, names)
-    return write_toml(path, head | ({"medium": media} if media else {}) | {"eye": eyes})
+    return head | ({"medium": media} if media else {}) | {"eye": eyes}
 
 
 def _medium_names(device: Device) -> dict[Medium, str]:

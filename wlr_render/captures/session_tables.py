@@ -1,0 +1,207 @@
+"""Reads, checks and writes the tables of a bench session: CSV, plain or gzipped, by their schemas."""
+
+import csv
+import difflib
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session_schema import Column, Kind, Schema
+from wlr_render.errors import BadInputError
+from wlr_render.files import written_whole
+
+FloatArray = NDArray[np.float64]
+Columns = dict[str, FloatArray]
+"""Columns (n,) by their names, in the units and the frame of the file."""
+
+_UNIT_TOLERANCE = 1e-3
+_UNIT_SUFFIX = re.compile(r"(_(mm|cm|m|um|inch|deg|rad|mrad|arcmin|px|s|ms|us|min|h))+$")
+
+
+def read_table(path: Path, schema: Schema) -> Columns:
+    """Read a table and check every cell; optional columns that it does not have are filled in, or not in the result.
+
+    Raises:
+        BadInputError: a column is missing, unknown or in another unit, a cell is no number or one that its column
+            does not allow, there are no rows, or captures contradict or repeat each other.
+    """
+    lines = [(number, text) for number, text in enumerate(_text(path).splitlines(), 1) if text.strip()]
+    header = [name.strip() for name in lines[0][1].split(",")] if lines else []
+    _check_header(path, header, schema)
+    if len(lines) < 2:
+        raise BadInputError(f"{path}: has no rows; is the recording empty? Leave the file away if there are none.")
+    numbers = [number for number, _ in lines[1:]]
+    values = _values(path, header, [text for _, text in lines[1:]], numbers)
+    columns = {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)}
+    _check_cells(path, columns, schema, numbers)
+    _check_captures(path, columns, schema, numbers)
+    filled = {column.name: column.absent for column in schema.columns if column.absent is not None}
+    return {name: np.full(len(values), value) for name, value in filled.items()} | columns
+
+
+def write_table(path: Path, schema: Schema, columns: Mapping[str, FloatArray]) -> Path:
+    """Write a table whole or not at all, gzipped if the name ends in .gz, so that numbers keep 15 digits."""
+    written = [column for column in schema.columns if column.name in columns]
+    formats = ["%.15g" if column.kind is Kind.NUMBER else "%d" for column in written]
+    values = np.stack([columns[column.name] for column in written], axis=1)
+    text = io.StringIO()
+    np.savetxt(text, values, formats, ",", header=",".join(column.name for column in written), comments="")
+    content = text.getvalue().encode()
+    with written_whole(path) as temporary:
+        # Without a time stamp, the same session gives the same file.
+        temporary.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+    return path
+
+
+def _text(path: Path) -> str:
+    try:
+        content = path.read_bytes()
+        return (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8-sig")
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise BadInputError(f"{path}: is cut short or is not gzipped; write it again.") from error
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: is not a text file ({error.reason}).") from error
+
+
+def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
+    """Every column known, once, and none missing."""
+    known = {column.name: column for column in schema.columns}
+    for name in header:
+        if name not in known:
+            raise BadInputError(
+                f"{path}: {_unknown(name, [each for each in known.values() if each.name not in header])}"
+            )
+        if header.count(name) > 1:
+            raise BadInputError(f"{path}: column '{name}' is there twice; keep one.")
+    present = {column.group for column in schema.columns if column.group and column.name in header}
+    for column in schema.columns:
+        if column.name not in header and (not column.group or column.group in present):
+            unit = f" ({column.unit})" if column.unit else ""
+            raise BadInputError(f"{path}: column '{column.name}' is missing; it is {column.meaning}{unit}.")
+
+
+def _unknown(name: str, absent: Sequence[Column]) -> str:
+    """What to say of a column that the schema does not have."""
+    for column in absent:
+        if _UNIT_SUFFIX.sub("", name) == _UNIT_SUFFIX.sub("", column.name):
+            unit = column.unit or "a bare number"
+            return f"column '{name}' has another unit than '{column.name}' ({unit}); convert it and rename it."
+    close = difflib.get_close_matches(name, [column.name for column in absent], 1)
+    return f"unknown column '{name}'; " + (f"did you mean '{close[0]}'?" if close else "remove it.")
+
+
+def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> FloatArray:
+    """All cells, (n, columns)."""
+    try:
+        values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
+    except ValueError as error:
+        raise _cell_fault(path, header, rows, numbers) from error
+    if values.shape[1] != len(header):
+        raise _cell_fault(path, header, rows, numbers)
+    return values
+
+
+def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> BadInputError:
+    """Why the rows are no table of numbers."""
+    for number, cells in zip(numbers, csv.reader(rows), strict=True):
+        if len(cells) != len(header):
+            return BadInputError(
+                f"{path} line {number}: {len(cells)} cells where the header has {len(header)} columns."
+            )
+        for name, cell in zip(header, cells, strict=True):
+            if not _is_number(cell):
+                return BadInputError(f"{path} line {number}: '{name}' is '{cell.strip()}', not a number; {_REMEDY}.")
+    return BadInputError(f"{path}: the rows are no numbers separated by commas.")
+
+
+_REMEDY = "leave out rows without a measurement"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:
+    """Finite everywhere, of the column's kind, and unit vectors of unit length."""
+    for column in schema.columns:
+        if column.name not in columns:
+            continue
+        value = columns[column.name]
+        for bad, demand in ((~np.isfinite(value), f"finite; {_REMEDY}"), (~_allowed(value, column.kind), column.kind)):
+            if bad.any():
+                row = int(np.argmax(bad))
+                raise BadInputError(
+                    f"{path} line {numbers[row]}: '{column.name}' is {value[row]:g}; it must be {demand}."
+                )
+    for vector in schema.unit_vectors:
+        if vector[0] not in columns:
+            continue
+        length = np.linalg.norm([columns[name] for name in vector], axis=0)
+        bad = np.abs(length - 1.0) > _UNIT_TOLERANCE
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise BadInputError(
+                f"{path} line {numbers[row]}: {', '.join(vector)} have length {length[row]:.6g}; it must be 1."
+            )
+
+
+def _allowed(value: FloatArray, kind: Kind) -> NDArray[np.bool_]:
+    match kind:
+        case Kind.INDEX:
+            return np.asarray((value >= 0) & (value == np.round(value)))
+        case Kind.SIGN:
+            return np.asarray(np.abs(value) == 1)
+        case Kind.CHANNEL:
+            return np.isin(value, (0, 1, 2))
+    return np.isfinite(value)
+
+
+def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:
+    """Each row once, one setup for a capture, one capture for a setup."""
+    first = _first_alike(columns, tuple(columns))
+    _refuse(path, numbers, first, np.arange(len(numbers)), "is the same row as line {}; remove one")
+    setup = tuple(name for name in schema.setup if name in columns)
+    if not setup:
+        return
+    pose = tuple(name for name in schema.capture_key if name != "capture")
+    of_capture = _first_alike(columns, schema.capture_key)
+    of_setup = _first_alike(columns, (*pose, *setup))
+    both = _first_alike(columns, (*schema.capture_key, *setup))
+    said = f"({', '.join(setup)})"
+    _refuse(
+        path, numbers, of_capture, both, f"the capture was set up otherwise {said} in line {{}}; number captures apart"
+    )
+    _refuse(path, numbers, of_setup, both, f"another capture was set up alike {said} in line {{}}; keep one of them")
+
+
+def _first_alike(columns: Columns, names: Sequence[str]) -> NDArray[np.int64]:
+    """For each row (n,) the first row that has the same in these columns."""
+    key = np.stack([columns[name] for name in names])
+    order = np.lexsort(key)
+    starts = np.append(True, np.any(key[:, order[1:]] != key[:, order[:-1]], axis=0))
+    first = np.empty_like(order)
+    # lexsort is stable: the first row of a run of equal ones comes first.
+    first[order] = order[starts][np.cumsum(starts) - 1]
+    return first
+
+
+def _refuse(
+    path: Path, numbers: Sequence[int], earlier: NDArray[np.int64], own: NDArray[np.int64], sentence: str
+) -> None:
+    """Complain of the first row whose `earlier` row is not its `own`."""
+    wrong = np.flatnonzero(earlier != own)
+    if wrong.size:
+        row = int(wrong[0])
+        raise BadInputError(f"{path} line {numbers[row]}: {sentence.format(numbers[int(earlier[row])])}.")

@@ -1,0 +1,154 @@
+"""Bench files: what a bench's makers believe it to be, as TOML (docs/bench-session.md has the format)."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session_columns import MM
+from wlr_render.errors import BadInputError
+from wlr_render.files import Table, read_toml, shipped_names, write_toml
+from wlr_render.geometry.transforms import rigid
+from wlr_render.optics.device import Device
+from wlr_render.optics.device_file import FRAMES, load_device
+from wlr_render.optics.device_writer import device_content, save_device
+from wlr_render.simulation.bench import (
+    Bench,
+    Clock,
+    EyeballCamera,
+    EyeTracking,
+    Mount,
+    PanelReadout,
+    Stage,
+    Target,
+    Tracking,
+)
+from wlr_render.simulation.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "bench-session"
+VERSION = 1
+WRITTEN_FRAME = "opencv"
+"""Of the files that `save_bench` writes."""
+
+_ROTATION = Entry("rotation", ("rotation",), "three rows", (3, 3), MATRIX, ROTATION)
+_TRANSLATION = Entry("translation", ("translation",), "mm", (3,), POINT)
+_PITCH = Entry("pitch", ("pitch_mm",), "distance of neighbouring dots", rule=POSITIVE)
+
+
+def load_bench(path: str | Path) -> Bench:
+    """Read a bench file.
+
+    Raises:
+        BadInputError: the file or its device does not exist, or it breaks the format; the sentence says where.
+    """
+    return bench_of(read_toml(path), Path(path).parent)
+
+
+def device_from_file(file: Table) -> FloatArray:
+    """Rotation (3, 3) from the axes that an opened bench file states to the device frame's."""
+    return FRAMES[file.text("frame", choices=sorted(FRAMES))]
+
+
+def bench_of(file: Table, folder: Path) -> Bench:
+    """Build a bench from an opened file; every key must be known.
+
+    Args:
+        file: the opened file.
+        folder: to which the path of a device's file is relative.
+    """
+    _check_head(file)
+    axes = device_from_file(file)
+    device = _device(file, folder)
+    eye = file.text("eye", "right" if "right" in device.eyes else "left", choices=sorted(device.eyes))
+    stated = {name: _section(file, name, axes) for name in SECTIONS}
+    bench = Bench(
+        device,
+        eye,
+        EyeballCamera(**stated["camera"]),
+        Stage(**stated["stage"]),
+        _target(file, stated["target"], axes),
+        Tracking(_pose(file.table("tracking"), axes)) if file.has("tracking") else Tracking(),
+        Mount(**stated["mount"]),
+        PanelReadout(**stated["readout"]),
+        EyeTracking(**stated["eye_tracking"]),
+        Clock(**stated["clock"]),
+    )
+    file.finish()
+    return replace(bench, **stated["light"])
+
+
+def save_bench(bench: Bench, path: str | Path) -> Path:
+    """Write a bench so that `load_bench` reads the same one, to the rounding of its numbers.
+
+    A device that is not a shipped one, as it is, is written beside it as device.toml.
+    """
+    path, axes = Path(path), FRAMES[WRITTEN_FRAME]
+    head = {"format": FORMAT, "version": VERSION, "frame": WRITTEN_FRAME, "unit": "mm"}
+    head |= {"device": _device_key(bench.device, path.parent), "eye": bench.eye}
+    values = {name: bench if name == "light" else getattr(bench, name) for name in SECTIONS}
+    sections = {name: section.written(values[name], axes) for name, section in SECTIONS.items()}
+    reported = bench.tracking.true_from_reported
+    if not np.array_equal(reported, np.eye(4)):
+        sections["tracking"] = _pose_keys(reported, axes)
+    poses = [
+        _pose_keys(pose, axes) | {"pitch_mm": pitch / MM}
+        for pose, pitch in zip(bench.target.device_from_target, bench.target.pitch, strict=True)
+    ]
+    content = head | {name: keys for name, keys in sections.items() if keys}
+    return write_toml(path, content | ({"target_pose": poses} if poses else {}), "docs/bench-session.md has the format")
+
+
+def _check_head(file: Table) -> None:
+    file.text("format", choices=[FORMAT])
+    version, unit = file.number("version"), file.text("unit")
+    if version != VERSION:
+        raise file.fail(f"'version' is {version:g}; this program reads version {VERSION}: write the file again.")
+    if unit != "mm":
+        raise file.fail(
+            f"'unit' is '{unit}'; a bench file is in millimetres: convert its lengths, write unit = \"mm\"."
+        )
+
+
+def _device(file: Table, folder: Path) -> Device:
+    spec = file.text("device")
+    try:
+        return load_device(folder / spec if spec.endswith(".toml") else spec)
+    except BadInputError as error:
+        raise file.fail(f"'device': {error}") from error
+
+
+def _device_key(device: Device, folder: Path) -> str:
+    shipped = device.name in shipped_names("devices", ".toml")
+    if shipped and device_content(load_device(device.name)) == device_content(device):
+        return device.name
+    return save_device(device, folder / "device.toml").name
+
+
+def _section(file: Table, name: str, axes: FloatArray) -> dict[str, Any]:
+    """What the table states of its part; [camera] and [stage] must be there."""
+    required = name in ("camera", "stage")
+    return SECTIONS[name].read(file.table(name), axes) if required or file.has(name) else {}
+
+
+def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:
+    tables = file.tables("target_pose", required=False)
+    pitch = [MM * float(_PITCH.read(table, axes)) for table in tables]
+    poses = [_pose(table, axes) for table in tables]
+    if len(stated.get("bow", [0])) not in (1, len(poses)):
+        raise file.fail(f"'bow_per_m' in [target] must be one pair, or {len(poses)}: one for each [[target_pose]].")
+    return Target(np.reshape(poses, (-1, 4, 4)), np.array(pitch), **stated)
+
+
+def _pose(table: Table, axes: FloatArray) -> FloatArray:
+    """`rotation` and `translation`, the last keys of their table to be read, as (4, 4)."""
+    pose = rigid(_ROTATION.read(table, axes), _TRANSLATION.read(table, axes))
+    table.finish()
+    return pose
+
+
+def _pose_keys(pose: FloatArray, axes: FloatArray) -> dict[str, Any]:
+    return _ROTATION.written(pose[:3, :3], axes) | _TRANSLATION.written(pose[:3, 3], axes)

@@ -1,0 +1,217 @@
+"""What the tables of a bench file hold: for every attribute of a bench's parts its keys, unit, frame and rule.
+
+Reading, writing and docs/bench-session.md follow these tables. A key may be left out where the attribute has a default,
+and is left out in writing where the attribute equals it.
+"""
+
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session_columns import HALF_PIXEL, MM
+from wlr_render.files import Table
+from wlr_render.simulation import bench as parts
+
+FloatArray = NDArray[np.float64]
+Conversion = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """How a number of the file becomes one of the bench; `axes` is device_from_file (3, 3), see `session_columns`.
+
+    Attributes:
+        of_file, to_file: (value, axes) -> value.
+    """
+
+    of_file: Conversion = lambda value, _: value
+    to_file: Conversion = lambda value, _: value
+
+
+PLAIN = Quantity()
+CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
+LENGTH = Quantity(lambda value, _: MM * value, lambda value, _: value / MM)
+POINT = Quantity(lambda value, axes: MM * axes @ value, lambda value, axes: axes.T @ value / MM)
+TURN = Quantity(lambda value, axes: axes @ np.deg2rad(value), lambda value, axes: axes.T @ np.rad2deg(value))
+MATRIX = Quantity(lambda value, axes: axes @ value @ axes.T, lambda value, axes: axes.T @ value @ axes)
+BOW = Quantity(lambda value, axes: axes[2, 2] * value, lambda value, axes: axes[2, 2] * value)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What the numbers of a key must be.
+
+    Attributes:
+        demand: in words, after "must be".
+        holds: whether a value is so.
+    """
+
+    demand: str
+    holds: Callable[[FloatArray], bool]
+
+
+POSITIVE = Rule("above 0", lambda value: bool(np.all(value > 0)))
+COUNT = Rule("a whole number above 0", lambda value: bool(np.all((value > 0) & (value == np.round(value)))))
+ROTATION = Rule(
+    "a rotation matrix (orthogonal to 1e-6, determinant +1)",
+    lambda value: bool(np.abs(value @ value.T - np.eye(3)).max() < 1e-6 and np.linalg.det(value) > 0),
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One attribute of a part.
+
+    Attributes:
+        attribute: its name.
+        keys: one key, or one for each element of a pair.
+        meaning: for the documentation and for complaints.
+        shape: of what one key holds; a number, n numbers, or n (-1: any number of) lists of m numbers.
+        quantity: unit and frame.
+        rule: what must hold for each key, if anything.
+    """
+
+    attribute: str
+    keys: tuple[str, ...]
+    meaning: str
+    shape: tuple[int, ...] = ()
+    quantity: Quantity = PLAIN
+    rule: Rule | None = None
+
+    def read(self, table: Table, axes: FloatArray) -> FloatArray:
+        """The attribute from its keys, in the units and the frame of the bench."""
+        values = [self._value(table, key) for key in self.keys]
+        return self.quantity.of_file(values[0] if len(values) == 1 else np.stack(values), axes)
+
+    def written(self, value: FloatArray, axes: FloatArray) -> dict[str, Any]:
+        """The inverse of `read`."""
+        in_file = self.quantity.to_file(np.asarray(value), axes)
+        if self.rule is COUNT:
+            in_file = in_file.astype(np.int64)
+        return {self.keys[0]: in_file} if len(self.keys) == 1 else dict(zip(self.keys, in_file, strict=True))
+
+    def _value(self, table: Table, key: str) -> FloatArray:
+        match self.shape:
+            case ():
+                value = np.array(table.number(key))
+            case (size,):
+                value = table.vector(key, size)
+            case _:
+                value = table.vectors(key, self.shape[1])
+        if self.shape and self.shape[0] not in (-1, len(value)):
+            raise table.fail(f"'{key}' must be {self.shape[0]} lists of {self.shape[1]} numbers, not {len(value)}.")
+        if self.rule is not None and not self.rule.holds(value):
+            raise table.fail(f"'{key}' is {value.tolist()}; it must be {self.rule.demand} ({self.meaning}).")
+        return value
+
+
+@dataclass(frozen=True)
+class Section:
+    """One [table] of the file.
+
+    Attributes:
+        part: the dataclass that it describes.
+        entries: its attributes.
+    """
+
+    part: type
+    entries: tuple[Entry, ...]
+
+    def read(self, table: Table, axes: FloatArray) -> dict[str, FloatArray]:
+        """The attributes that the table states; others keep their defaults."""
+        stated = {
+            entry.attribute: entry.read(table, axes)
+            for entry in self.entries
+            if self._default(entry) is MISSING or table.has(entry.keys[0])
+        }
+        table.finish()
+        return stated
+
+    def written(self, value: Any, axes: FloatArray) -> dict[str, Any]:
+        """The keys that say what differs from the defaults."""
+        keys: dict[str, Any] = {}
+        for entry in self.entries:
+            attribute, default = getattr(value, entry.attribute), self._default(entry)
+            if default is MISSING or not np.array_equal(attribute, default):
+                keys |= entry.written(attribute, axes)
+        return keys
+
+    def _default(self, entry: Entry) -> Any:
+        field = next(each for each in fields(self.part) if each.name == entry.attribute)
+        return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+_TURNED_CAMERA = "by which the camera is turned from looking straight ahead: device_from_camera"
+_AXES = "true displacement from the origin = axes @ displacement that is read"
+
+SECTIONS = {
+    "camera": Section(
+        parts.EyeballCamera,
+        (
+            Entry("size_px", ("width", "height"), "of the image, pixels", rule=COUNT),
+            Entry("focal_px", ("fx", "fy"), "focal length, pixels", rule=POSITIVE),
+            Entry("centre_px", ("cx", "cy"), "where the optical axis meets the image, pixels", (), CAMERA_PIXEL),
+            Entry("point_sigma_px", ("point_sigma_px",), "repeatability of a point, per axis, pixels", rule=POSITIVE),
+            Entry("distortion", ("distortion",), "k1, k2: seen tangents = true tangents * (1 + k1 r^2 + k2 r^4)", (2,)),
+            Entry("device_from_camera", ("rotation",), f"rotation {_TURNED_CAMERA}", (3, 3), MATRIX, ROTATION),
+            Entry("pupil_offset", ("pupil_offset_mm",), "true minus believed centre of projection", (3,), POINT),
+        ),
+    ),
+    "stage": Section(
+        parts.Stage,
+        (
+            Entry("origin", ("origin",), "reading about which the axes are wrong, mm", (3,), POINT),
+            Entry("axes", ("axes",), _AXES, (3, 3), MATRIX),
+            Entry("backlash", ("backlash_mm",), "true minus read x after a move to +x, and to -x", (2,), LENGTH),
+        ),
+    ),
+    "target": Section(
+        parts.Target,
+        (
+            Entry("scale", ("scale",), "true over stated size in x and y", (2,), rule=POSITIVE),
+            Entry("bow", ("bow_per_m",), "one [bx, by], or one per pose: z = bx x^2 + by y^2, metres", (-1, 2), BOW),
+        ),
+    ),
+    "mount": Section(
+        parts.Mount,
+        (
+            Entry("panel_creep", ("panel_creep_mm",), "how far the panel creeps along u and v", (2,), LENGTH),
+            Entry("warm_up_s", ("warm_up_s",), "after t, 1 - exp(-t / warm_up_s) of the creep is done", rule=POSITIVE),
+            Entry("slip_time_s", ("slip_time_s",), "when the headset slips"),
+            Entry("slip", ("slip_mm",), "displacement of the camera in the device frame from then on", (3,), POINT),
+            Entry("slip_rotation", ("slip_rotation_deg",), "its turn about x, y, z from then on", (3,), TURN),
+        ),
+    ),
+    "readout": Section(
+        parts.PanelReadout,
+        (
+            Entry("origin_px", ("origin_px",), "decoded minus true panel position", (2,)),
+            Entry("channel_scale", ("channel_scale",), "magnification of red, green, blue", (3,), rule=POSITIVE),
+        ),
+    ),
+    "eye_tracking": Section(
+        parts.EyeTracking,
+        (
+            Entry("bias", ("bias_mm",), "true minus tracked place of the pupil", (3,), POINT),
+            Entry("gaze_radius", ("gaze_radius_mm",), "pupil's way with the gaze that is not tracked", (), LENGTH),
+        ),
+    ),
+    "clock": Section(
+        parts.Clock,
+        (
+            Entry("latency_s", ("latency_s",), "from the time a frame is drawn for to its first row's being seen"),
+            Entry("scanout_s", ("scanout_s",), "from the panel's first row to its last"),
+        ),
+    ),
+    "light": Section(
+        parts.Bench,
+        (
+            Entry("wavelengths_um", ("channels_um",), "of red, green and blue, micrometres", (3,), rule=POSITIVE),
+            Entry("target_wavelength_um", ("target_um",), "in which targets are seen, micrometres", rule=POSITIVE),
+        ),
+    ),
+}
+"""By the name of the table; [target] besides its poses, [light] for the bench's own attributes."""

@@ -1,0 +1,132 @@
+"""Session folders: bench.toml and one to three tables, as docs/bench-session.md has it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
+from wlr_render.captures.session_columns import PARTS
+from wlr_render.captures.session_schema import SCHEMAS, Schema
+from wlr_render.captures.session_tables import read_table, write_table
+from wlr_render.errors import BadInputError
+from wlr_render.files import read_toml
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.optics.device_file import FRAMES
+from wlr_render.simulation.bench import Bench, EyeballCamera
+from wlr_render.simulation.bench_file import WRITTEN_FRAME, bench_of, device_from_file, save_bench
+from wlr_render.simulation.simulate_session import camera_dirs, pixel_of_tangents
+
+FloatArray = NDArray[np.float64]
+
+FEWEST_CAPTURES = 6
+_SUFFIXES = (".csv", ".csv.gz")
+
+
+def load_session(folder: str | Path) -> tuple[Bench, Session]:
+    """Read a session and the bench as its makers believe it to be; the session is named after its folder.
+
+    Raises:
+        BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says
+            where and what to do.
+    """
+    folder = Path(folder)
+    file = read_toml(folder / "bench.toml")
+    bench, axes = bench_of(file, folder), device_from_file(file)
+    plans: dict[str, Any] = {}
+    readings: dict[str, FloatArray] = {}
+    for part in PARTS:
+        table = _table_path(folder, part.schema)
+        if table is not None:
+            plan, reading = part.of_file(read_table(table, part.schema), axes)
+            plans[part.plan], readings[part.reading] = plan, reading
+    if not plans:
+        expected = ", ".join(f"{schema.name}.csv" for schema in SCHEMAS)
+        raise BadInputError(f"{folder}: has none of the tables {expected} (plain or .gz); add at least one.")
+    _check_against_bench(folder, bench, plans, readings)
+    if "seen" in readings:
+        readings["seen"] = _tangents_seen(bench.camera, readings["seen"])
+    return bench, Session(folder.resolve().name, SessionPlan(**plans), Readings(**readings))
+
+
+def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
+    """Write a session so that `load_session` reads the same one, to 15 digits. Rows with a NaN reading are left out.
+
+    Raises:
+        BadInputError: the folder holds a table that is not this session's, and would be read with it.
+    """
+    folder = Path(folder)
+    save_bench(bench, folder / "bench.toml")
+    for part in PARTS:
+        plan, reading = getattr(session.plan, part.plan), getattr(session.readings, part.reading)
+        path = None if plan is None else folder / f"{part.schema.name}.csv.gz"
+        stale = [other for other in _tables(folder, part.schema) if other != path]
+        if stale:
+            raise BadInputError(f"{stale[0]}: is not of the session to be written; remove it or choose another folder.")
+        if path is not None:
+            seen = np.isfinite(reading).all(axis=1)
+            pixel = _pixels_seen(bench.camera, reading[seen]) if part.reading == "seen" else reading[seen]
+            write_table(path, part.schema, part.to_file(select_rows(plan, seen), pixel, FRAMES[WRITTEN_FRAME]))
+    return folder
+
+
+def check_enough_captures(session: Session) -> None:
+    """Refuse a session of which no captures can be held out.
+
+    Raises:
+        BadInputError: there are fewer than `FEWEST_CAPTURES` of them, all tables together.
+    """
+    count = 0
+    for part in PARTS:
+        plan = getattr(session.plan, part.plan)
+        if plan is not None:
+            keys = [getattr(plan, name) for name in part.schema.capture_key]
+            count += np.unique(np.stack(keys), axis=1).shape[1]
+    if count < FEWEST_CAPTURES:
+        raise BadInputError(
+            f"{session.name}: has {count} captures, too few captures to hold any out; take {FEWEST_CAPTURES} or more."
+        )
+
+
+def _tables(folder: Path, schema: Schema) -> list[Path]:
+    return [path for suffix in _SUFFIXES if (path := folder / f"{schema.name}{suffix}").exists()]
+
+
+def _table_path(folder: Path, schema: Schema) -> Path | None:
+    found = _tables(folder, schema)
+    if len(found) > 1:
+        raise BadInputError(f"{folder}: has both {found[0].name} and {found[1].name}; remove one.")
+    return found[0] if found else None
+
+
+def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:
+    """Readings that lie on the panel, and poses that the bench has."""
+    if "panel_pixel" in readings:
+        pixel, size = readings["panel_pixel"], bench.optics.panel.pixels.size_px
+        if np.all(np.any((pixel < 0) | (pixel > size), axis=1)):
+            raise BadInputError(
+                f"{folder}: in the display table every pixel_u, pixel_v is outside the panel of {bench.device.name} "
+                f"({size[0]:g} x {size[1]:g} pixels); name the device that was measured, or decode in its pixels."
+            )
+    if "see_through" in plans:
+        poses, highest = len(bench.target.pitch), plans["see_through"].target_pose.max()
+        if highest >= poses:
+            raise BadInputError(
+                f"{folder}: the seethrough table names target_pose {highest}, but bench.toml has {poses} "
+                f"[[target_pose]], counted from 0; add the missing ones."
+            )
+
+
+def _tangents_seen(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
+    """Camera pixels (n, 4) of two dots -> their tangents in the device frame."""
+    return np.concatenate([tangents_of_dir(camera_dirs(camera, pixel[:, dot])) for dot in _DOTS], axis=1)
+
+
+def _pixels_seen(camera: EyeballCamera, tangents: FloatArray) -> FloatArray:
+    """The inverse of `_tangents_seen`."""
+    in_camera = [dir_of_tangents(tangents[:, dot]) @ camera.device_from_camera for dot in _DOTS]
+    return np.concatenate([pixel_of_tangents(camera, tangents_of_dir(each)) for each in in_camera], axis=1)
+
+
+_DOTS = (slice(0, 2), slice(2, 4))
