@@ -5,13 +5,17 @@ import os
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
+
+DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def mapped(value):
@@ -62,3 +66,16 @@ class PrismPlate:
 def flat_image_headset():
     box = EyeBox(np.array([0.001, -0.002, 0.01]), np.array([0.010, 0.008, 0.006]))
     return EyeMappings("flat image", "right", FlatImage(Panel(140, 100)), PrismPlate(), box)
+
+
+@pytest.fixture
+def measured_data() -> Callable[[str], Path]:
+    """Folder of a measured set of others, by name; the test is skipped where the set is not at hand."""
+
+    def folder_of(name: str) -> Path:
+        folder = Path(os.environ.get("WLR_DATA", DATA_BESIDE_CHECKOUT)) / name
+        if not folder.is_dir():
+            pytest.skip(f"the measured set {name} is not here; docs/measured-data.md says where to get it")
+        return folder
+
+    return folder_of

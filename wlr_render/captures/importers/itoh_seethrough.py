@@ -1,0 +1,174 @@
+"""See-through captures of the HMD-Light-Field-Correction data set (Itoh & Klinker, TVCG 21(4), 2015).
+
+One numbered folder per viewpoint: a camera at the eye's place photographs an asymmetric grid of circles without and
+with the headset before it, and the headset's own camera photographs the grid too. The files are Ubitrack archives, one
+line of text each. Ubitrack's frames are OpenGL's (x right, y up, looking along -z); its image rows run upwards.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+
+FloatArray = NDArray[np.float64]
+
+SIZE_PX = (1280, 1024)
+FOCAL_PX = (1575.02, 1570.46)
+CENTRE_FROM_BOTTOM_PX = (664.35, 513.36)
+"""The camera as its makers calibrated it; the centre counts from the middle of the bottom-left pixel."""
+
+_SIGNATURE = ["22", "serialization::archive"]
+_COUNT_AT, _VALUES_AT = 8, 12
+_POSE_TOKENS, _QUATERNION, _TRANSLATION = 19, slice(10, 14), slice(16, 19)
+_TIME_AT = 5
+
+
+@dataclass(frozen=True)
+class SeeThroughPairs:
+    """Dots seen by one camera without the headset and, from the same place, through it.
+
+    The device frame is the frame of the headset's world-facing camera, with the axes of OpenXR; metres. Pixels have
+    (0, 0) at the outer corner of the top-left pixel, v down. `v` is the number of views, `n` of dots.
+
+    Attributes:
+        view: (v,) folder names, in numerical order.
+        size_px: width and height of the camera's image.
+        focal_px, centre_px: (2,) of the camera, without lens distortion.
+        device_from_camera: (v, 4, 4) the camera's frame is OpenCV's: x right, y down, z forward.
+        device_from_target: (v, 4, 4) the dots lie in the target's plane z = 0.
+        dot_in_target: (n, 3) the dots, the same in all views.
+        bare_px: (v, n, 2) where the camera saw the dots without the headset.
+        through_px: (v, n, 2) where it saw them through the headset.
+        bare_time_s, through_time_s: (v,) when, in seconds after the first photograph of the set.
+    """
+
+    view: tuple[str, ...]
+    size_px: tuple[int, int]
+    focal_px: FloatArray
+    centre_px: FloatArray
+    device_from_camera: FloatArray
+    device_from_target: FloatArray
+    dot_in_target: FloatArray
+    bare_px: FloatArray
+    through_px: FloatArray
+    bare_time_s: FloatArray
+    through_time_s: FloatArray
+
+
+def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
+    """Read all numbered view folders under `folder` (the set's `data` folder).
+
+    Raises:
+        BadInputError: there is no such folder, a file is missing or not an archive of the expected kind, a number is
+            not finite, a view's dots do not fit the others', or its three poses contradict one another.
+    """
+    root = Path(folder)
+    names = sorted((path.name for path in root.glob("*") if path.name.isdigit() and path.is_dir()), key=int)
+    if not names:
+        raise BadInputError(f"{root}: holds no numbered view folders; give the 'data' folder of the set.")
+    views = [_View.read(root / name) for name in names]
+    for name, view in zip(names, views, strict=True):
+        if not np.array_equal(view.dot_in_target, views[0].dot_in_target):
+            raise BadInputError(f"{root / name}: its grid is not that of view {names[0]}; leave this view out.")
+    bare_ns, through_ns = (np.array([view.time_ns[i] for view in views]) for i in range(2))
+    first_ns = min(bare_ns.min(), through_ns.min())
+    return SeeThroughPairs(
+        view=tuple(names),
+        size_px=SIZE_PX,
+        focal_px=np.array(FOCAL_PX),
+        centre_px=_from_top(np.array(CENTRE_FROM_BOTTOM_PX)),
+        device_from_camera=np.stack([view.device_from_camera for view in views]),
+        device_from_target=np.stack([view.device_from_target for view in views]),
+        dot_in_target=views[0].dot_in_target,
+        bare_px=_from_top(np.stack([view.bare for view in views])),
+        through_px=_from_top(np.stack([view.through for view in views])),
+        # Whole nanoseconds since 1970 do not fit a float: subtract first.
+        bare_time_s=(bare_ns - first_ns) * 1e-9,
+        through_time_s=(through_ns - first_ns) * 1e-9,
+    )
+
+
+def _from_top(pixel_from_bottom: FloatArray) -> FloatArray:
+    """Rows counted upwards from pixel centres (..., 2) -> our pixels, rows downwards from the outer corner."""
+    u, v = np.moveaxis(pixel_from_bottom, -1, 0)
+    return np.stack([u + 0.5, SIZE_PX[1] - (v + 0.5)], axis=-1)
+
+
+@dataclass(frozen=True)
+class _View:
+    """One folder, pixels still counted from the bottom."""
+
+    device_from_camera: FloatArray
+    device_from_target: FloatArray
+    dot_in_target: FloatArray
+    bare: FloatArray
+    through: FloatArray
+    time_ns: tuple[int, int]
+
+    @classmethod
+    def read(cls, folder: Path) -> "_View":
+        bare_file, through_file = folder / "2dPointsOnViewPoint.txt", folder / "2dPointsOnViewPointThroughHMD.txt"
+        dots, bare, through = _points(folder / "3dPointsOnGrid.txt", 3), _points(bare_file, 2), _points(through_file, 2)
+        if not len(dots) == len(bare) == len(through):
+            raise BadInputError(
+                f"{folder}: {len(dots)} dots on the grid, {len(bare)} seen without and {len(through)} through the "
+                "headset; the three must be equal, leave this view out."
+            )
+        device_from_gl_camera = _pose(folder / "P_HMDCam2IDS.txt")
+        device_from_target = _pose(folder / "P_HMDCam2Marker.txt")
+        via_camera = device_from_gl_camera @ _pose(folder / "P_IDS2Marker.txt")
+        if not np.allclose(via_camera, device_from_target, atol=1e-6):
+            raise BadInputError(f"{folder}: P_HMDCam2Marker is not P_HMDCam2IDS * P_IDS2Marker; leave this view out.")
+        gl_from_cv = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.zeros(3))
+        times = (int(_tokens(bare_file)[_TIME_AT]), int(_tokens(through_file)[_TIME_AT]))
+        return cls(device_from_gl_camera @ gl_from_cv, device_from_target, dots, bare, through, times)
+
+
+def _tokens(path: Path) -> list[str]:
+    try:
+        tokens = path.read_text(encoding="ascii").split()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: is not a text archive ({error.reason}).") from error
+    if tokens[:2] != _SIGNATURE or len(tokens) < _VALUES_AT or not tokens[_TIME_AT].isdigit():
+        raise BadInputError(f"{path}: does not start as a text archive, '22 serialization::archive ... time'.")
+    return tokens
+
+
+def _numbers(path: Path, tokens: list[str]) -> FloatArray:
+    try:
+        values = np.array(tokens, dtype=np.float64)
+    except ValueError as error:
+        raise BadInputError(f"{path}: holds something that is not a number ({error}).") from error
+    if not np.isfinite(values).all():
+        raise BadInputError(f"{path}: holds a number that is not finite; leave this view out.")
+    return values
+
+
+def _points(path: Path, columns: int) -> FloatArray:
+    """A measured list of points, (n, columns)."""
+    tokens = _tokens(path)
+    values = _numbers(path, tokens[_VALUES_AT:])
+    if not tokens[_COUNT_AT].isdigit() or len(values) != int(tokens[_COUNT_AT]) * columns:
+        raise BadInputError(
+            f"{path}: says {tokens[_COUNT_AT]} points of {columns} numbers and holds {len(values)} numbers; "
+            "download the file again."
+        )
+    return values.reshape(-1, columns)
+
+
+def _pose(path: Path) -> FloatArray:
+    """A measured pose, (4, 4): quaternion xyzw, two more archive tokens, translation."""
+    tokens = _tokens(path)
+    if len(tokens) != _POSE_TOKENS:
+        raise BadInputError(f"{path}: has {len(tokens)} tokens, a pose has {_POSE_TOKENS}; download it again.")
+    quaternion, translation = _numbers(path, tokens[_QUATERNION]), _numbers(path, tokens[_TRANSLATION])
+    length = np.linalg.norm(quaternion)
+    if abs(length - 1.0) > 1e-6:
+        raise BadInputError(f"{path}: its quaternion has the length {length:.6g}, not 1; download the file again.")
+    return transforms.rigid(transforms.rotation_of_quaternion(quaternion), translation)
