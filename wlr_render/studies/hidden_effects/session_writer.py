@@ -1,0 +1,99 @@
+"""Write a session as a bench delivers it: bench.toml, display.csv.gz, seethrough.csv.gz.
+
+The bench file always states the bench as its makers believe it to be.
+"""
+
+import gzip
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.files import output_folder, write_text, written_whole
+from wlr_render.studies.hidden_effects.captures import (
+    CAMERA_CENTRE_PX,
+    CAMERA_FOCAL_PX,
+    CAMERA_SIZE_PX,
+    TARGET_DISTANCES_MM,
+    Plan,
+    device_from_target,
+    stage_origin,
+)
+from wlr_render.studies.hidden_effects.devices import own_device
+from wlr_render.studies.hidden_effects.effects import Effect
+from wlr_render.studies.hidden_effects.session import observe
+
+_DECIMALS = {"time_s": 1, "stage": 6, "target": 4, "pixel": 4}
+_CAMERA_DECIMALS = {"display": 3, "seethrough": 4}
+
+
+def write_session(folder: str | Path, plan: Plan, effects: Sequence[Effect], rng: np.random.Generator) -> None:
+    """Observe a bench and write what it delivers; points that were not seen are left out.
+
+    Raises:
+        BadInputError: the plan names a device that does not exist, or the folder cannot be written.
+    """
+    session = observe(plan, effects, rng)
+    out = output_folder(folder)
+    write_text(out / "bench.toml", _bench_text(plan))
+    _write_table(out, "display", session.display[np.isfinite(session.display["pixel_u"])])
+    _write_table(out, "seethrough", session.seethrough[np.isfinite(session.seethrough["camera_u"])])
+
+
+def _bench_text(plan: Plan) -> str:
+    eye = own_device(plan.device).eye
+    width, height = CAMERA_SIZE_PX
+    cx, cy = CAMERA_CENTRE_PX
+    head = f"""# millimetres; x right, y down, z forward
+format = "bench-session"
+version = 1
+frame = "opencv"
+unit = "mm"
+device = "{plan.device}"
+
+[camera]
+width = {width:.0f}
+height = {height:.0f}
+fx = {CAMERA_FOCAL_PX:.1f}
+fy = {CAMERA_FOCAL_PX:.1f}
+cx = {cx:.1f}
+cy = {cy:.1f}
+point_sigma_px = {plan.sigma_px:g}
+
+[stage]
+origin = {_list(stage_origin(eye))}
+"""
+    return head + "".join(_pose_text(plan, k, eye) for k in range(len(TARGET_DISTANCES_MM)))
+
+
+def _pose_text(plan: Plan, target_pose: int, eye: NDArray[np.float64]) -> str:
+    rotation, translation = device_from_target(target_pose, eye)
+    rows = ", ".join(_list(row) for row in rotation)
+    return f"""
+[[target_pose]]
+rotation = [{rows}]
+translation = {_list(translation)}
+pitch_mm = {plan.pitch_mm(target_pose):g}
+"""
+
+
+def _list(values: NDArray[np.float64]) -> str:
+    return f"[{', '.join(f'{value:.10g}' for value in values)}]"
+
+
+def _write_table(folder: Path, name: str, table: NDArray[np.void]) -> None:
+    columns = table.dtype.names or ()
+    formats = [_format(column, name, table.dtype[column]) for column in columns]
+    lines = [",".join(columns), *(",".join(formats) % tuple(row) for row in table.tolist())]
+    with written_whole(folder / f"{name}.csv.gz") as temporary:
+        # No time stamp: the same session is the same file.
+        temporary.write_bytes(gzip.compress("\n".join([*lines, ""]).encode("ascii"), 6, mtime=0))
+
+
+def _format(column: str, table: str, kind: np.dtype[np.generic]) -> str:
+    if kind.kind == "i":
+        return "%d"
+    if column.startswith("camera"):
+        return f"%.{_CAMERA_DECIMALS[table]}f"
+    return next(f"%.{decimals}f" for start, decimals in _DECIMALS.items() if column.startswith(start))
