@@ -145,7 +145,7 @@ def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:
 
 def _pose(table: Table, axes: FloatArray) -> FloatArray:
     """`rotation` and `translation`, the last keys of their table to be read, as (4, 4)."""
-    pose = rigid(_ROTATION.read(table, axes), _TRANSLATION.read(table, axes))
+    pose = rigid(np.asarray(_ROTATION.read(table, axes)), np.asarray(_TRANSLATION.read(table, axes)))
     table.finish()
     return pose
 

@@ -81,14 +81,15 @@ class Entry:
     quantity: Quantity = PLAIN
     rule: Rule | None = None
 
-    def read(self, table: Table, axes: FloatArray) -> FloatArray:
+    def read(self, table: Table, axes: FloatArray) -> FloatArray | float:
         """The attribute from its keys, in the units and the frame of the bench."""
         values = [self._value(table, key) for key in self.keys]
-        return self.quantity.of_file(values[0] if len(values) == 1 else np.stack(values), axes)
+        value = self.quantity.of_file(values[0] if len(values) == 1 else np.stack(values), axes)
+        return value if value.ndim else float(value)
 
-    def written(self, value: FloatArray, axes: FloatArray) -> dict[str, Any]:
+    def written(self, value: FloatArray | float, axes: FloatArray) -> dict[str, Any]:
         """The inverse of `read`."""
-        in_file = self.quantity.to_file(np.asarray(value), axes)
+        in_file = self.quantity.to_file(np.asarray(value), axes) + 0.0  # for -0.0 nobody would write
         if self.rule is COUNT:
             in_file = in_file.astype(np.int64)
         return {self.keys[0]: in_file} if len(self.keys) == 1 else dict(zip(self.keys, in_file, strict=True))
@@ -120,13 +121,14 @@ class Section:
     part: type
     entries: tuple[Entry, ...]
 
-    def read(self, table: Table, axes: FloatArray) -> dict[str, FloatArray]:
+    def read(self, table: Table, axes: FloatArray) -> dict[str, Any]:
         """The attributes that the table states; others keep their defaults."""
-        stated = {
-            entry.attribute: entry.read(table, axes)
-            for entry in self.entries
-            if self._default(entry) is MISSING or table.has(entry.keys[0])
-        }
+        stated = {}
+        for entry in self.entries:
+            default = self.default(entry)
+            if default is MISSING or table.has(entry.keys[0]):
+                value = entry.read(table, axes)
+                stated[entry.attribute] = tuple(np.asarray(value).tolist()) if isinstance(default, tuple) else value
         table.finish()
         return stated
 
@@ -134,12 +136,13 @@ class Section:
         """The keys that say what differs from the defaults."""
         keys: dict[str, Any] = {}
         for entry in self.entries:
-            attribute, default = getattr(value, entry.attribute), self._default(entry)
+            attribute, default = getattr(value, entry.attribute), self.default(entry)
             if default is MISSING or not np.array_equal(attribute, default):
                 keys |= entry.written(attribute, axes)
         return keys
 
-    def _default(self, entry: Entry) -> Any:
+    def default(self, entry: Entry) -> Any:
+        """What the attribute is where the file does not say; MISSING where it must say."""
         field = next(each for each in fields(self.part) if each.name == entry.attribute)
         return field.default if field.default_factory is MISSING else field.default_factory()
 
@@ -172,7 +175,7 @@ SECTIONS = {
         parts.Target,
         (
             Entry("scale", ("scale",), "true over stated size in x and y", (2,), rule=POSITIVE),
-            Entry("bow", ("bow_per_m",), "one [bx, by], or one per pose: z = bx x^2 + by y^2, metres", (-1, 2), BOW),
+            Entry("bow", ("bow_per_m",), "one [bx, by], or one a pose: z = bx x^2 + by y^2 in metres", (-1, 2), BOW),
         ),
     ),
     "mount": Section(

@@ -57,17 +57,21 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
         BadInputError: the folder holds a table that is not this session's, and would be read with it.
     """
     folder = Path(folder)
+    present = [part for part in PARTS if getattr(session.plan, part.plan) is not None]
+    written = {part.schema.name: folder / f"{part.schema.name}.csv.gz" for part in present}
+    for schema in SCHEMAS:
+        for other in _tables(folder, schema):
+            if other != written.get(schema.name):
+                raise BadInputError(
+                    f"{other}: is not of the session to be written; remove it or choose another folder."
+                )
     save_bench(bench, folder / "bench.toml")
-    for part in PARTS:
+    for part in present:
         plan, reading = getattr(session.plan, part.plan), getattr(session.readings, part.reading)
-        path = None if plan is None else folder / f"{part.schema.name}.csv.gz"
-        stale = [other for other in _tables(folder, part.schema) if other != path]
-        if stale:
-            raise BadInputError(f"{stale[0]}: is not of the session to be written; remove it or choose another folder.")
-        if path is not None:
-            seen = np.isfinite(reading).all(axis=1)
-            pixel = _pixels_seen(bench.camera, reading[seen]) if part.reading == "seen" else reading[seen]
-            write_table(path, part.schema, part.to_file(select_rows(plan, seen), pixel, FRAMES[WRITTEN_FRAME]))
+        seen = np.isfinite(reading).all(axis=1)
+        in_file = _pixels_seen(bench.camera, reading[seen]) if part.reading == "seen" else reading[seen]
+        columns = part.to_file(select_rows(plan, seen), in_file, FRAMES[WRITTEN_FRAME])
+        write_table(written[part.schema.name], part.schema, columns)
     return folder
 
 
