@@ -1,0 +1,199 @@
+"""Bench files: what is saved is loaded, frames and units come out right, and faults are named in one sentence."""
+
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import read_toml
+from wlr_render.geometry.transforms import rigid
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_writer import device_content
+from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.simulation.bench_file import load_bench, save_bench
+from wlr_render.simulation.bench_keys import SECTIONS
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "bench-session.md"
+TOML = """
+format = "bench-session"
+version = 1
+frame = "opencv"
+unit = "mm"
+device = "northstar"
+
+[camera]
+width = 1280
+height = 1024
+fx = 1350.0
+fy = 1340.0
+cx = 640.0
+cy = 512.0
+point_sigma_px = 0.1
+
+[stage]
+origin = [32, 1, 33]
+
+[target]
+bow_per_m = [[0.1, 0.2]]
+
+[[target_pose]]
+rotation = [[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]]
+translation = [32, 2, 600]
+pitch_mm = 21.6
+"""
+
+
+def written(tmp_path, *changes):
+    """Path of the file above with some text replaced: (old, new) pairs."""
+    text = TOML
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    path = tmp_path / "bench.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def random_rigid(rng, *shape):
+    count = int(np.prod(shape))
+    return rigid(Rotation.random(count, rng=rng).as_matrix(), rng.normal(size=(count, 3))).reshape(*shape, 4, 4)
+
+
+def disturbed(part, rng):
+    """A copy of a bench or of a part of it with every number changed, and rotations for rotations."""
+    changes = {}
+    for field in fields(part):
+        value = getattr(part, field.name)
+        if field.name in ("device", "eye", "size_px"):
+            continue
+        if is_dataclass(value):
+            changes[field.name] = disturbed(value, rng)
+        elif field.name == "device_from_camera":
+            changes[field.name] = Rotation.random(rng=rng).as_matrix()
+        elif field.name in ("device_from_target", "true_from_reported"):
+            changes[field.name] = random_rigid(rng, *np.shape(value)[:-2])
+        elif field.name == "slip_time_s":
+            changes[field.name] = rng.uniform(0, 2000)
+        else:
+            other = np.asarray(value) + rng.uniform(0.01, 0.1, np.shape(value))
+            changes[field.name] = other if isinstance(value, np.ndarray) else type(value)(other)
+    return replace(part, **changes)
+
+
+def plain_bench(device, poses, rng):
+    camera = EyeballCamera(np.array([640.0, 480.0]), np.array([700.0, 710.0]), np.array([320.0, 240.0]), 0.1)
+    target = Target(random_rigid(rng, poses), np.full(poses, 0.02))
+    return Bench(device, "left", camera, Stage(np.array([-0.032, 0.0, -0.033])), target)
+
+
+def assert_same(found, expected):
+    for field in fields(expected):
+        a, b = getattr(found, field.name), getattr(expected, field.name)
+        if field.name == "device":
+            assert device_content(a) == device_content(b)
+        elif is_dataclass(b):
+            assert_same(a, b)
+        elif isinstance(b, str):
+            assert a == b
+        else:
+            assert type(a) is type(b), field.name
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12, err_msg=field.name)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_saved_is_loaded(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    bench = disturbed(plain_bench(load_device("northstar"), seed, rng), rng)
+    assert_same(load_bench(save_bench(bench, tmp_path / "bench.toml")), bench)
+    assert not (tmp_path / "device.toml").exists()
+
+
+def test_a_bench_as_built_is_saved_without_further_keys(tmp_path):
+    bench = load_bench(written(tmp_path, ("[target]\nbow_per_m = [[0.1, 0.2]]\n", "")))
+    path = save_bench(bench, tmp_path / "again.toml")
+    content = read_toml(path)
+    assert content.keys() == ["format", "version", "frame", "unit", "device", "eye", "camera", "stage", "target_pose"]
+    assert content.table("stage").keys() == ["origin"]
+    assert_same(load_bench(path), bench)
+
+
+def test_a_changed_device_is_written_beside_its_bench(tmp_path):
+    bench = load_bench(written(tmp_path))
+    optics = bench.optics.with_media(lambda medium: medium.shifted(0.001))
+    changed = replace(bench, device=replace(bench.device, eyes=bench.device.eyes | {"right": optics}))
+    path = save_bench(changed, tmp_path / "out" / "bench.toml")
+    assert read_toml(path).text("device") == "device.toml"
+    assert load_bench(path).optics.display.steps[0].medium.index(0.55) == optics.display.steps[0].medium.index(0.55)
+    assert device_content(load_bench(path).device) != device_content(bench.device)
+
+
+def test_units_frame_and_pixels_become_ours(tmp_path):
+    bench = load_bench(written(tmp_path))
+    assert bench.eye == "right"
+    np.testing.assert_allclose(bench.stage.origin, [0.032, -0.001, -0.033])
+    np.testing.assert_allclose(bench.camera.focal_px, [1350.0, 1340.0])
+    np.testing.assert_allclose(bench.camera.centre_px, [640.5, 512.5])
+    np.testing.assert_allclose(bench.target.pitch, [0.0216])
+
+
+def test_a_point_of_the_bowed_target_is_where_the_file_says(tmp_path):
+    target = load_bench(written(tmp_path)).target
+    x, y = 0.3, 0.4
+    rotation = np.array([[1, 0, 0], [0, 0.8, -0.6], [0, 0.6, 0.8]])
+    in_file = rotation @ [x, y, 0.1 * x**2 + 0.2 * y**2] + [0.032, 0.002, 0.6]
+    ours = np.array([x, -y, target.bow[0] @ np.square([x, -y]), 1.0])
+    np.testing.assert_allclose(target.device_from_target[0] @ ours, [*(in_file * [1, -1, -1]), 1.0], atol=1e-15)
+
+
+def test_in_the_openxr_frame_numbers_are_as_in_the_file(tmp_path):
+    bench = load_bench(written(tmp_path, ('"opencv"', '"openxr"')))
+    np.testing.assert_allclose(bench.stage.origin, [0.032, 0.001, 0.033])
+    np.testing.assert_allclose(bench.target.device_from_target[0, 1], [0, 0.8, -0.6, 0.002])
+    np.testing.assert_allclose(bench.target.bow, [[0.1, 0.2]])
+
+
+FAULTS = {
+    "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in millimetres"),
+    "version": ("version = 1", "version = 2", "'version' is 2"),
+    "format": ('"bench-session"', '"scene"', "'format' is 'scene'"),
+    "frame": ('"opencv"', '"opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
+    "device": ('"northstar"', '"nothstar"', "Did you mean northstar?"),
+    "device file": ('"northstar"', '"mine.toml"', "mine.toml: there is no such file"),
+    "eye": ('"northstar"', '"northstar"\neye = "middle"', "'eye' is 'middle'; it must be one of left, right"),
+    "sigma": ("sigma_px = 0.1", "sigma_px = 0", "'point_sigma_px' is 0.0; it must be above 0 (repeatability"),
+    "sigma's unit": ("sigma_px", "sigma_mm", "key 'point_sigma_px' is missing (found 'point_sigma_mm' instead)"),
+    "sigma is nan": ("sigma_px = 0.1", "sigma_px = nan", "'point_sigma_px' must be finite"),
+    "focal length": ("fx = 1350.0", "fx = -1350.0", "'fx' is -1350.0; it must be above 0"),
+    "size": ("width = 1280", "width = 12.5", "'width' is 12.5; it must be a whole number above 0"),
+    "rotation": ("[0, 0.6, 0.8]", "[0, 0.6, 0.9]", "it must be a rotation matrix"),
+    "reflection": ("[[1, 0, 0]", "[[-1, 0, 0]", "it must be a rotation matrix"),
+    "rows": (", [0, 0.6, 0.8]", "", "'rotation' must be 3 lists of 3 numbers, not 2"),
+    "list": ("[0, 0.6, 0.8]", "[0, 0.6]", "'rotation' must be a list of lists of 3 numbers each"),
+    "bow": ("[[0.1, 0.2]]", "[[0, 1], [1, 0]]", "'bow_per_m' in [target] must be one pair, or 1"),
+    "unknown key": ("[stage]", "[stage]\nbacklash = [0, 0]", "unknown key 'backlash'; did you mean 'backlash_mm'?"),
+    "unknown table": ("[stage]", "[clocks]\n[stage]", "unknown key 'clocks'; did you mean 'clock'?"),
+    "no stage": ("[stage]\norigin = [32, 1, 33]", "", "key 'stage' is missing"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_one_sentence_that_names_file_and_key(tmp_path, fault):
+    old, new, sentence = FAULTS[fault]
+    path = written(tmp_path, (old, new))
+    with pytest.raises(BadInputError) as caught:
+        load_bench(path)
+    assert str(caught.value).startswith(str(path))
+    assert sentence in str(caught.value)
+
+
+def test_the_documentation_has_every_key():
+    rows = [line.split(" | ") for line in DOCUMENT.read_text(encoding="utf-8").splitlines() if line.startswith("| `[")]
+    meanings = {(table.strip("| `"), keys): meaning.removeprefix("optional; ") for table, keys, meaning in rows}
+    for name, section in SECTIONS.items():
+        for entry in section.entries:
+            keys = ", ".join(f"`{key}`" for key in entry.keys)
+            assert meanings.pop((f"[{name}]", keys)) == f"{entry.meaning} |"
+    assert list(meanings) == [("[tracking]", "`rotation`, `translation`")]
