@@ -40,15 +40,15 @@ HALF_PIXEL = 0.5
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of quantity that a few columns hold together.
+    """A kind of quantity, by how it changes between a session's files and this library.
 
     Attributes:
-        of_file: (columns (n, k), device_from_file) -> what a plan holds.
+        of_file: (what a few columns (n, k) or a key hold, device_from_file) -> what a plan or a bench holds.
         to_file: the inverse.
     """
 
-    of_file: Conversion
-    to_file: Conversion
+    of_file: Conversion = lambda value, _: value
+    to_file: Conversion = lambda value, _: value
 
 
 def _rotation_of_file(xyzw: FloatArray, device_from_file: FloatArray) -> FloatArray:
@@ -73,7 +73,7 @@ def _pose_to_file(pose: FloatArray, device_from_file: FloatArray) -> FloatArray:
 
 _NUMBER = Quantity(lambda value, _: value[:, 0], lambda value, _: value[:, None])
 _WHOLE = Quantity(lambda value, _: value[:, 0].astype(np.int64), lambda value, _: value[:, None])
-_PANEL_PIXEL = Quantity(lambda value, _: value, lambda value, _: value)
+_PANEL_PIXEL = Quantity()
 _CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
 _POINT = Quantity(lambda value, axes: MM * value @ axes.T, lambda value, axes: value @ axes / MM)
 _FLAT_POINT = Quantity(lambda value, axes: MM * value @ axes[:2, :2].T, lambda value, axes: value @ axes[:2, :2] / MM)

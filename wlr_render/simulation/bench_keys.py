@@ -11,26 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.session_columns import HALF_PIXEL, MM
+from wlr_render.captures.session_columns import HALF_PIXEL, MM, Quantity
 from wlr_render.files import Table
 from wlr_render.simulation import bench as parts
 
 FloatArray = NDArray[np.float64]
-Conversion = Callable[[FloatArray, FloatArray], FloatArray]
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """How a number of the file becomes one of the bench; `axes` is device_from_file (3, 3), see `session_columns`.
-
-    Attributes:
-        of_file, to_file: (value, axes) -> value.
-    """
-
-    of_file: Conversion = lambda value, _: value
-    to_file: Conversion = lambda value, _: value
-
-
+# `axes` is device_from_file (3, 3), as in session_columns.
 PLAIN = Quantity()
 CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
 LENGTH = Quantity(lambda value, _: MM * value, lambda value, _: value / MM)
@@ -84,12 +72,12 @@ class Entry:
     def read(self, table: Table, axes: FloatArray) -> FloatArray | float:
         """The attribute from its keys, in the units and the frame of the bench."""
         values = [self._value(table, key) for key in self.keys]
-        value = self.quantity.of_file(values[0] if len(values) == 1 else np.stack(values), axes)
+        value: FloatArray = self.quantity.of_file(values[0] if len(values) == 1 else np.stack(values), axes)
         return value if value.ndim else float(value)
 
     def written(self, value: FloatArray | float, axes: FloatArray) -> dict[str, Any]:
         """The inverse of `read`."""
-        in_file = self.quantity.to_file(np.asarray(value), axes) + 0.0  # for -0.0 nobody would write
+        in_file: FloatArray = self.quantity.to_file(np.asarray(value), axes) + 0.0  # for -0.0 nobody would write
         if self.rule is COUNT:
             in_file = in_file.astype(np.int64)
         return {self.keys[0]: in_file} if len(self.keys) == 1 else dict(zip(self.keys, in_file, strict=True))
