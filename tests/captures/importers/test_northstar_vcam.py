@@ -1,0 +1,134 @@
+"""A session drawn here in the foreign format: a rig of known poses before a monitor and before points in space."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from wlr_render.captures.importers.northstar_vcam import PANEL, read_northstar_vcam
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
+
+SIZE_PX = 200
+FOCAL_PX = 150.0
+CENTRE_PX = 99.5  # from the middle of the first pixel
+MONITOR_M = np.array([0.6, 0.4])
+BASELINE_M, LIFT_M = 0.06, 0.02
+# In the monitor's frame with y up and z towards the rig, from the monitor's middle.
+EYE_X_M = {"left": -BASELINE_M / 2, "right": BASELINE_M / 2}
+HEIGHT_M = {"D": 0.0, "U": LIFT_M}
+RIG_DISTANCE_M = 0.35
+IMAGE_DISTANCE_M = 0.5
+IMAGE_M = np.array([0.4, 0.36])
+
+
+def camera_dirs():
+    """(rows, columns, 3) directions of all pixels, x right, y up, looking along -z."""
+    u, v = np.meshgrid(np.arange(SIZE_PX), np.arange(SIZE_PX))
+    return np.stack([(u - CENTRE_PX) / FOCAL_PX, -(v - CENTRE_PX) / FOCAL_PX, -np.ones(u.shape)], axis=-1)
+
+
+def seen_fraction(viewpoint, centre, size_m, distance_m, v_runs_up):
+    """Where each pixel of a camera looks on a flat screen `distance_m` in front; 0 where it misses it."""
+    hit = viewpoint[:2] + camera_dirs()[..., :2] * distance_m
+    fraction = (hit - centre) / size_m + 0.5
+    if not v_runs_up:
+        fraction[..., 1] = 1 - fraction[..., 1]
+    inside = ((fraction > 0.01) & (fraction < 0.99)).all(axis=-1)
+    return np.where(inside[..., None], fraction, 0.0)
+
+
+def write_session(folder):
+    folder.mkdir()
+    for height, y in HEIGHT_M.items():
+        for kind in "MC":
+            views = []
+            for x in EYE_X_M.values():
+                viewpoint = np.array([x, y])
+                if kind == "M":
+                    views.append(seen_fraction(viewpoint, np.zeros(2), MONITOR_M, RIG_DISTANCE_M, v_runs_up=True))
+                else:
+                    views.append(seen_fraction(viewpoint, [x, 0.0], IMAGE_M, IMAGE_DISTANCE_M, v_runs_up=False))
+            both = np.round(np.concatenate(views, axis=1) * 65535).astype(np.uint16)
+            for axis, name in enumerate(("Width", "Height")):
+                Image.fromarray(np.ascontiguousarray(both[..., axis])).save(
+                    folder / f"{kind}{height}_{name}Calibration.png"
+                )
+    matrix = [FOCAL_PX, 0, CENTRE_PX, 0, FOCAL_PX, CENTRE_PX, 0, 0, 1]
+    calibration = {"deviceCalibrations": [{"cameras": [{"cameraMatrix": matrix}] * 2}]}
+    (folder / "cameraCalibration.json").write_text(json.dumps(calibration))
+    area = {"CalibrationMonitorActiveAreaMeters": {"x": MONITOR_M[0], "y": MONITOR_M[1]}}
+    (folder / "config.json").write_text(json.dumps(area))
+    return folder
+
+
+@pytest.fixture
+def session(tmp_path):
+    return write_session(tmp_path / "session")
+
+
+def test_viewpoints_and_directions_are_those_of_the_rig(session):
+    found = read_northstar_vcam(session)
+    for fit in found.monitor:
+        assert fit.median_px < 0.02
+        assert fit.height_scale == pytest.approx(1.0, abs=1e-4)
+    for captures in (found.left, found.right):
+        x = EYE_X_M[captures.eye]
+        expected = np.array([[x, 0.0, 0.0], [x, LIFT_M, 0.0]])[captures.capture]
+        np.testing.assert_allclose(captures.viewpoint, expected, atol=2e-5)
+        on_image = (captures.pixel / PANEL.size_px - 0.5) * IMAGE_M * [1, -1] + [x, 0.0]
+        point = np.column_stack([on_image, np.full(len(captures), -IMAGE_DISTANCE_M)])
+        assert arcmin_between(normalised(point - expected), captures.view_dir).max() < 0.3
+        # One step of 1/256 of the picture, rounded: a standard deviation of step / sqrt(12) on each axis.
+        step = IMAGE_M / 256 / IMAGE_DISTANCE_M / ARCMIN
+        assert captures.sigma_arcmin[0] == pytest.approx(np.sqrt(np.mean(step**2) / 12), rel=0.01)
+
+
+def test_a_monitor_of_another_height_shows_as_a_scale(session):
+    area = {"CalibrationMonitorActiveAreaMeters": {"x": MONITOR_M[0], "y": MONITOR_M[1] / 1.004}}
+    (session / "config.json").write_text(json.dumps(area))
+    for fit in read_northstar_vcam(session).monitor:
+        assert fit.height_scale == pytest.approx(1.004, abs=1e-4)
+
+
+def empty_map(folder):
+    for axis in ("Width", "Height"):
+        Image.fromarray(np.zeros((SIZE_PX, 2 * SIZE_PX), np.uint16)).save(folder / f"CD_{axis}Calibration.png")
+
+
+def wrong_size(folder):
+    Image.fromarray(np.zeros((SIZE_PX, SIZE_PX), np.uint16)).save(folder / "MU_WidthCalibration.png")
+
+
+def scrambled_monitor(folder):
+    values = np.random.default_rng(1).integers(1, 65535, (SIZE_PX, 2 * SIZE_PX)).astype(np.uint16)
+    Image.fromarray(values).save(folder / "MU_WidthCalibration.png")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (lambda folder: (folder / "CU_HeightCalibration.png").unlink(), "CU_HeightCalibration.png: cannot be read"),
+        (lambda folder: (folder / "config.json").write_text("{}"), "lacks the monitor's size"),
+        (lambda folder: (folder / "config.json").write_text("{"), "is not valid JSON"),
+        (lambda folder: (folder / "cameraCalibration.json").write_text("{}"), "lacks two cameras"),
+        (empty_map, "holds only 0 usable samples"),
+        (wrong_size, "grey images of one size"),
+        (scrambled_monitor, "the monitor misses its map"),
+    ],
+)
+def test_faulty_sessions_are_refused_with_a_sentence(session, spoil, sentence):
+    spoil(session)
+    with pytest.raises(BadInputError, match=sentence):
+        read_northstar_vcam(session)
+
+
+def test_the_real_session_gives_its_lift_and_baseline(measured_data):
+    found = read_northstar_vcam(measured_data("northstar_vcam_graycode") / "session2_head")
+    lift = [np.diff(np.unique(eye.viewpoint, axis=0)[:, 1]) for eye in (found.left, found.right)]
+    np.testing.assert_allclose(np.abs(lift), 0.0225, atol=0.0005)
+    baseline = found.right.viewpoint[0] - found.left.viewpoint[0]
+    # The makers state 63.61 mm; the monitor's scale gives 1 % less.
+    assert np.linalg.norm(baseline) == pytest.approx(0.0636, rel=0.015)
+    assert max(fit.median_px for fit in found.monitor) < 0.2

@@ -1,0 +1,244 @@
+"""Gray-code captures of a North Star display through its combiner (J. Vincur, 3D-Calibration-VCam).
+
+A stereo camera on a lift stands where the eyes would be, at two heights. At each it decodes a bare monitor of known
+size, which gives its pose, and then the headset's two displays. So each eye's display is known from two viewpoints.
+
+A map is a 16-bit image of the two cameras' views side by side; value / 65535 is the place on the monitor or on that
+eye's half of the screen, 0 means no data. The code has 8 bits, and the maps were smoothed after decoding.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.correspondences import DisplayCaptures
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import directions, transforms
+from wlr_render.mappings import EyeBox, Panel
+
+FloatArray = NDArray[np.float64]
+
+PANEL = Panel(1440, 1600)
+"""One eye's half of the screen of a North Star headset; the maps only know fractions of it."""
+
+EYES = ("left", "right")
+_HEIGHTS = ("D", "U")
+_CODE_STEP = 1 / 256
+_FULL_SCALE = 65535.0
+_EDGE_PX = 12  # the smoothing mixed the map with its empty surround: beyond this the roughness no longer falls
+_EVERY_PX = 3  # of each axis: the smoothing makes neighbours copies of one another
+_MONITOR_EVERY_PX = 8
+_TOLERANCE_PX = 1.0  # a monitor that fits its map worse than this is not the one that was photographed
+
+
+@dataclass(frozen=True)
+class MonitorFit:
+    """How the monitor fits its map from one camera position.
+
+    Attributes:
+        camera: e.g. "left camera, rig down".
+        median_px: median distance between the map and the fitted monitor, camera pixels.
+        height_scale: fitted height of the monitor by the stated one. What differs from 1 may as well be the ratio of
+            the camera's two focal lengths: a monitor seen straight on cannot tell.
+    """
+
+    camera: str
+    median_px: float
+    height_scale: float
+
+
+@dataclass(frozen=True)
+class VcamCaptures:
+    """Display captures of both eyes in one device frame.
+
+    The device frame has the monitor's axes (x right, y up, -z towards the monitor) and its origin half way between the
+    two cameras with the rig down. `capture` is 0 with the rig down and 1 with the rig up; the camera centres of the
+    display captures are those of the monitor captures, as far as the lift repeats.
+
+    Attributes:
+        left, right: of each eye; sigma is that of rounding to the code's steps, before the smoothing.
+        monitor: (4,) left and right camera with the rig down, then up.
+    """
+
+    left: DisplayCaptures
+    right: DisplayCaptures
+    monitor: tuple[MonitorFit, ...]
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """A pinhole without distortion, OpenCV axes; pixels from the outer corner."""
+
+    focal_px: FloatArray
+    centre_px: FloatArray
+
+    def tangents(self, pixel: FloatArray) -> FloatArray:
+        return (pixel - self.centre_px) / self.focal_px
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """A camera before the monitor, whose frame is x right, y down, z away from the camera, from its top-left corner."""
+
+    camera_from_monitor: FloatArray
+    fit: MonitorFit
+
+
+def read_northstar_vcam(folder: str | Path) -> VcamCaptures:
+    """Read one session: `M` and `C` maps of the rig down (`D`) and up (`U`), cameraCalibration.json and config.json.
+
+    Raises:
+        BadInputError: a file is missing or not of this form, a map has no data, or a monitor does not fit its map.
+    """
+    root = Path(folder)
+    cameras = _cameras(root / "cameraCalibration.json")
+    area = _json(root / "config.json").get("CalibrationMonitorActiveAreaMeters", {})
+    try:
+        monitor_m = np.array([float(area["x"]), float(area["y"])])
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadInputError(f"{root / 'config.json'}: lacks the monitor's size in metres, x and y.") from error
+    poses = {
+        (eye, height): _pose(_map(root, "M" + height), eye, cameras[eye], monitor_m, height)
+        for height in _HEIGHTS
+        for eye in EYES
+    }
+    monitor_from_device = _monitor_from_device([poses[eye, "D"].camera_from_monitor for eye in EYES])
+    device_from_camera = {
+        key: transforms.inverse(pose.camera_from_monitor @ monitor_from_device) for key, pose in poses.items()
+    }
+    display_maps = [_map(root, "C" + height) for height in _HEIGHTS]
+    left, right = (
+        _captures(eye, display_maps, cameras[eye], [device_from_camera[eye, height] for height in _HEIGHTS])
+        for eye in EYES
+    )
+    return VcamCaptures(left, right, tuple(pose.fit for pose in poses.values()))
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except ValueError as error:
+        raise BadInputError(f"{path}: is not valid JSON ({error}).") from error
+    if not isinstance(content, dict):
+        raise BadInputError(f"{path}: must be a JSON object, not a {type(content).__name__}.")
+    return content
+
+
+def _cameras(path: Path) -> dict[str, _Camera]:
+    content = _json(path)
+    try:
+        matrices = [camera["cameraMatrix"] for camera in content["deviceCalibrations"][0]["cameras"]]
+        fx_fy_cx_cy = np.array(matrices, dtype=np.float64).reshape(2, 9)[:, [0, 4, 2, 5]]
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise BadInputError(f"{path}: lacks two cameras with a 3 x 3 'cameraMatrix' each.") from error
+    if not (np.isfinite(fx_fy_cx_cy).all() and (fx_fy_cx_cy[:, :2] > 0).all()):
+        raise BadInputError(f"{path}: the focal lengths of a 'cameraMatrix' must be positive numbers.")
+    # The calibration counts from the middle of the top-left pixel, as OpenCV does.
+    return {eye: _Camera(row[:2], row[2:] + 0.5) for eye, row in zip(EYES, fx_fy_cx_cy, strict=True)}
+
+
+def _map(root: Path, name: str) -> FloatArray:
+    """(2 eyes, height, width, 2) fractions, u right and v as the map has it; NaN where there is no data."""
+    from PIL import Image
+
+    axes = []
+    for axis in ("Width", "Height"):
+        path = root / f"{name}_{axis}Calibration.png"
+        try:
+            with Image.open(path) as image:
+                axes.append(np.array(image, dtype=np.float64))
+        except OSError as error:
+            raise BadInputError(f"{path}: cannot be read as an image ({error}).") from error
+    if axes[0].shape != axes[1].shape or axes[0].ndim != 2 or axes[0].shape[1] % 2:
+        raise BadInputError(f"{root}: the two {name} maps must be grey images of one size, two views side by side.")
+    both = np.stack(axes, axis=-1) / _FULL_SCALE
+    both[(both == 0).any(axis=-1)] = np.nan
+    return np.stack(np.split(both, 2, axis=1))
+
+
+def _rows(view: FloatArray, every_px: int, what: str) -> tuple[FloatArray, FloatArray]:
+    """Camera pixels (n, 2) and the fractions decoded there (n, 2), away from the edge of the data."""
+    from scipy.ndimage import binary_erosion
+
+    inside = binary_erosion(np.isfinite(view).all(axis=-1), iterations=_EDGE_PX)
+    v, u = np.asarray(np.nonzero(inside[::every_px, ::every_px])) * every_px
+    if len(u) < 100:
+        raise BadInputError(f"{what}: the map holds only {len(u)} usable samples; check that it was decoded.")
+    pixel: FloatArray = np.stack([u, v], axis=-1) + 0.5
+    return pixel, view[v, u]
+
+
+def _pose(maps: FloatArray, eye: str, camera: _Camera, monitor_m: FloatArray, height: str) -> _Pose:
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
+    name = f"{eye} camera, rig {'down' if height == 'D' else 'up'}"
+    pixel, fraction = _rows(maps[EYES.index(eye)], _MONITOR_EVERY_PX, f"M{height}, {name}")
+    # The monitor's v runs up.
+    on_monitor = np.column_stack([fraction[:, 0], 1 - fraction[:, 1], np.zeros(len(pixel))]) * [*monitor_m, 0.0]
+    seen = camera.tangents(pixel)
+
+    def miss_px(unknown: FloatArray) -> FloatArray:
+        point = Rotation.from_rotvec(unknown[:3]).apply(on_monitor * [1.0, unknown[6], 1.0]) + unknown[3:6]
+        return np.asarray((point[:, :2] / point[:, 2:] - seen) * camera.focal_px)
+
+    distance = on_monitor[:, 0].std() / seen[:, 0].std()
+    offset = seen.mean(axis=0) * distance - on_monitor[:, :2].mean(axis=0)
+    start = np.array([0.0, 0.0, 0.0, *offset, distance, 1.0])
+    found = least_squares(lambda x: miss_px(x).ravel(), start, loss="soft_l1", f_scale=0.3, x_scale="jac").x
+    median = float(np.median(np.linalg.norm(miss_px(found), axis=-1)))
+    if not median < _TOLERANCE_PX:
+        raise BadInputError(
+            f"M{height}, {name}: the monitor misses its map by {median:.1f} px; check the cameras and its size."
+        )
+    rotation = Rotation.from_rotvec(found[:3]).as_matrix()
+    return _Pose(transforms.rigid(rotation, found[3:6]), MonitorFit(name, median, float(found[6])))
+
+
+def _monitor_from_device(camera_from_monitor: list[FloatArray]) -> FloatArray:
+    centres = [transforms.inverse(matrix)[:3, 3] for matrix in camera_from_monitor]
+    return transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.mean(centres, axis=0))
+
+
+def _captures(
+    eye: str, maps: list[FloatArray], camera: _Camera, device_from_camera: list[FloatArray]
+) -> DisplayCaptures:
+    parts = [_rows(view[EYES.index(eye)], _EVERY_PX, f"C maps, {eye} eye") for view in maps]
+    view_dirs = [
+        transforms.rotate(pose, _dir_in_camera(camera, pixel))
+        for pose, (pixel, _) in zip(device_from_camera, parts, strict=True)
+    ]
+    counts = [len(pixel) for pixel, _ in parts]
+    viewpoints = np.stack([pose[:3, 3] for pose in device_from_camera])
+    box = EyeBox(viewpoints.mean(axis=0), np.ptp(viewpoints, axis=0))
+    return DisplayCaptures(
+        device="northstar_vcam",
+        eye=eye,
+        eye_box=box,
+        panel=PANEL,
+        viewpoint=np.repeat(viewpoints, counts, axis=0),
+        view_dir=np.concatenate(view_dirs),
+        # Unlike the monitor's, the display's v as seen through the combiner runs down.
+        pixel=np.concatenate([fraction for _, fraction in parts]) * PANEL.size_px,
+        capture=np.repeat(np.arange(len(parts)), counts),
+        sigma_arcmin=np.concatenate([_rounding_arcmin(camera, pixel, fraction) for pixel, fraction in parts]),
+    )
+
+
+def _dir_in_camera(camera: _Camera, pixel: FloatArray) -> FloatArray:
+    tangents = camera.tangents(pixel)
+    return directions.normalised(np.column_stack([tangents, np.ones(len(tangents))]))
+
+
+def _rounding_arcmin(camera: _Camera, pixel: FloatArray, fraction: FloatArray) -> FloatArray:
+    """(n,) sigma of a direction per axis from rounding the fractions to steps, by the view's mean magnification."""
+    spread = np.column_stack([np.ones(len(pixel)), fraction])
+    slope = np.linalg.lstsq(spread, camera.tangents(pixel), rcond=None)[0][1:]
+    variance = np.sum((slope * _CODE_STEP) ** 2) / 12 / 2
+    return np.full(len(pixel), np.sqrt(variance) / directions.ARCMIN)

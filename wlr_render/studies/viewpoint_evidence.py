@@ -1,0 +1,275 @@
+"""Which display model do captures from two viewpoints support, and is what a model misses due to the optics or the rig?
+
+Three accounts of one panel, each a set of polynomials over its pixels and nested in the next:
+
+- the viewpoint is ignored: one direction per pixel (2 polynomials);
+- one 3-D point per pixel: a direction and an inverse distance (3);
+- a bundle of rays: a direction from each viewpoint (4).
+
+Two viewpoints can refute the first two. They cannot test what the bundle adds, that a direction does not change along
+its own ray; that takes viewpoints at different depths.
+
+The two rays of a pixel meet if the pixel has one 3-D point. The angle by which they pass each other (the misclosure) is
+a pseudo-scalar: in eyes that mirror each other the optics make it opposite, an error of the rig makes it equal.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.angular import angular_metric
+from wlr_render.calibration.regression import Fitted, Regression, fit
+from wlr_render.captures.correspondences import DisplayCaptures, select
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.polynomial import Box, basis, term_count
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+IGNORED, POINT, BUNDLE = "viewpoint ignored", "one 3-D point per pixel", "bundle of rays"
+
+_CELLS = 16  # per axis of the panel: what is held out together, and where the noise is judged
+_ROWS_PER_CELL = 12  # twice the terms of the quadratic that judges the noise
+
+
+@dataclass(frozen=True)
+class ModelEvidence:
+    """How one account predicts pixels that were not fitted.
+
+    Attributes:
+        name: of the account.
+        polynomials: how many it fits; `degree` is theirs, chosen by held-out cells of the panel.
+        held_out_arcmin, standard_error: rms of the angle in held-out cells, and its uncertainty.
+    """
+
+    name: str
+    polynomials: int
+    degree: int
+    held_out_arcmin: float
+    standard_error: float
+
+
+@dataclass(frozen=True)
+class EyeEvidence:
+    """What one eye's captures say. Fields are given in the cells of the panel that both viewpoints see.
+
+    Attributes:
+        eye: "left" or "right".
+        rows: measured directions of pixels that both viewpoints see.
+        baseline_m: distance between the viewpoints.
+        noise_arcmin: rms angle about a local quadratic in each cell and viewpoint: what no smooth model can explain.
+        models: in the order of the module's docstring.
+        cell: (n,) row * 16 + column.
+        misclosure_arcmin: (n,) there.
+        misclosure_sigma_arcmin: rms uncertainty of it, from fits to two halves of the cells.
+        image_dioptre: (n,) inverse distance, along the first ray, at which the two rays pass each other.
+        rest_arcmin: (2, n, 2) per viewpoint, mean of measured minus bundle in x and y.
+    """
+
+    eye: str
+    rows: int
+    baseline_m: float
+    noise_arcmin: float
+    models: tuple[ModelEvidence, ...]
+    cell: IntArray
+    misclosure_arcmin: FloatArray
+    misclosure_sigma_arcmin: float
+    image_dioptre: FloatArray
+    rest_arcmin: FloatArray
+
+
+@dataclass(frozen=True)
+class MirrorSplit:
+    """Fields of two eyes in cells that mirror each other, rms: the part with the optics' symmetry and the other.
+
+    Attributes:
+        optics_arcmin, rig_arcmin: of the misclosure.
+        optics_rest_arcmin, rig_rest_arcmin: (2,) per viewpoint, of what the bundle leaves.
+    """
+
+    optics_arcmin: float
+    rig_arcmin: float
+    optics_rest_arcmin: FloatArray
+    rig_rest_arcmin: FloatArray
+
+
+@dataclass(frozen=True)
+class ViewpointEvidence:
+    """What captures of one or both eyes say; `split` needs both."""
+
+    eyes: tuple[EyeEvidence, ...]
+    split: MirrorSplit | None
+
+
+def viewpoint_evidence(eyes: Sequence[DisplayCaptures]) -> ViewpointEvidence:
+    """Judge the captures of one eye, or of the left and the right eye.
+
+    Raises:
+        BadInputError: an eye twice or none, not two viewpoints, or too few pixels seen from both.
+    """
+    if not eyes or len({captures.eye for captures in eyes}) != len(eyes):
+        raise BadInputError("viewpoint evidence: give the captures of one eye, or of the left and the right eye.")
+    found = tuple(_Survey.of(captures).evidence() for captures in eyes)
+    return ViewpointEvidence(found, _mirror_split(*found) if len(found) == 2 else None)
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """Captures of the pixels that both viewpoints see.
+
+    Attributes:
+        captures: those rows.
+        second: (n,) whether a row is of the second viewpoint.
+        cell: (n,) its cell; `kept` lists the cells.
+        viewpoint: (2, 3).
+    """
+
+    captures: DisplayCaptures
+    second: NDArray[np.bool_]
+    cell: IntArray
+    kept: IntArray
+    viewpoint: FloatArray
+
+    @classmethod
+    def of(cls, captures: DisplayCaptures) -> "_Survey":
+        names, first_row = np.unique(captures.capture, return_index=True)
+        if len(names) != 2:
+            raise BadInputError(
+                f"viewpoint evidence: the {captures.eye} eye was captured from {len(names)} viewpoints and this test "
+                "takes two; with more, fit and compare models by held-out viewpoints."
+            )
+        column, row = np.clip((captures.pixel / captures.panel.size_px * _CELLS).astype(np.int64), 0, _CELLS - 1).T
+        cell, second = row * _CELLS + column, captures.capture == names[1]
+        fewest = np.minimum(*(np.bincount(cell[second == which], minlength=_CELLS**2) for which in (False, True)))
+        kept = np.flatnonzero(fewest >= _ROWS_PER_CELL)
+        if len(kept) < 2 * _CELLS:
+            raise BadInputError(
+                f"viewpoint evidence: only {len(kept)} of {_CELLS**2} cells of the {captures.eye} eye's panel are seen "
+                f"well from both viewpoints and {2 * _CELLS} are needed; capture more densely."
+            )
+        inside = np.isin(cell, kept)
+        viewpoint = captures.viewpoint[first_row]
+        return cls(select(captures, inside), second[inside], cell[inside], kept, viewpoint)
+
+    @property
+    def tangents(self) -> FloatArray:
+        return tangents_of_dir(self.captures.view_dir)
+
+    @property
+    def centres(self) -> FloatArray:
+        """Panel pixels of the kept cells' centres, (cells, 2)."""
+        unit = (np.stack([self.kept % _CELLS, self.kept // _CELLS], axis=-1) + 0.5) / _CELLS
+        return np.asarray(unit * self.captures.panel.size_px)
+
+    def multiplier(self, name: str) -> FloatArray:
+        """(n, 2, polynomials): t = a; t = a - w q, with q as in `PointPerPixelDisplay`; t = a + (-1/2 or 1/2) b."""
+        direction = np.tile(np.eye(2), (len(self.cell), 1, 1))
+        if name == IGNORED:
+            return direction
+        if name == BUNDLE:
+            return np.concatenate([direction, direction * (self.second - 0.5)[:, None, None]], axis=2)
+        centre = self.viewpoint.mean(axis=0)
+        crossing = BasePlane(float(centre[2])).carry(self.captures.viewpoint, self.tangents) - centre[:2]
+        return np.concatenate([direction, -crossing[:, :, None]], axis=2)
+
+    def fit(self, name: str, rows: NDArray[np.bool_], degree: int | None = None) -> Fitted:
+        tangents, multiplier = self.tangents[rows], self.multiplier(name)[rows]
+        metric, weight = angular_metric(tangents), np.ones(len(tangents))
+        pixel, cell = self.captures.pixel[rows], self.cell[rows]
+        return fit(Regression(pixel, tangents[:, :, None], multiplier, metric, weight, cell), degree)
+
+    def evidence(self) -> EyeEvidence:
+        everything = np.ones(len(self.cell), dtype=bool)
+        fits = {name: self.fit(name, everything) for name in (IGNORED, POINT, BUNDLE)}
+        models = tuple(_judged(name, fitted, self.multiplier(name).shape[2]) for name, fitted in fits.items())
+        misclosure, dioptre = _crossing(fits[BUNDLE], self.centres, self.viewpoint)
+        return EyeEvidence(
+            eye=self.captures.eye,
+            rows=len(self.cell),
+            baseline_m=float(np.linalg.norm(self.viewpoint[1] - self.viewpoint[0])),
+            noise_arcmin=self.noise_arcmin(),
+            models=models,
+            cell=self.kept,
+            misclosure_arcmin=misclosure,
+            misclosure_sigma_arcmin=self.misclosure_sigma_arcmin(fits[BUNDLE].polynomial.degree),
+            image_dioptre=dioptre,
+            rest_arcmin=self.rest_arcmin(fits[BUNDLE]),
+        )
+
+    def noise_arcmin(self) -> float:
+        metric, sum_of_squares, freedom = angular_metric(self.tangents), 0.0, 0
+        for cell in self.kept:
+            for which in (False, True):
+                rows = (self.cell == cell) & (self.second == which)
+                pixel = self.captures.pixel[rows]
+                design, angle = basis(pixel, 2, Box.around(pixel)), self.tangents[rows] * metric[rows, None]
+                rest = angle - design @ np.linalg.lstsq(design, angle, rcond=None)[0]
+                sum_of_squares += float(np.sum(rest**2))
+                freedom += len(rest) - term_count(2, 2)
+        return float(np.sqrt(sum_of_squares / freedom))
+
+    def misclosure_sigma_arcmin(self, degree: int) -> float:
+        odd = (self.cell % _CELLS + self.cell // _CELLS) % 2 == 1
+        first, second = (
+            _crossing(self.fit(BUNDLE, half, degree), self.centres, self.viewpoint)[0] for half in (odd, ~odd)
+        )
+        return 0.5 * rms(first - second)
+
+    def rest_arcmin(self, bundle: Fitted) -> FloatArray:
+        """(2, cells, 2) mean of measured minus bundle, per viewpoint."""
+        mean, difference = np.split(bundle.polynomial(self.captures.pixel), 2, axis=1)
+        fitted = mean + (self.second - 0.5)[:, None] * difference
+        rest = (self.tangents - fitted) * angular_metric(self.tangents)[:, None]
+        return np.stack(
+            [
+                [rest[(self.cell == cell) & (self.second == which)].mean(axis=0) for cell in self.kept]
+                for which in (False, True)
+            ]
+        )
+
+
+def _judged(name: str, fitted: Fitted, polynomials: int) -> ModelEvidence:
+    degree = fitted.polynomial.degree
+    held_out = next(entry for entry in fitted.held_out if entry.degree == degree)
+    return ModelEvidence(name, polynomials, degree, held_out.rms, held_out.standard_error)
+
+
+def _crossing(bundle: Fitted, pixel: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Misclosure in arcminutes, right-handed about the baseline, and inverse distance along the first ray, (n,)."""
+    mean, difference = np.split(bundle.polynomial(pixel), 2, axis=1)
+    first, second = dir_of_tangents(mean - 0.5 * difference), dir_of_tangents(mean + 0.5 * difference)
+    baseline = viewpoint[1] - viewpoint[0]
+    plane = normalised(np.cross(baseline, first))
+    misclosure = np.arcsin(np.sum(plane * second, axis=1)) / ARCMIN
+    # Within the plane of baseline b and first ray f, the second ray s crosses f at distance n.(b x s) / n.(f x s).
+    across, along = np.cross(first, second), np.cross(baseline, second)
+    return misclosure, np.asarray(np.sum(plane * across, axis=1) / np.sum(plane * along, axis=1))
+
+
+def _mirror_split(one: EyeEvidence, other: EyeEvidence) -> MirrorSplit:
+    mirrored = other.cell // _CELLS * _CELLS + (_CELLS - 1 - other.cell % _CELLS)
+    cells, of_one, of_other = np.intersect1d(one.cell, mirrored, return_indices=True)
+    if len(cells) == 0:
+        raise BadInputError("viewpoint evidence: the eyes see no cells that mirror each other; capture one field.")
+    misclosure = one.misclosure_arcmin[of_one], other.misclosure_arcmin[of_other]
+    rest, mirrored_rest = one.rest_arcmin[:, of_one], other.rest_arcmin[:, of_other] * [-1.0, 1.0]
+    return MirrorSplit(
+        optics_arcmin=rms(misclosure[0] - misclosure[1]) / 2,
+        rig_arcmin=rms(misclosure[0] + misclosure[1]) / 2,
+        optics_rest_arcmin=vector_rms(rest + mirrored_rest) / 2,
+        rig_rest_arcmin=vector_rms(rest - mirrored_rest) / 2,
+    )
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square of all values."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def vector_rms(field: FloatArray) -> FloatArray:
+    """Root mean square length of vectors, (viewpoints, cells, 2) -> (viewpoints,)."""
+    return np.asarray(np.sqrt(np.mean(np.sum(field**2, axis=2), axis=1)))
