@@ -1,0 +1,116 @@
+"""Tables of others: gaze errors, lateral colour, eye relief."""
+
+import gzip
+import json
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.importers.jemr2022_eyetracking import read_gaze_errors
+from wlr_render.captures.importers.osvr_hdk13 import read_osvr_hdk13, relief_swim_arcmin_per_mm
+from wlr_render.captures.importers.vive_hmd_config import read_vive_hmd_config
+from wlr_render.errors import BadInputError
+
+
+def gaze_table(path, text):
+    with gzip.open(path, "wt") as file:
+        file.write(text)
+
+
+HEAD = "user\tacc\toffX\toffY\tsd\toutlier_reason\n"
+
+
+def test_glitches_and_gaps_are_left_out(tmp_path):
+    gaze_table(
+        tmp_path / "data_targets_a_1.csv.gz", HEAD + "1\t0.5\t0.3\t-0.4\t0.1\tvalid\n1\t9\t9\t0\t3\tsampling_glitch\n"
+    )
+    gaze_table(tmp_path / "data_targets_b_1.csv.gz", HEAD + "2\t1.0\t0.6\t0.8\t0.2\tvalid\n2\t\t0\t0\t0\tvalid\n")
+    found = read_gaze_errors(tmp_path)
+    np.testing.assert_array_equal(found.error_deg, [0.5, 1.0])
+    np.testing.assert_array_equal(found.offset_deg, [[0.3, -0.4], [0.6, 0.8]])
+    np.testing.assert_array_equal(found.scatter_deg, [0.1, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("user\tacc\n1\t0.5\n", "lacks the column 'outlier_reason'"),
+        (HEAD + "1\tbad\t0\t0\t0\tvalid\n", "not a number"),
+        (HEAD + "1\t1\t0\t0\t0\tsampling_glitch\n", "no row is marked 'valid'"),
+    ],
+)
+def test_faulty_gaze_tables_are_refused(tmp_path, text, sentence):
+    gaze_table(tmp_path / "data_targets_a_1.csv.gz", text)
+    with pytest.raises(BadInputError, match=sentence):
+        read_gaze_errors(tmp_path)
+
+
+def test_gaze_files_that_are_missing_or_no_gzip_are_refused(tmp_path):
+    with pytest.raises(BadInputError, match="holds no data_targets"):
+        read_gaze_errors(tmp_path)
+    (tmp_path / "data_targets_a_1.csv.gz").write_text("plain")
+    with pytest.raises(BadInputError, match="not a readable gzip file"):
+        read_gaze_errors(tmp_path)
+
+
+def vive_config(path, coefficients):
+    eye = {"intrinsics": [[2.0, 0, 0], [0, 2.0, 0], [0, 0, -1]]}
+    for name, k in zip(("distortion_red", "distortion", "distortion_blue"), coefficients, strict=True):
+        eye[name] = {"coeffs": k}
+    path.write_text(json.dumps({"tracking_to_eye_transform": [eye, eye]}))
+    return path
+
+
+def test_lateral_colour_in_closed_form(tmp_path):
+    lens, _ = read_vive_hmd_config(vive_config(tmp_path / "config.json", [[0.0, 0.0], [-0.5, 0.0], [0.0, -0.75]]))
+    # At r = 1: red unchanged, green doubled, blue four times as far.
+    np.testing.assert_allclose(lens.tangents(np.array([[1.0]])), [[[0.5, 1.0, 2.0]]])
+    expected = np.degrees(np.arctan(2.0) - np.arctan(0.5)) * 60
+    assert lens.lateral_colour_arcmin(np.array(1.0)) == pytest.approx(expected)
+
+
+def test_faulty_headset_files_are_refused(tmp_path):
+    path = tmp_path / "config.json"
+    with pytest.raises(BadInputError, match="cannot be read"):
+        read_vive_hmd_config(path)
+    path.write_text('{"device": 1}')
+    with pytest.raises(BadInputError, match="lacks 'tracking_to_eye_transform'"):
+        read_vive_hmd_config(path)
+    path.write_text("{")
+    with pytest.raises(BadInputError, match="not valid JSON"):
+        read_vive_hmd_config(path)
+
+
+def lens_file(path, scale, field=(-4.0, 0.0, 4.0)):
+    rows = [(x, y, scale * x, scale * y) for x in field for y in field]
+    path.write_text("\n".join("\t".join(f"{v:.2E}" for v in row) for row in rows) + "\nRay Error at 9 9\n")
+    return read_osvr_hdk13(path)
+
+
+def test_swim_of_a_magnification_that_grows(tmp_path):
+    near, far = lens_file(tmp_path / "a.txt", 1.0), lens_file(tmp_path / "b.txt", 1.1)
+    # A tenth of each angle over 2 mm; nine field angles, of which the axis has none.
+    rms_deg = 0.1 * np.sqrt(np.mean(np.sum(near.field_deg**2, axis=1)))
+    assert len(near.field_deg) == 9
+    assert relief_swim_arcmin_per_mm(near, far, 2.0, 6.0) == pytest.approx(rms_deg * 60 / 2.0)
+    with pytest.raises(BadInputError, match="share no field angles"):
+        relief_swim_arcmin_per_mm(near, lens_file(tmp_path / "c.txt", 1.0, (1.0, 2.0)), 2.0, 6.0)
+
+
+def test_faulty_lens_tables_are_refused(tmp_path):
+    path = tmp_path / "lens.txt"
+    for text in ("1 2 3\n", "1 2 3 x\n", "1 2 3 nan\n", ""):
+        path.write_text(text)
+        with pytest.raises(BadInputError, match=r"four (finite )?numbers"):
+            read_osvr_hdk13(path)
+
+
+def test_real_effect_sizes(measured_data):
+    gaze = read_gaze_errors(measured_data("jemr2022_eyetracking"))
+    assert 0.5 < np.median(gaze.error_deg) < 1.2
+    lens, _ = read_vive_hmd_config(measured_data("vive_hmd_config") / "vive_test.config.json")
+    colour = lens.lateral_colour_arcmin(np.linspace(0.1, 0.9, 9))
+    assert (np.diff(colour) > 0).all()
+    folder = measured_data("osvr_hdk13")
+    near, far = (read_osvr_hdk13(folder / f"{mm}_mm_Eye_Relief_trimmed.txt") for mm in (9, 14))
+    assert 1.0 < relief_swim_arcmin_per_mm(near, far, 5.0, 30.0) < 5.0
