@@ -21,9 +21,10 @@ LAYER = {
     "calibration": 3,
     "rendering": 3,
     "evaluation": 4,
-    "studies": 5,
-    "terminal": 6,
-    "cli": 6,
+    "diagnosis": 5,
+    "studies": 6,
+    "terminal": 7,
+    "cli": 7,
 }
 # Within layer 0 the files module speaks with the errors module, and the command line with its terminal.
 ALLOWED_SIDEWAYS = {("files", "errors"), ("cli", "terminal")}

@@ -1,0 +1,80 @@
+"""What a suspected cause is: a named, parametrised change of the bench.
+
+A new cause is a file in `causes/` that defines one `Cause`, and one line in `causes/__init__.py`. Everything else
+(signature, fit, ranking, report) follows from `perturb`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.simulation.bench import Bench
+
+FloatArray = NDArray[np.float64]
+Perturb = Callable[[Bench, FloatArray], Bench]
+"""(bench, values of all parameters in their units) -> bench; the null values give the same bench back."""
+
+
+class Role(Enum):
+    """What a parameter does."""
+
+    SIZE = "size"  # null value 0: without it there is no effect
+    FORM = "form"  # shapes an effect whose size is not 0, and is fitted from each of its starts
+    MOMENT = "moment"  # a time between two captures, searched for
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a cause.
+
+    Attributes:
+        name: within the cause.
+        unit: of its values.
+        plausible: standard deviation of what is met in practice, in that unit.
+        role: see `Role`.
+        starts: first values of a FORM parameter; the first one is its null value.
+        lowest: below this it is not physical.
+    """
+
+    name: str
+    unit: str
+    plausible: float
+    role: Role = Role.SIZE
+    starts: tuple[float, ...] = (0.0,)
+    lowest: float = -np.inf
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A physical cause of a difference between measurement and simulation.
+
+    Attributes:
+        name: the key in reports.
+        title: physical name.
+        part: of the bench: "device", "camera", "stage", "target", "tracking", "mount", "eye tracking" or "clock".
+        parameters: its numbers.
+        source: where the plausible sizes come from.
+        separated_by: the extra measurement that tells it from its look-alikes.
+        variants: ways in which it may act, by name; the first is the usual one.
+        whole_steps: its values are multiples of this in the parameters' unit, or it is something else; None for any.
+    """
+
+    name: str
+    title: str
+    part: str
+    parameters: tuple[Parameter, ...]
+    source: str
+    separated_by: str
+    variants: Mapping[str, Perturb]
+    whole_steps: float | None = None
+
+    def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:
+        """The bench with this cause at work; `values` (parameters,) in their units."""
+        return self.variants[variant or next(iter(self.variants))](bench, values)
+
+    def null(self) -> FloatArray:
+        """Values (parameters,) that leave the bench as it is."""
+        return np.array([parameter.starts[0] for parameter in self.parameters])

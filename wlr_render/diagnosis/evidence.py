@@ -1,0 +1,69 @@
+"""What speaks for an extension: chi-squared, what its parameters cost, and whether its values are physical."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from wlr_render.diagnosis.fit import Fit
+
+FloatArray = NDArray[np.float64]
+
+_WHOLE_CHOICES = 5  # multiples of a whole step that are as likely as each other
+
+
+def misfit(found: Fit) -> float:
+    """Mean square of the used residuals per degree of freedom: 1 at the noise floor."""
+    return float(found.chi_squared / max(1, 2 * int(found.used.sum()) - found.at.free.size))
+
+
+def cost(found: Fit, scale: float = 1.0) -> float:
+    """-2 log of the extension's marginal likelihood, up to a constant: lower is better.
+
+    Laplace's approximation with a normal prior of the plausible size for every parameter (D. MacKay, "Information
+    Theory, Inference, and Learning Algorithms", 2003, chapter 28): a parameter that could have been anything pays for
+    having been tuned. A cause whose values are multiples of a whole step pays for the choice of the multiple only.
+
+    Args:
+        found: the fit.
+        scale: chi-squared per degree of freedom of the best extension at hand, where that is not down to the noise.
+    """
+    values, parameters = found.extension.vector(), found.extension.parameters()
+    plausible = np.array([parameter.plausible for parameter in parameters])
+    information = np.linalg.inv(found.covariance) / max(scale, 1.0)
+    whole, off_step = _whole_steps(found)
+    free = ~whole[found.at.free]
+    scaled = (values / plausible)[found.at.free][free]
+    sizes = np.where(np.isfinite(scaled), scaled, 0.0)
+    _, log_determinant = np.linalg.slogdet(information[np.ix_(free, free)] + np.eye(int(free.sum())))
+    choices = 2.0 * np.log(_WHOLE_CHOICES) * int(whole.sum())
+    return float(found.chi_squared / max(scale, 1.0) + sizes @ sizes + log_determinant + off_step + choices)
+
+
+def _whole_steps(found: Fit) -> tuple[NDArray[np.bool_], float]:
+    """Which parameters move in whole steps (p,), and the chi-squared of rounding them."""
+    whole, off_step, first = np.zeros(len(found.extension.vector()), dtype=bool), 0.0, 0
+    for hypothesis, values in zip(found.extension.hypotheses, found.extension.values, strict=True):
+        step, rows = hypothesis.cause.whole_steps, np.arange(first, first + len(values))
+        first += len(values)
+        if step is None:
+            continue
+        whole[rows] = True
+        plausible = np.array([parameter.plausible for parameter in hypothesis.cause.parameters])
+        off = (values - step * np.round(values / step)) / plausible
+        places = np.flatnonzero(np.isin(found.at.free, rows))
+        covariance = found.covariance[np.ix_(places, places)]
+        off_step += float(
+            off[found.at.free[places] - rows[0]] @ np.linalg.solve(covariance, off[found.at.free[places] - rows[0]])
+        )
+    return whole, off_step
+
+
+def physical(found: Fit) -> bool:
+    """Whether all values are above the lowest that are physical, to three standard errors."""
+    lowest = np.array([parameter.lowest for parameter in found.extension.parameters()])
+    return bool(np.all(found.extension.vector() >= lowest - 3.0 * found.sigmas()))
+
+
+def chance(gain: float, parameters: int, tries: int) -> float:
+    """Probability that the best of `tries` causes of no effect gains so much chi-squared with so many parameters."""
+    return float(min(1.0, tries * chdtrc(parameters, max(gain, 0.0))))

@@ -1,0 +1,106 @@
+"""Fits the values of an extension's causes to the observations: Gauss-Newton with Levenberg's damping.
+
+D. W. Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.diagnosis.extension import Extension, Linearisation, Predictor
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_ITERATIONS = 12
+_SETTLED = 1e-4  # of chi-squared's noise: a smaller gain ends the iteration
+_PRIOR = 1e-8  # information of an almost boundless prior, in plausible sizes: keeps degenerate directions finite
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted extension.
+
+    Attributes:
+        extension: with the fitted values.
+        residual: (n, 2) measured minus predicted, units of sigma.
+        chi_squared: its sum of squares over the readings that were used.
+        used: (n,) which were.
+        at: the linearisation at the solution.
+        covariance: (p, p) of the free parameters in plausible sizes, for noise of sigma.
+    """
+
+    extension: Extension
+    residual: FloatArray
+    chi_squared: float
+    used: BoolArray
+    at: Linearisation
+    covariance: FloatArray
+
+    def sigmas(self) -> FloatArray:
+        """One standard deviation of all parameters, in their units; 0 for those that are not free."""
+        plausible = np.array([parameter.plausible for parameter in self.extension.parameters()])
+        sigma = np.zeros(len(plausible))
+        sigma[self.at.free] = np.sqrt(np.diag(self.covariance))
+        return np.asarray(sigma * plausible)
+
+
+def fit(predictor: Predictor, start: Extension, used: BoolArray, iterations: int = _ITERATIONS) -> Fit:
+    """Fit all causes of an extension together, from its values on.
+
+    Args:
+        predictor: of the observations.
+        start: what to fit, and from where.
+        used: (n,) the readings that count.
+        iterations: Gauss-Newton steps at most.
+    """
+    at = predictor.linearised(start)
+    used = used & np.isfinite(at.residual).all(axis=1)
+    chi_squared, damping = _chi_squared(at.residual, used), 1e-6
+    for _ in range(iterations):
+        if at.free.size == 0:
+            break
+        stepped = _stepped(predictor, at, used, chi_squared, damping)
+        if stepped is None:
+            break
+        trial, found, damping = stepped
+        gained, chi_squared = chi_squared - found, found
+        at = predictor.linearised(trial)
+        if gained < _SETTLED:
+            break
+    return Fit(at.extension, at.residual, chi_squared, used, at, np.asarray(np.linalg.inv(_information(at, used))))
+
+
+def _stepped(
+    predictor: Predictor, at: Linearisation, used: BoolArray, chi_squared: float, damping: float
+) -> tuple[Extension, float, float] | None:
+    """The next extension, its chi-squared and the damping to go on with; None where no step helps."""
+    information = _information(at, used)
+    gradient = np.einsum("nkp,nk->p", at.jacobian[used], at.residual[used])
+    plausible = np.array([parameter.plausible for parameter in at.extension.parameters()])
+    for _ in range(8):
+        step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
+        moved = at.extension.vector()
+        moved[at.free] += step * plausible[at.free]
+        trial = at.extension.at(moved)
+        residual = predictor.residual(trial)
+        found = _chi_squared(residual, used)
+        if found < chi_squared:
+            return trial, found, 0.1 * damping
+        if float(gradient @ step) < _SETTLED:
+            return None
+        damping = max(10.0 * damping, 1e-4)
+    return None
+
+
+def _chi_squared(residual: FloatArray, used: BoolArray) -> float:
+    """Sum of squares; infinite where a reading that counts has lost its prediction."""
+    with np.errstate(over="ignore"):
+        total = float(np.sum(residual[used] ** 2))
+    return total if np.isfinite(total) else np.inf
+
+
+def _information(at: Linearisation, used: BoolArray) -> FloatArray:
+    rows = at.jacobian[used].reshape(2 * int(used.sum()), at.free.size)
+    return np.asarray(rows.T @ rows + _PRIOR * np.eye(rows.shape[1]))

@@ -1,0 +1,130 @@
+"""All ways in which one more cause may explain a session: what each promises, and its fit from the best start."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.cause import Cause, Role
+from wlr_render.diagnosis.extension import Extension, Hypothesis, Linearisation, Predictor
+from wlr_render.diagnosis.fit import Fit, fit
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MOMENTS = 12  # times tried at once
+_FIRST_STEPS = 2  # Gauss-Newton steps by which neighbouring moments are compared
+_EDGE = 0.05  # of all captures must lie on either side of a moment: fewer are captures that moved
+
+
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """What a hypothesis promises, to first order.
+
+    Attributes:
+        hypothesis: which.
+        start: its values from which a fit should set out.
+        gain: by how much chi-squared would fall.
+        parameters: how many numbers that takes.
+    """
+
+    hypothesis: Hypothesis
+    start: FloatArray
+    gain: float
+    parameters: int
+
+
+def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
+    """Every cause in each of its ways."""
+    return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
+
+
+def prospect(predictor: Predictor, current: Fit, hypothesis: Hypothesis) -> Prospect | None:
+    """What a hypothesis would add to a fit by the same predictor; None where it changes no reading."""
+    found = []
+    for start in _starts(hypothesis.cause, predictor.observations.session.plan):
+        extended = current.extension.plus(hypothesis, start)
+        at = predictor.linearised(extended, only=(len(extended.hypotheses) - 1,))
+        if at.free.size:
+            gain = _gain(current, at)
+            found.append(Prospect(hypothesis, start, gain, at.free.size))
+    return max(found, key=lambda each: each.gain, default=None)
+
+
+def _gain(current: Fit, added: Linearisation) -> float:
+    """Fall of chi-squared when the added columns join those of the current fit."""
+    used = current.used & np.isfinite(added.jacobian).all(axis=(1, 2))
+    columns = np.concatenate([current.at.jacobian[used], added.jacobian[used]], axis=-1)
+    columns = columns.reshape(2 * int(used.sum()), columns.shape[-1])
+    residual = current.residual[used].ravel()
+    information, gradient = columns.T @ columns, columns.T @ residual
+    scale = np.sqrt(np.diag(information)).clip(1e-300)
+    information = information / scale / scale[:, None] + 1e-10 * np.eye(len(scale))
+    gradient, old = gradient / scale, current.at.free.size
+    total = float(gradient @ np.linalg.solve(information, gradient))
+    already = float(gradient[:old] @ np.linalg.solve(information[:old, :old], gradient[:old])) if old else 0.0
+    return total - already
+
+
+def best_fit(predictor: Predictor, current: Extension, prospect: Prospect, used: BoolArray) -> Fit:
+    """Fit an extension with one more cause from the start of its prospect."""
+    extended = current.plus(prospect.hypothesis, prospect.start)
+    moment = _moment(prospect.hypothesis.cause)
+    if moment is None:
+        return fit(predictor, extended, used)
+    first = fit(predictor, extended, used, _FIRST_STEPS)
+    return fit(predictor, _with_better_moment(predictor, first, moment, used).extension, used)
+
+
+def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
+    """Null values with every start of the parameters that have several."""
+    starts = [cause.null()]
+    for number, parameter in enumerate(cause.parameters):
+        if parameter.role is Role.SIZE:
+            continue
+        values = _thinned(moments(plan)) if parameter.role is Role.MOMENT else np.array(parameter.starts)
+        starts = [_with(start, number, float(value)) for start in starts for value in values]
+    return starts
+
+
+def moments(plan: SessionPlan) -> FloatArray:
+    """Times in the middle between captures, ascending, without those near either end."""
+    parts = [part for part in (plan.display, plan.see_through, plan.run_time) if part is not None]
+    times = np.unique(np.concatenate([part.time_s for part in parts]))
+    edge = int(np.ceil(_EDGE * len(times)))
+    return np.asarray(0.5 * (times[1:] + times[:-1]))[edge : len(times) - 1 - edge]
+
+
+def _thinned(values: FloatArray) -> FloatArray:
+    chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), _MOMENTS)).round().astype(int))
+    return np.asarray(values[chosen])
+
+
+def _with(values: FloatArray, number: int, value: float) -> FloatArray:
+    changed = values.copy()
+    changed[number] = value
+    return changed
+
+
+def _moment(cause: Cause) -> int | None:
+    roles = [parameter.role for parameter in cause.parameters]
+    return roles.index(Role.MOMENT) if Role.MOMENT in roles else None
+
+
+def _with_better_moment(predictor: Predictor, found: Fit, moment: int, used: BoolArray) -> Fit:
+    """Try the times around the best so far, ever closer, until its neighbours have been tried."""
+    times = moments(predictor.observations.session.plan)
+    stride = max(1, len(times) // (2 * _MOMENTS))
+    while stride >= 1:
+        at = int(np.argmin(np.abs(times - found.extension.values[-1][moment])))
+        trials = [found]
+        for neighbour in {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}:
+            values = _with(found.extension.values[-1], moment, float(times[neighbour]))
+            extension = Extension(found.extension.hypotheses, (*found.extension.values[:-1], values))
+            trials.append(fit(predictor, extension, used, _FIRST_STEPS))
+        best = min(trials, key=lambda each: each.chi_squared)
+        stride = stride if best is not found else stride // 2
+        found = best
+    return found

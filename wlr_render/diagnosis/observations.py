@@ -1,0 +1,183 @@
+"""All readings of a session as one list of two-vectors in units of the noise, grouped by capture.
+
+A display reading is a panel position, but its noise is that of a camera pixel; it is carried there by the local
+Jacobian of panel position by camera pixel, so that all residuals below are camera pixels over sigma.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
+from wlr_render.errors import BadInputError
+from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.simulate_session import Start, panel_pixels, simulate
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
+PART_NAMES = ("display", "see-through", "run-time")
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_PIXEL_STEP = 0.5  # camera pixels, of the central differences for the noise
+
+
+@dataclass(frozen=True, order=True)
+class CaptureName:
+    """One photograph, or one recording.
+
+    Attributes:
+        part: index into `PART_NAMES`.
+        target_pose: of the target; -1 where there is none.
+        capture: its number in the table.
+    """
+
+    part: int
+    target_pose: int
+    capture: int
+
+    def __str__(self) -> str:
+        pose = f" of target pose {self.target_pose}" if self.target_pose >= 0 else ""
+        return f"{PART_NAMES[self.part]} capture {self.capture}{pose}"
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """A session ready to be compared with predictions.
+
+    Attributes:
+        session: what was read; only rows that the nominal bench can predict.
+        nominal: the bench as its makers believe it to be.
+        sigma_px: standard deviation of a reading per part, camera pixels.
+        camera_from_panel: (n_display, 2, 2) camera pixels per panel pixel at each display reading; none without any.
+        captures: the photographs, sorted.
+        group: (n,) index into `captures` for each reading, display first, then see-through, then run-time.
+        part: (n,) index into `PART_NAMES`.
+    """
+
+    session: Session
+    nominal: Bench
+    sigma_px: FloatArray
+    camera_from_panel: FloatArray
+    captures: tuple[CaptureName, ...]
+    group: IntArray
+    part: IntArray
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+    @cached_property
+    def start(self) -> Start:
+        """For predictions by benches near the nominal one."""
+        return Start(self.nominal, self.session.plan)
+
+    def residual(self, predicted: Readings) -> FloatArray:
+        """Measured minus predicted, (n, 2), in units of sigma; NaN where there is no prediction."""
+        measured, parts = self.session.readings, []
+        if measured.panel_pixel is not None and predicted.panel_pixel is not None:
+            difference = (measured.panel_pixel - predicted.panel_pixel)[:, :, None]
+            parts.append((self.camera_from_panel @ difference)[:, :, 0] / self.sigma_px[DISPLAY])
+        if measured.dot_pixel is not None and predicted.dot_pixel is not None:
+            parts.append((measured.dot_pixel - predicted.dot_pixel) / self.sigma_px[SEE_THROUGH])
+        if measured.seen is not None and predicted.seen is not None:
+            # The virtual dot against the real one: whoever sees both need not know where he looks.
+            gap = (measured.seen - predicted.seen)[:, :2] - (measured.seen - predicted.seen)[:, 2:]
+            parts.append(gap * self.nominal.camera.focal_px / self.sigma_px[RUN_TIME])
+        return np.concatenate(parts)
+
+    def with_sigma(self, sigma_px: FloatArray) -> "Observations":
+        """The same readings with other noise."""
+        return replace(self, sigma_px=sigma_px)
+
+    def thinned(self, most: int) -> "Observations":
+        """At most about `most` readings, spread evenly over every capture and part."""
+        if len(self) <= most:
+            return self
+        keep = np.zeros(len(self), dtype=bool)
+        present = [part for part in range(3) if np.any(self.part == part)]
+        for part in present:
+            rows = np.flatnonzero(self.part == part)
+            # Multiples of the golden section never fall in step with the rows and columns of a grid.
+            order = np.argsort(np.mod(np.arange(len(rows)) * _GOLDEN, 1.0), kind="stable")
+            keep[rows[order[: most // len(present)]]] = True
+        return self.of_rows(keep)
+
+    def of_rows(self, keep: NDArray[np.bool_]) -> "Observations":
+        """The readings that a mask (n,) names."""
+        plan, readings, masks = self.session.plan, self.session.readings, [keep[self.part == p] for p in range(3)]
+        kept_plan = SessionPlan(
+            None if plan.display is None else select_rows(plan.display, masks[DISPLAY]),
+            None if plan.see_through is None else select_rows(plan.see_through, masks[SEE_THROUGH]),
+            None if plan.run_time is None else select_rows(plan.run_time, masks[RUN_TIME]),
+        )
+        kept_readings = Readings(
+            None if readings.panel_pixel is None else readings.panel_pixel[masks[DISPLAY]],
+            None if readings.dot_pixel is None else readings.dot_pixel[masks[SEE_THROUGH]],
+            None if readings.seen is None else readings.seen[masks[RUN_TIME]],
+        )
+        return replace(
+            self,
+            session=replace(self.session, plan=kept_plan, readings=kept_readings),
+            camera_from_panel=self.camera_from_panel[masks[DISPLAY]],
+            group=self.group[keep],
+            part=self.part[keep],
+        )
+
+
+def observe(nominal: Bench, session: Session) -> Observations:
+    """Prepare a session; readings that the nominal bench cannot predict at all are left out.
+
+    Raises:
+        BadInputError: it can predict none.
+    """
+    names = _names(session.plan)
+    captures = tuple(sorted(set(names)))
+    index = {name: number for number, name in enumerate(captures)}
+    sigma = nominal.camera.point_sigma_px * np.array([1.0, 1.0, np.sqrt(2.0)])
+    observations = Observations(
+        session,
+        nominal,
+        sigma,
+        _camera_from_panel(nominal, session.plan),
+        captures,
+        np.array([index[name] for name in names]),
+        np.array([name.part for name in names]),
+    )
+    predictable = np.asarray(np.isfinite(observations.residual(simulate(nominal, session.plan))).all(axis=1))
+    if not predictable.any():
+        raise BadInputError(
+            f"{session.name}: the bench as described sees none of its {len(names)} readings; check the device, the "
+            "stage's origin and the target's poses."
+        )
+    return observations.of_rows(predictable)
+
+
+def _names(plan: SessionPlan) -> list[CaptureName]:
+    names = []
+    if plan.display is not None:
+        names += [CaptureName(DISPLAY, -1, int(capture)) for capture in plan.display.capture]
+    if plan.see_through is not None:
+        pairs = zip(plan.see_through.target_pose, plan.see_through.capture, strict=True)
+        names += [CaptureName(SEE_THROUGH, int(pose), int(capture)) for pose, capture in pairs]
+    if plan.run_time is not None:
+        names += [CaptureName(RUN_TIME, -1, int(capture)) for capture in plan.run_time.capture]
+    return names
+
+
+def _camera_from_panel(bench: Bench, plan: SessionPlan) -> FloatArray:
+    """Local Jacobian (n, 2, 2) of camera pixel by panel pixel."""
+    if plan.display is None:
+        return np.zeros((0, 2, 2))
+    columns = []
+    for shift in _PIXEL_STEP * np.eye(2):
+        ahead = replace(plan.display, camera_pixel=plan.display.camera_pixel + shift)
+        behind = replace(plan.display, camera_pixel=plan.display.camera_pixel - shift)
+        columns.append((panel_pixels(bench, ahead) - panel_pixels(bench, behind)) / (2 * _PIXEL_STEP))
+    panel_from_camera = np.stack(columns, axis=-1)
+    singular = ~(np.abs(np.linalg.det(panel_from_camera)) > 0)
+    panel_from_camera[singular] = np.eye(2)
+    inverse = np.asarray(np.linalg.inv(panel_from_camera), dtype=np.float64)
+    inverse[singular] = np.nan
+    return inverse
