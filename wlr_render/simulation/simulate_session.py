@@ -34,7 +34,7 @@ class Start:
         """Solved when first asked for; None where no target was photographed."""
         if self.plan.see_through is None:
             return None
-        viewpoint, point, _ = _dot_geometry(self.bench, self.plan.see_through)
+        viewpoint, point, _ = dot_geometry(self.bench, self.plan.see_through)
         return dot_sights.solved(self.bench.optics, self.bench.target_wavelength_um, viewpoint, point)
 
 
@@ -59,9 +59,7 @@ def simulate(bench: Bench, plan: SessionPlan, start: Start | None = None) -> Rea
 
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Decoded panel position (n, 2) for each display row: one trace."""
-    viewpoint = camera_positions(bench, plan)
-    view_dir = _turned(bench, plan.time_s, camera_dirs(bench.camera, plan.camera_pixel))
-    panel = bench.optics.panel
+    viewpoint, view_dir = camera_positions(bench, plan), display_dirs(bench, plan)
     pixel = np.full((len(plan), 2), np.nan)
     for channel in np.unique(plan.channel):
         rows = plan.channel == channel
@@ -70,19 +68,57 @@ def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
         # A ray past the edge of an aperture is kept: where the edge is, is no part of what is measured.
         lost = (status != Status.OK) & (status != Status.CLIPPED)
         pixel[rows] = np.where(lost[:, None], np.nan, seen)
-    warm = 1.0 - np.exp(-plan.time_s / bench.mount.warm_up_s)
-    pixel -= warm[:, None] * bench.mount.panel_creep / panel.size * panel.pixels.size_px
-    centre = 0.5 * panel.pixels.size_px
-    scale = bench.readout.channel_scale[plan.channel][:, None]
-    return np.asarray(centre + scale * (pixel - centre) + bench.readout.origin_px)
+    return decoded(bench, plan, pixel)
+
+
+def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
+    """Where light leaves the panel as it is when cold, (n, 2) panel pixels -> the position that is decoded, (n, 2)."""
+    centre, scale = _readout(bench, plan)
+    return np.asarray(centre + scale * (pixel - _creep_px(bench, plan) - centre) + bench.readout.origin_px)
+
+
+def undecoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
+    """The inverse of `decoded`."""
+    centre, scale = _readout(bench, plan)
+    return np.asarray(centre + (pixel - bench.readout.origin_px - centre) / scale + _creep_px(bench, plan))
+
+
+def _readout(bench: Bench, plan: DisplayPlan) -> tuple[FloatArray, FloatArray]:
+    """The panel's centre (2,) and the magnification about it for each row (n, 1)."""
+    return 0.5 * bench.optics.panel.pixels.size_px, bench.readout.channel_scale[plan.channel][:, None]
+
+
+def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:
+    """How far the panel has crept at each row, (n, 2) panel pixels."""
+    panel, mount = bench.optics.panel, bench.mount
+    warm = 1.0 - np.exp(-plan.time_s / mount.warm_up_s)
+    return np.asarray(warm[:, None] * mount.panel_creep / panel.size * panel.pixels.size_px)
 
 
 def dot_pixels(bench: Bench, plan: SeeThroughPlan, sights: dot_sights.SightStart) -> FloatArray:
     """Camera pixel (n, 2) of each dot as seen through the optics."""
-    viewpoint, point, device_from_camera = _dot_geometry(bench, plan)
+    viewpoint, point, device_from_camera = dot_geometry(bench, plan)
     tangents = dot_sights.view_tangents(bench.optics, bench.target_wavelength_um, viewpoint, point, sights)
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
     return pixel_of_tangents(bench.camera, tangents_of_dir(in_camera))
+
+
+def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Camera positions (n, 3), dots (n, 3) and camera orientations (n, 3, 3), device frame."""
+    viewpoint = camera_positions(bench, plan)
+    device_from_camera = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
+    if plan.orientation is not None:
+        device_from_camera = plan.orientation @ device_from_camera
+    slipped = plan.time_s >= bench.mount.slip_time_s
+    if slipped.any() and bench.mount.slip_rotation.any():
+        turn = rotations_of_vectors(bench.mount.slip_rotation)
+        device_from_camera = np.where(slipped[:, None, None], turn @ device_from_camera, device_from_camera)
+    point = _dots(bench, plan)
+    if plan.bare_pixel is not None:
+        in_camera = dir_of_tangents(tangents_of_pixel(bench.camera, plan.bare_pixel))
+        ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
+        point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
+    return viewpoint, point, device_from_camera
 
 
 def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
@@ -91,6 +127,11 @@ def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatA
     position = stage.origin + (plan.stage - stage.origin) @ stage.axes.T + bench.camera.pupil_offset
     position[:, 0] += np.where(plan.travel > 0, *stage.backlash)
     return np.asarray(position + np.where(plan.time_s >= mount.slip_time_s, 1.0, 0.0)[:, None] * mount.slip)
+
+
+def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
+    """Unit directions (n, 3) in which the camera truly looks in each display row, device frame."""
+    return _turned(bench, plan.time_s, camera_dirs(bench.camera, plan.camera_pixel))
 
 
 def camera_dirs(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
@@ -120,24 +161,6 @@ def pixel_of_tangents(camera: EyeballCamera, tangents: FloatArray) -> FloatArray
     k1, k2 = camera.distortion
     seen = tangents * (1.0 + square * (k1 + k2 * square))
     return np.asarray(seen * (camera.focal_px * [1.0, -1.0]) + camera.centre_px)
-
-
-def _dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Camera positions (n, 3), dots (n, 3) and camera orientations (n, 3, 3), device frame."""
-    viewpoint = camera_positions(bench, plan)
-    device_from_camera = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
-    if plan.orientation is not None:
-        device_from_camera = plan.orientation @ device_from_camera
-    slipped = plan.time_s >= bench.mount.slip_time_s
-    if slipped.any() and bench.mount.slip_rotation.any():
-        turn = rotations_of_vectors(bench.mount.slip_rotation)
-        device_from_camera = np.where(slipped[:, None, None], turn @ device_from_camera, device_from_camera)
-    point = _dots(bench, plan)
-    if plan.bare_pixel is not None:
-        in_camera = dir_of_tangents(tangents_of_pixel(bench.camera, plan.bare_pixel))
-        ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
-        point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
-    return viewpoint, point, device_from_camera
 
 
 def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:

@@ -1,0 +1,176 @@
+"""What calibration is given is, by the bench that is believed, where light truly goes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.geometry.transforms import rigid
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.simulation.session_captures import captures_of, see_through_captures
+from wlr_render.simulation.simulate_session import simulate
+
+CAPTURES, ROWS = 4, 15
+TIME_S = 300.0 * np.arange(CAPTURES)
+TURN = Rotation.from_rotvec([0.01, -0.02, 0.015]).as_matrix()
+
+
+@pytest.fixture(scope="module")
+def bench():
+    camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([1350.0, 1340.0]), np.array([640.5, 512.5]), 0.1)
+    poses = rigid(np.eye(3), np.array([[0.03, 0.0, -0.6], [0.03, 0.0, -1.1]]))
+    stage = Stage(np.array([0.032, 0.0, -0.033]))
+    return Bench(load_device("northstar"), "right", camera, stage, Target(poses, np.full(2, 0.02)))
+
+
+@pytest.fixture(scope="module")
+def plan(bench):
+    rng = np.random.default_rng(3)
+    capture = np.repeat(np.arange(CAPTURES), ROWS)
+    stage = (bench.stage.origin + rng.uniform(-0.003, 0.003, (CAPTURES, 3)))[capture]
+    travel = np.array([1.0, -1.0])[capture % 2]
+    pixel = rng.uniform([500, 400], [800, 600], (len(capture), 2))
+    display = DisplayPlan(capture, TIME_S[capture], travel, stage, np.tile([0, 1, 2], len(capture) // 3), pixel)
+    dot = rng.uniform(-0.1, 0.1, (len(capture), 2))
+    pose = np.repeat([0, 1], len(capture) // 2)
+    see_through = SeeThroughPlan(capture % 2, TIME_S[capture], travel, stage, pose, dot)
+    return SessionPlan(display, see_through)
+
+
+def nothing(bench):
+    return bench
+
+
+def camera(**changes):
+    return lambda bench: replace(bench, camera=replace(bench.camera, **changes))
+
+
+def stage(**changes):
+    return lambda bench: replace(bench, stage=replace(bench.stage, **changes))
+
+
+def target(**changes):
+    return lambda bench: replace(bench, target=replace(bench.target, **changes))
+
+
+def mount(**changes):
+    return lambda bench: replace(bench, mount=replace(bench.mount, **changes))
+
+
+def readout(**changes):
+    return lambda bench: replace(bench, readout=replace(bench.readout, **changes))
+
+
+def tracking(bench):
+    return replace(bench, tracking=replace(bench.tracking, true_from_reported=rigid(TURN, np.array([1e-3, 0, 2e-3]))))
+
+
+DISTURBANCES = {
+    "nothing": nothing,
+    "camera rotation": camera(device_from_camera=TURN),
+    "camera lens": camera(distortion=np.array([0.03, -0.01])),
+    "camera focal length": camera(focal_px=np.array([1360.0, 1335.0])),
+    "camera pupil": camera(pupil_offset=np.array([1e-3, -5e-4, 2e-3])),
+    "stage axes": stage(axes=np.eye(3) + 0.02 * np.arange(9).reshape(3, 3) / 9),
+    "stage backlash": stage(backlash=np.array([1e-4, -2e-4])),
+    "target scale": target(scale=np.array([1.004, 0.998])),
+    "target bow": target(bow=np.array([[0.5, 0.2], [-0.3, 0.1]])),
+    "tracking": tracking,
+    "creep": mount(panel_creep=np.array([5e-5, -8e-5]), warm_up_s=400.0),
+    "slip": mount(slip_time_s=450.0, slip=np.array([1e-3, 0, -1e-3]), slip_rotation=np.array([0.01, 0.02, -0.01])),
+    "pixel origin": readout(origin_px=np.array([0.5, -1.0])),
+    "lateral colour": readout(channel_scale=np.array([1.002, 1.0005, 0.998])),
+}
+
+
+@pytest.mark.parametrize("disturbance", [*DISTURBANCES, "all"])
+def test_captures_of_a_bench_that_is_right_are_where_its_optics_send_light(bench, plan, disturbance):
+    changes = DISTURBANCES.values() if disturbance == "all" else [DISTURBANCES[disturbance]]
+    for change in changes:
+        bench = change(bench)
+    captures = captures_of(bench, Session("noise-free", plan, simulate(bench, plan)))
+    display, world = captures.display, captures.see_through
+    shown, _ = TracedDisplay(bench.optics, bench.wavelengths_um[1]).plane_pixel(display.view_dir, display.viewpoint)
+    np.testing.assert_allclose(shown, display.pixel, atol=1e-8)
+    seen = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
+    assert arcmin_between(seen.view_dir_of_real_point(world.point, world.viewpoint).value, world.view_dir).max() < 1e-5
+    assert len(display) == len(plan.display) // 3
+    assert len(world) == len(plan.see_through)
+
+
+@pytest.mark.parametrize("disturbance", [name for name in DISTURBANCES if name != "nothing"])
+def test_a_bench_that_is_wrong_gives_other_captures(bench, plan, disturbance):
+    session = Session("noise-free", plan, simulate(bench, plan))
+    believed, true = captures_of(DISTURBANCES[disturbance](bench), session), captures_of(bench, session)
+    parts = ((believed.display, true.display), (believed.see_through, true.see_through))
+    names = ("viewpoint", "view_dir", "pixel", "point")
+    differ = [
+        not np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-7)
+        for a, b in parts
+        for name in names
+        if hasattr(a, name)
+    ]
+    assert any(differ)
+
+
+def test_a_camera_that_was_turned_and_dots_on_the_bare_cameras_rays(bench, plan):
+    count = len(plan.see_through)
+    turned = Rotation.from_rotvec(np.random.default_rng(5).normal(0, 0.02, (count, 3))).as_matrix()
+    rows = replace(plan.see_through, orientation=turned, bare_pixel=plan.display.camera_pixel)
+    bench = DISTURBANCES["camera rotation"](DISTURBANCES["tracking"](bench))
+    captures = see_through_captures(bench, rows, simulate(bench, SessionPlan(see_through=rows)).dot_pixel)
+    seen = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
+    answer = seen.view_dir_of_real_point(captures.point, captures.viewpoint).value
+    assert arcmin_between(answer, captures.view_dir).max() < 1e-5
+
+
+def test_photographs_are_numbered_on_from_pose_to_pose(bench, plan):
+    world = captures_of(bench, Session("night", plan, simulate(bench, plan))).see_through
+    for number in np.unique(world.capture):
+        rows = world.capture == number
+        assert len(np.unique(plan.see_through.stage[rows], axis=0)) == 1
+        assert len(np.unique(world.target_pose[rows])) == 1
+    assert len(np.unique(world.capture)) == CAPTURES
+
+
+def test_sigma_is_the_angle_of_a_camera_pixel(bench, plan):
+    captures = captures_of(bench, Session("night", plan, simulate(bench, plan)))
+    green = plan.display.channel == 1
+    pixel = plan.display.camera_pixel[green]
+    tangents = (pixel - bench.camera.centre_px) / (bench.camera.focal_px * [1, -1])
+    right, up = (
+        arcmin_between(dir_of_tangents(tangents - step), dir_of_tangents(tangents + step))
+        for step in (np.array([0.5 / 1350, 0]), np.array([0, 0.5 / 1340]))
+    )
+    per_pixel = np.sqrt(right * up)
+    np.testing.assert_allclose(captures.display.sigma_arcmin, 0.1 * per_pixel, rtol=2e-3)
+    assert captures.display.sigma_arcmin.max() < 0.1 / 1340.0 / ARCMIN
+
+
+def test_readings_that_are_missing_are_left_out(bench, plan):
+    readings = simulate(bench, plan)
+    panel, dot = readings.panel_pixel.copy(), readings.dot_pixel.copy()
+    panel[1], dot[:2, 0] = np.nan, np.nan
+    captures = captures_of(bench, Session("night", plan, Readings(panel, dot)))
+    assert len(captures.display) == CAPTURES * ROWS // 3 - 1
+    assert len(captures.see_through) == CAPTURES * ROWS - 2
+
+
+def test_one_channel_alone_is_taken_whichever_it_is(bench, plan):
+    red = replace(plan.display, channel=np.zeros_like(plan.display.channel))
+    alone = SessionPlan(red)
+    captures = captures_of(bench, Session("red", alone, simulate(bench, alone)))
+    assert len(captures.display) == len(red)
+    assert captures.see_through is None
+
+
+def test_a_session_without_a_display_table_is_refused(bench, plan):
+    alone = SessionPlan(see_through=plan.see_through)
+    with pytest.raises(BadInputError, match="night: has no display table"):
+        captures_of(bench, Session("night", alone, simulate(bench, alone)))
