@@ -14,7 +14,7 @@ def misalignment_arcmin(truth: EyeMappings, viewpoint: FloatArray, pixel: FloatA
 
     Args:
         truth: the mappings that the eye looks through.
-        viewpoint: (3,) device frame.
+        viewpoint: (..., 3) device frame; one for all, or one each.
         pixel: (..., 2) panel pixels.
         point: (..., 3) device frame, the real point that the picture has at that pixel; NaN where it shows nothing.
 
