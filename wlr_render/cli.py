@@ -158,11 +158,13 @@ def _add_calibrate(verbs: Verbs) -> None:
     parser = _verb(verbs, "calibrate", _calibrate, "fit an eye's models to simulated or given captures")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--simulate", metavar="DEVICE", help="simulate the captures of a device")
-    source.add_argument("--captures", type=Path, metavar="FILE", help="fit a capture file (.npz)")
+    source.add_argument("--captures", type=Path, metavar="PATH", help="fit a capture file (.npz) or a session's folder")
     kinds = ("planar", "volumetric", "static", "point-per-pixel")
     parser.add_argument("--kind", choices=kinds, default="planar", help="of model")
     parser.add_argument("--degree", type=_few, help="of the display; chosen by held-out viewpoints if not given")
     parser.add_argument("--see-through-degree", type=_few, help="likewise for see-through")
+    session = parser.add_argument_group("with --captures and a session's folder")
+    session.add_argument("--bench", type=Path, metavar="FILE", help="read the session by this bench, not by its own")
     simulated = parser.add_argument_group("with --simulate")
     simulated.add_argument("--viewpoints", type=_count, default=25, help="camera positions")
     simulated.add_argument("--noise-px", type=_not_negative, default=0.25, help="camera noise; a pixel is 1 arcmin")
@@ -177,7 +179,7 @@ def _calibrate(args: argparse.Namespace) -> None:
 
     fit = calibrate.FitOptions(args.kind, args.degree, args.see_through_degree)
     if args.captures:
-        result = calibrate.calibrate_from_captures(args.captures, args.out, fit)
+        result = calibrate.calibrate_from_captures(args.captures, args.out, fit, args.bench)
     else:
         simulation = calibrate.SimulationOptions(args.viewpoints, args.noise_px, args.stage_error_mm, args.seed)
         result = calibrate.calibrate_simulated(args.simulate, args.out, args.eye, simulation, fit)

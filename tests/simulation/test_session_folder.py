@@ -135,7 +135,7 @@ def test_a_panel_of_another_device_is_refused(tmp_path, bench, session):
 def test_a_pose_that_the_bench_does_not_have_is_refused(tmp_path, bench, session):
     target = Target(bench.target.device_from_target[:1], bench.target.pitch[:1])
     save_session(tmp_path, replace(bench, target=target), session)
-    with pytest.raises(BadInputError, match=r"names target_pose 1, but bench\.toml has 1 \[\[target_pose\]\]"):
+    with pytest.raises(BadInputError, match=r"names target_pose 1, but its bench has 1 \[\[target_pose\]\]"):
         load_session(tmp_path)
 
 

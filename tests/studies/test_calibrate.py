@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,9 +7,18 @@ import pytest
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
+from wlr_render.geometry.transforms import rigid
+from wlr_render.mappings import Field
 from wlr_render.models.model_file import load_eye_model
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.simulation.bench_file import save_bench
+from wlr_render.simulation.session_folder import save_session
+from wlr_render.simulation.simulate_session import simulate as read_off
 from wlr_render.studies.calibrate import (
     FitOptions,
     SimulationOptions,
@@ -105,3 +115,72 @@ def test_captures_of_the_display_alone_are_refused(calibrated, tmp_path):
     alone = EyeCaptures(load_captures(folder / "captures.npz").display)
     with pytest.raises(BadInputError, match="no see-through part"):
         calibrate_from_captures(save_captures(tmp_path / "alone.npz", alone), tmp_path)
+
+
+@pytest.fixture(scope="module")
+def night(tmp_path_factory):
+    """Folder of a session of northstar whose stage went further than it said, and file of the bench as it was."""
+    folder = tmp_path_factory.mktemp("night")
+    camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([1350.0, 1350.0]), np.array([640.5, 512.5]), 0.1)
+    poses = rigid(np.eye(3), np.array([[0.03, 0.0, -0.6], [0.03, 0.0, -1.1]]))
+    device = load_device("northstar")
+    centre = device.eyes["right"].eye_box.centre
+    believed = Bench(device, "right", camera, Stage(centre), Target(poses, np.full(2, 0.02)))
+    true = replace(believed, stage=Stage(centre, 1.1 * np.eye(3)))
+    rng = np.random.default_rng(2)
+    count, each = 16, 60
+    capture = np.repeat(np.arange(count), each)
+    stage = (centre + rng.uniform(-0.004, 0.004, (count, 3)) * [1, 1, 0])[capture]
+    time_s, travel, pixel = (
+        40.0 * capture,
+        np.ones(count * each),
+        rng.uniform([450, 350], [850, 650], (count * each, 2)),
+    )
+    display = DisplayPlan(capture, time_s, travel, stage, np.ones_like(capture), pixel)
+    dot = rng.uniform(-0.15, 0.15, (count * each, 2))
+    plan = SessionPlan(display, SeeThroughPlan(capture, time_s, travel, stage, capture % 2, dot))
+    save_session(folder / "session", believed, Session("night", plan, read_off(true, plan)))
+    return folder / "session", save_bench(true, folder / "true.toml")
+
+
+def display_error(model):
+    """Of a model against northstar as it is, rms in arcminutes, well inside the fit."""
+    truth = traced_eye(load_device("northstar"))
+    viewpoint = truth.eye_box.at(np.random.default_rng(3).uniform(-0.4, 0.4, (20, 1, 3)) * [1, 1, 0])
+    middle = Field(np.full(2, -0.08), np.full(2, 0.08)).directions(5, 5)
+    seen = mapping_error.sightings_of_dirs(truth.display, viewpoint, middle)
+    return np.sqrt(np.mean(mapping_error.display_error(model.display, seen).forward_arcmin ** 2))
+
+
+def test_a_session_is_calibrated_by_the_bench_that_is_believed(night, tmp_path):
+    session, bench = night
+    options = FitOptions("planar", 4, 2)
+    believed = calibrate_from_captures(session, tmp_path / "believed", options)
+    extended = calibrate_from_captures(session, tmp_path / "extended", options, bench)
+    assert [path.name for path in extended.files] == ["model.json", "fit.md", "fit.json"]
+    before, after = (display_error(load_eye_model(each.files[0]).mappings) for each in (believed, extended))
+    assert after < 0.3 * before
+    # The fit itself cannot tell: whoever believes the stage finds its captures in good order.
+    assert believed.fit.display.residual_arcmin.rms < 1.1 * extended.fit.display.residual_arcmin.rms
+
+
+def test_a_bench_of_another_headset_is_refused(night, tmp_path):
+    session, bench = night
+    other = tmp_path / "other.toml"
+    other.write_text(bench.read_text().replace('"northstar"', '"freeform40"'))
+    with pytest.raises(BadInputError, match=r"other.toml: is a bench of freeform40 \(right eye\), the session"):
+        calibrate_from_captures(session, tmp_path, bench=other)
+
+
+def test_a_bench_without_the_sessions_target_poses_is_refused(night, tmp_path):
+    session, bench = night
+    other = tmp_path / "other.toml"
+    other.write_text(bench.read_text().rsplit("[[target_pose]]", 1)[0])
+    with pytest.raises(BadInputError, match="names target_pose 1, but its bench has 1"):
+        calibrate_from_captures(session, tmp_path, bench=other)
+
+
+def test_a_bench_beside_a_capture_file_is_refused(calibrated, night, tmp_path):
+    folder, _ = calibrated
+    with pytest.raises(BadInputError, match=r"captures\.npz: is no session's folder"):
+        calibrate_from_captures(folder / "captures.npz", tmp_path, bench=night[1])

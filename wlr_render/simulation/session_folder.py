@@ -15,7 +15,7 @@ from wlr_render.files import read_toml
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.optics.device_file import FRAMES
 from wlr_render.simulation.bench import Bench, EyeballCamera
-from wlr_render.simulation.bench_file import WRITTEN_FRAME, bench_of, device_from_file, save_bench
+from wlr_render.simulation.bench_file import WRITTEN_FRAME, bench_of, device_from_file, load_bench, save_bench
 from wlr_render.simulation.simulate_session import camera_dirs, pixel_of_tangents
 
 FloatArray = NDArray[np.float64]
@@ -24,8 +24,12 @@ FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
 
 
-def load_session(folder: str | Path) -> tuple[Bench, Session]:
+def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tuple[Bench, Session]:
     """Read a session and the bench as its makers believe it to be; the session is named after its folder.
+
+    Args:
+        folder: with bench.toml and the tables.
+        bench_file: of the same headset; it is believed instead of the folder's own.
 
     Raises:
         BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says
@@ -34,6 +38,8 @@ def load_session(folder: str | Path) -> tuple[Bench, Session]:
     folder = Path(folder)
     file = read_toml(folder / "bench.toml")
     bench, axes = bench_of(file, folder), device_from_file(file)
+    if bench_file is not None:
+        bench = _other_bench(bench_file, bench, folder)
     plans: dict[str, Any] = {}
     readings: dict[str, FloatArray] = {}
     for part in PARTS:
@@ -104,6 +110,17 @@ def _table_path(folder: Path, schema: Schema) -> Path | None:
     return found[0] if found else None
 
 
+def _other_bench(path: str | Path, own: Bench, folder: Path) -> Bench:
+    """A bench that the session may have been taken with."""
+    bench = load_bench(path)
+    if (bench.device.name, bench.eye) != (own.device.name, own.eye):
+        raise BadInputError(
+            f"{path}: is a bench of {bench.device.name} ({bench.eye} eye), the session {folder} is of "
+            f"{own.device.name} ({own.eye} eye); choose a bench of that headset."
+        )
+    return bench
+
+
 def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:
     """Readings that lie on the panel, and poses that the bench has."""
     if "panel_pixel" in readings:
@@ -117,7 +134,7 @@ def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], read
         poses, highest = len(bench.target.pitch), plans["see_through"].target_pose.max()
         if highest >= poses:
             raise BadInputError(
-                f"{folder}: the seethrough table names target_pose {highest}, but bench.toml has {poses} "
+                f"{folder}: the seethrough table names target_pose {highest}, but its bench has {poses} "
                 f"[[target_pose]], counted from 0; add the missing ones."
             )
 

@@ -11,6 +11,7 @@ from wlr_render.calibration.fit_eye import EyeFit, fit_eye
 from wlr_render.calibration.fit_report import FitReport
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
@@ -20,6 +21,8 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.session_captures import captures_of
+from wlr_render.simulation.session_folder import load_session
 from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 from wlr_render.studies.designs import camera_positions
 
@@ -97,17 +100,33 @@ def calibrate_simulated(
     return Calibration(fitted, tables, (written, *_write(folder, fitted, tables, context)))
 
 
-def calibrate_from_captures(captures: str | Path, folder: str | Path, fit: FitOptions = FitOptions()) -> Calibration:
-    """Fit a capture file; writes model.json, fit.md and fit.json.
+def calibrate_from_captures(
+    captures: str | Path, folder: str | Path, fit: FitOptions = FitOptions(), bench: str | Path | None = None
+) -> Calibration:
+    """Fit a capture file or a bench session; writes model.json, fit.md and fit.json.
+
+    Args:
+        captures: an .npz, or a session's folder.
+        folder: for the results.
+        fit: which models.
+        bench: file of the bench that a session is read by; None for the session's own.
 
     Raises:
-        BadInputError: the file cannot be read, lacks see-through captures, or does not determine the models.
+        BadInputError: what is given cannot be read, lacks see-through captures, or does not determine the models.
     """
-    measured = load_captures(captures)
+    measured = _measured(captures, bench)
     fitted = fit_eye(measured, fit.kind, fit.display_degree, fit.see_through_degree)
     tables = _fit_tables(fitted)
     context = {"device": measured.display.device, "eye": measured.display.eye, "fit": asdict(fit)}
     return Calibration(fitted, tables, _write(folder, fitted, tables, context))
+
+
+def _measured(captures: str | Path, bench: str | Path | None) -> EyeCaptures:
+    if Path(captures).is_dir():
+        return captures_of(*load_session(captures, bench))
+    if bench is not None:
+        raise BadInputError(f"{captures}: is no session's folder, so no bench can be chosen for it; leave out --bench.")
+    return load_captures(captures)
 
 
 def simulate(truth: EyeMappings, kind: str, options: SimulationOptions) -> EyeCaptures:
