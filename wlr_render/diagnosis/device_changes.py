@@ -117,8 +117,10 @@ def _outward(bench: Bench, surface: PlacedSurface) -> float:
     return float(np.sign(normal @ _FORWARD)) or 1.0
 
 
-def plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray) -> Bench:
-    """A plane-parallel plate of PMMA between the optics and the world, its normal tilted about x and y.
+def plate_added(
+    bench: Bench, thickness: float, tilt_deg: FloatArray | None = None, wedge_deg: FloatArray | None = None
+) -> Bench:
+    """A plate of PMMA between the optics and the world, both its faces tilted about x and y, or the far one only.
 
     A negative thickness stands for the opposite offset of rays, so that a fit may pass through zero.
     """
@@ -127,13 +129,18 @@ def plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray) -> Bench:
     pmma = Medium("plate", FORMULAS["pmma_sultanova_2009"])
     index = pmma.index(bench.target_wavelength_um)
     medium = pmma if thickness > 0.0 else Medium.constant("plate", 1.0 / (2.0 - 1.0 / index))
-    turn = rotation_about("x", np.deg2rad(tilt_deg[0])) @ rotation_about("y", np.deg2rad(tilt_deg[1]))
+    near = _tilt(np.zeros(2) if tilt_deg is None else tilt_deg)
+    far = near @ _tilt(np.zeros(2) if wedge_deg is None else wedge_deg)
     centre = bench.optics.eye_box.centre + _PLATE_AHEAD * _FORWARD
     reach = _PLATE_HALF_SIZE * np.array([1.0, 1.0, np.inf])
     aperture = ClearAperture(-reach, reach)
     steps = []
-    for name, along, into in (("plate_near", 0.0, medium), ("plate_far", abs(thickness), AIR)):
-        face = PlacedSurface(name, Conic(0.0), rigid(turn, centre + along * turn @ _FORWARD), aperture)
+    for name, turn, along, into in (("plate_near", near, 0.0, medium), ("plate_far", far, abs(thickness), AIR)):
+        face = PlacedSurface(name, Conic(0.0), rigid(turn, centre + along * near @ _FORWARD), aperture)
         steps.append(Step(face, Interaction.REFRACT, into))
     path = Path(bench.optics.see_through.steps + tuple(steps))
     return with_optics(bench, replace(bench.optics, see_through=path))
+
+
+def _tilt(tilt_deg: FloatArray) -> FloatArray:
+    return rotation_about("x", np.deg2rad(tilt_deg[0])) @ rotation_about("y", np.deg2rad(tilt_deg[1]))

@@ -1,6 +1,5 @@
 """An extended bench: the nominal one with causes at work; its readings, and their change with the causes' values."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,45 +100,50 @@ class Predictor:
     def __init__(self, observations: Observations) -> None:
         self.observations = observations
         self._start = observations.start
-        self._nominal = simulate(observations.nominal, observations.session.plan, self._start)
+        readings = simulate(observations.nominal, observations.session.plan, self._start)
+        self._nominal = State(observations.nominal, readings)
 
     def residual(self, extension: Extension) -> FloatArray:
         """Measured minus predicted, (n, 2), in units of sigma."""
-        return self._residual(extension.bench(self.observations.nominal), self._nominal_state())
+        return self._residual(extension.bench(self.observations.nominal), self._nominal)
 
-    def linearised(self, extension: Extension, only: Sequence[int] | None = None) -> Linearisation:
-        """Residual and Jacobian at an extension, by forward differences.
+    def state(self, extension: Extension) -> "State":
+        """An extension's bench and its readings."""
+        bench = extension.bench(self.observations.nominal)
+        return State(bench, self._predicted(bench, self._nominal))
+
+    def linearised(self, extension: Extension) -> Linearisation:
+        """Residual and Jacobian at an extension, by forward differences."""
+        return self._differences(extension, 0, self.state(extension))
+
+    def added(self, current: "State", extension: Extension) -> Linearisation:
+        """Linearisation by the parameters of an extension's last cause only, at values where it has no effect yet.
 
         Args:
-            extension: where.
-            only: indices of the causes whose parameters are free; None for all.
+            current: of the extension without its last cause.
+            extension: with it.
         """
-        nominal = self.observations.nominal
-        bench = extension.bench(nominal)
-        base = _State(bench, self._predicted(bench, self._nominal_state()))
+        return self._differences(extension, len(extension.vector()) - len(extension.values[-1]), current)
+
+    def _differences(self, extension: Extension, first: int, base: "State") -> Linearisation:
         residual = self.observations.residual(base.readings)
         vector, columns, free = extension.vector(), [], []
-        owners = np.repeat(np.arange(len(extension.values)), [len(v) for v in extension.values])
-        for number, parameter in enumerate(extension.parameters()):
-            if parameter.role is Role.MOMENT or (only is not None and owners[number] not in only):
+        for number, parameter in list(enumerate(extension.parameters()))[first:]:
+            if parameter.role is Role.MOMENT:
                 continue
             moved = vector.copy()
             moved[number] += _STEP * parameter.plausible
-            changed = self._residual(extension.at(moved).bench(nominal), base)
-            column = (residual - changed) / _STEP
+            column = (residual - self._residual(extension.at(moved).bench(self.observations.nominal), base)) / _STEP
             if np.nanmax(np.abs(column), initial=0.0) > 0.0:
                 columns.append(column)
                 free.append(number)
         jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
         return Linearisation(extension, residual, jacobian, np.array(free, dtype=np.int64))
 
-    def _nominal_state(self) -> "_State":
-        return _State(self.observations.nominal, self._nominal)
-
-    def _residual(self, bench: Bench, near: "_State") -> FloatArray:
+    def _residual(self, bench: Bench, near: "State") -> FloatArray:
         return self.observations.residual(self._predicted(bench, near))
 
-    def _predicted(self, bench: Bench, near: "_State") -> Readings:
+    def _predicted(self, bench: Bench, near: "State") -> Readings:
         """Readings of a bench; those of `near` where the two benches share all that decides them."""
         plan, old = self.observations.session.plan, near.bench
         common = all(getattr(bench, name) is getattr(old, name) for name in ("camera", "stage", "mount"))
@@ -162,7 +166,7 @@ class Predictor:
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class State:
     """A bench and its readings."""
 
     bench: Bench

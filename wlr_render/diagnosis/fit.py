@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _ITERATIONS = 12
-_SETTLED = 1e-4  # of chi-squared's noise: a smaller gain ends the iteration
+_SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
 _PRIOR = 1e-8  # information of an almost boundless prior, in plausible sizes: keeps degenerate directions finite
 
 

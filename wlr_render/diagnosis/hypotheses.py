@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
-from wlr_render.diagnosis.extension import Extension, Hypothesis, Linearisation, Predictor
+from wlr_render.diagnosis.extension import Extension, Hypothesis, Linearisation, Predictor, State
 from wlr_render.diagnosis.fit import Fit, fit
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_MOMENTS = 12  # times tried at once
+_MOMENTS = 6  # times tried at once
 _FIRST_STEPS = 2  # Gauss-Newton steps by which neighbouring moments are compared
 _EDGE = 0.05  # of all captures must lie on either side of a moment: fewer are captures that moved
 
@@ -41,12 +41,11 @@ def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
     return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
 
 
-def prospect(predictor: Predictor, current: Fit, hypothesis: Hypothesis) -> Prospect | None:
-    """What a hypothesis would add to a fit by the same predictor; None where it changes no reading."""
+def prospect(predictor: Predictor, current: Fit, state: State, hypothesis: Hypothesis) -> Prospect | None:
+    """What a hypothesis would add to a fit by the same predictor, in this state; None where it changes nothing."""
     found = []
     for start in _starts(hypothesis.cause, predictor.observations.session.plan):
-        extended = current.extension.plus(hypothesis, start)
-        at = predictor.linearised(extended, only=(len(extended.hypotheses) - 1,))
+        at = predictor.added(state, current.extension.plus(hypothesis, start))
         if at.free.size:
             gain = _gain(current, at)
             found.append(Prospect(hypothesis, start, gain, at.free.size))
@@ -116,7 +115,7 @@ def _moment(cause: Cause) -> int | None:
 def _with_better_moment(predictor: Predictor, found: Fit, moment: int, used: BoolArray) -> Fit:
     """Try the times around the best so far, ever closer, until its neighbours have been tried."""
     times = moments(predictor.observations.session.plan)
-    stride = max(1, len(times) // (2 * _MOMENTS))
+    stride = max(1, len(times) // (3 * _MOMENTS))
     while stride >= 1:
         at = int(np.argmin(np.abs(times - found.extension.values[-1][moment])))
         trials = [found]

@@ -3,18 +3,22 @@
 Within one photograph every physical effect is smooth over the image; what a smooth surface leaves is noise.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
-from wlr_render.numerics.polynomial import Box, basis
+from wlr_render.numerics.polynomial import Box, basis, term_count
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 _DEGREE = 6
 _ROWS_PER_COEFFICIENT = 2.5
+_STRAY = 6.0  # times the noise: nothing smooth and no noise is so far off
+_STRAY_ROUNDS = 6
 _BELIEVABLE = 1.1  # a stated sigma that is wrong by less is kept
 
 
@@ -80,26 +84,51 @@ def _image_places(observations: Observations, part: int) -> tuple[FloatArray, ND
 
 def _within(observations: Observations, residual: FloatArray, part: int) -> float:
     """What smooth surfaces over each photograph leave, over sigma."""
+    variances = [
+        np.sum(left[good] ** 2) / (2 * (good.sum() - terms))
+        for _, left, good, terms in _smoothed(observations, residual, part)
+    ]
+    # The median over photographs: one that is bad throughout is not noise.
+    return float(np.sqrt(np.median(variances))) if variances else np.nan
+
+
+def stray_readings(observations: Observations, residual: FloatArray) -> BoolArray:
+    """Single readings (n,) far from a smooth surface through the rest of their photograph: wrong bits, wrong dots."""
+    stray = np.zeros(len(observations), dtype=bool)
+    for part in np.unique(observations.part):
+        own = np.flatnonzero(observations.part == part)
+        for rows, _, good, _ in _smoothed(observations, residual, part):
+            stray[own[rows[~good]]] = True
+    return stray
+
+
+def _smoothed(
+    observations: Observations, residual: FloatArray, part: int
+) -> Iterator[tuple[NDArray[np.int64], FloatArray, BoolArray, int]]:
+    """For each photograph: its rows within the part, what a surface leaves, which are no strays, its terms."""
     found = _image_places(observations, part)
     if found is None:
-        return np.nan
+        return
     place, photograph = found
     own = residual[observations.part == part]
-    half = 0.5 * observations.nominal.camera.size_px
-    box = Box(np.zeros(2), 2 * half)
-    variances = []
+    box = Box(np.zeros(2), observations.nominal.camera.size_px)
     for number in np.unique(photograph):
-        rows = photograph == number
-        terms = int(np.sum(rows) / _ROWS_PER_COEFFICIENT)
-        degree = max((d for d in range(_DEGREE + 1) if (d + 1) * (d + 2) // 2 <= terms), default=-1)
+        rows = np.flatnonzero(photograph == number)
+        count = int(len(rows) / _ROWS_PER_COEFFICIENT)
+        degree = max((d for d in range(_DEGREE + 1) if term_count(2, d) <= count), default=-1)
         if degree < 2:
             continue
-        design = basis(place[rows], degree, box)
-        q, _ = np.linalg.qr(design)
-        left = own[rows] - q @ (q.T @ own[rows])
-        variances.append(np.sum(left**2) / (2 * (len(left) - design.shape[1])))
-    # The median over photographs: a few bad points in one of them are not noise.
-    return float(np.sqrt(np.median(variances))) if variances else np.nan
+        design, good = basis(place[rows], degree, box), np.ones(len(rows), dtype=bool)
+        for _ in range(_STRAY_ROUNDS):
+            left = own[rows] - design @ np.linalg.lstsq(design[good], own[rows][good], rcond=None)[0]
+            size = np.linalg.norm(left, axis=1)
+            # 1.18: the median length of a two-vector of unit normal components.
+            worst = size > _STRAY * max(1.0, float(np.median(size[good])) / 1.18)
+            if not np.any(worst & good):
+                break
+            good &= ~worst
+        if good.sum() > 2 * design.shape[1]:
+            yield rows, left, good, design.shape[1]
 
 
 def _repeats(observations: Observations, residual: FloatArray) -> float:

@@ -73,6 +73,7 @@ class Observations:
         """For predictions by benches near the nominal one."""
         return Start(self.nominal, self.session.plan)
 
+    @np.errstate(invalid="ignore")
     def residual(self, predicted: Readings) -> FloatArray:
         """Measured minus predicted, (n, 2), in units of sigma; NaN where there is no prediction."""
         measured, parts = self.session.readings, []
@@ -91,18 +92,18 @@ class Observations:
         """The same readings with other noise."""
         return replace(self, sigma_px=sigma_px)
 
-    def thinned(self, most: int) -> "Observations":
-        """At most about `most` readings, spread evenly over every capture and part."""
+    def spread(self, most: int) -> NDArray[np.bool_]:
+        """Mask (n,) of at most about `most` readings, spread evenly over every capture and part."""
+        keep = np.ones(len(self), dtype=bool)
         if len(self) <= most:
-            return self
-        keep = np.zeros(len(self), dtype=bool)
-        present = [part for part in range(3) if np.any(self.part == part)]
+            return keep
+        present = [part for part in range(len(PART_NAMES)) if np.any(self.part == part)]
         for part in present:
             rows = np.flatnonzero(self.part == part)
             # Multiples of the golden section never fall in step with the rows and columns of a grid.
             order = np.argsort(np.mod(np.arange(len(rows)) * _GOLDEN, 1.0), kind="stable")
-            keep[rows[order[: most // len(present)]]] = True
-        return self.of_rows(keep)
+            keep[rows[order[most // len(present) :]]] = False
+        return keep
 
     def of_rows(self, keep: NDArray[np.bool_]) -> "Observations":
         """The readings that a mask (n,) names."""

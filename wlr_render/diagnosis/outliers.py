@@ -43,23 +43,22 @@ def moved_captures(predictor: Predictor, fit: Fit) -> list[MovedCapture]:
     A run-time recording has no camera pose, and is never set aside.
     """
     observations = predictor.observations
-    extended = fit.extension
-    for name in _POSE:
-        extended = extended.plus(_hypothesis(name))
-    count = len(extended.hypotheses)
-    at = predictor.linearised(extended, only=(count - 2, count - 1))
-    if at.free.size == 0:
+    state = predictor.state(fit.extension)
+    columns = [predictor.added(state, fit.extension.plus(_hypothesis(name))) for name in _POSE]
+    poses = np.concatenate([each.jacobian for each in columns], axis=-1)
+    if poses.shape[-1] < sum(len(CAUSES[name].parameters) for name in _POSE):
         return []
-    usable = np.isfinite(at.residual).all(axis=1) & np.isfinite(at.jacobian).all(axis=(1, 2))
+    residuals = columns[0].residual
+    usable = np.isfinite(residuals).all(axis=1) & np.isfinite(poses).all(axis=(1, 2))
     gains, moves = np.full(len(observations.captures), np.nan), {}
     for number in np.unique(observations.group[usable]):
         rows = usable & (observations.group == number)
-        jacobian, residual = at.jacobian[rows].reshape(-1, at.free.size), at.residual[rows].ravel()
-        if len(residual) < 4 * at.free.size:
+        jacobian, residual = poses[rows].reshape(-1, poses.shape[-1]), residuals[rows].ravel()
+        if len(residual) < 4 * poses.shape[-1]:
             continue
         pose = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
         left = residual - jacobian @ pose
-        gains[number] = (residual @ residual - left @ left) / at.free.size
+        gains[number] = (residual @ residual - left @ left) / poses.shape[-1]
         moves[number] = (pose, np.sqrt(np.mean(residual**2)), np.sqrt(np.mean(left**2)))
     apart = np.flatnonzero(gains > np.maximum(_SIGNIFICANT, _APART * np.nanmedian(gains)))
     if len(apart) > max(1, _MOST * len(observations.captures)):

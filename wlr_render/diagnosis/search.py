@@ -4,7 +4,7 @@ Candidates are compared on a thinned session first; those that come close are fi
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.held_out import HeldOutGain, held_out_gain, held_out_squares
-from wlr_render.diagnosis.hypotheses import best_fit, prospect
+from wlr_render.diagnosis.hypotheses import Prospect, best_fit, prospect
 
 BoolArray = NDArray[np.bool_]
 Progress = Callable[[str], None]
@@ -38,29 +38,29 @@ class Candidate:
         fit: with it.
         cost: see `evidence.cost`; lower is better.
         misfit: mean square residual over the noise's that it leaves.
+        behind: by how much its cost for the whole session exceeds the best one's.
     """
 
     hypothesis: Hypothesis
     fit: Fit
     cost: float
     misfit: float
+    behind: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """One round of the selection.
+class Round:
+    """The candidates for one more cause.
 
     Attributes:
-        candidates: best first; one per cause, in the best of its ways.
-        gain: of the best one on held-out captures.
-        accepted: whether it was taken.
-        reason: why, or why not, in one sentence.
+        current: the fit to which it would be added.
+        prospects: what each hypothesis promises to first order.
+        candidates: those that were fitted, best first, one per cause in the best of its ways.
     """
 
+    current: Fit
+    prospects: tuple[Prospect, ...]
     candidates: tuple[Candidate, ...]
-    gain: HeldOutGain
-    accepted: bool
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +68,14 @@ class Selection:
     """What the selection found.
 
     Attributes:
-        steps: its rounds.
-        fits: of no cause, one cause, and so on; the last one is the result.
+        fit: the result.
+        first: the candidates for the first cause.
+        reason: why no more was taken than it has.
     """
 
-    steps: tuple[Step, ...]
-    fits: tuple[Fit, ...]
-
-    @property
-    def fit(self) -> Fit:
-        """The final fit."""
-        return self.fits[-1]
+    fit: Fit
+    first: Round
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,68 +100,70 @@ class Search:
     def select(self, most: int) -> Selection:
         """Add causes, up to `most`, while each is worth it.
 
-        Where one cause is not enough, the selection is tried again from the runners-up of the first round: of two
-        causes at work, the one that alone explains most may be neither.
+        Where a few causes do not lead down to the noise, the selection is tried again from the runners-up of the first
+        round: of two causes at work, the one that alone explains most may be neither.
         """
-        best = self._grown(fit(self.full, Extension(), self.used), most)
-        first = best.steps[0].candidates if best.steps else ()
-        if len(best.fits) > 2 or evidence.misfit(best.fit) > _AT_NOISE:
-            for seed in [c for c in first[1:] if c.fit.used.size == self.used.size][:_SEEDS]:
+        first = self.round(fit(self.full, Extension(), self.used))
+        best = self._grown(first, most)
+        if len(best.fit.extension.hypotheses) > 2 or evidence.misfit(best.fit) > _AT_NOISE:
+            for seed in [c for c in first.candidates[1:] if c.fit.used is self.used][:_SEEDS]:
                 self.progress(f"again from {seed.hypothesis.cause.name}")
-                other = self._grown(seed.fit, most)
-                other = Selection((best.steps[0], *other.steps), (best.fits[0], *other.fits))
-                scale = min(evidence.misfit(other.fit), evidence.misfit(best.fit))
-                if evidence.cost(other.fit, scale) < evidence.cost(best.fit, scale):
-                    best = other
+                other = self._grown(self.round(seed.fit), most)
+                if self.better(other.fit, best.fit):
+                    best = replace(other, first=first)
         return best
 
-    def _grown(self, start: Fit, most: int) -> Selection:
-        """Add causes to a fit, round by round."""
-        fits, steps = [start], list[Step]()
-        while len(fits[-1].extension.hypotheses) < most:
-            step = self._round(fits[-1])
-            if step is None:
-                break
-            steps.append(step)
-            if not step.accepted:
-                break
-            fits.append(self._pruned(step.candidates[0].fit))
-        return Selection(tuple(steps), tuple(fits))
+    def better(self, one: Fit, other: Fit) -> bool:
+        """Whether one fit of all readings costs less than another."""
+        scale = min(evidence.misfit(one), evidence.misfit(other))
+        return evidence.cost(one, scale) < evidence.cost(other, scale)
 
-    def _round(self, current: Fit) -> Step | None:
-        candidates = self._candidates(current)
-        if not candidates:
-            return None
-        best = candidates[0]
-        gain = self._held_out(current, best.fit)
-        accepted, reason = self._verdict(current, best, gain)
-        return Step(tuple(candidates), gain, accepted, reason)
+    def _grown(self, start: Round, most: int) -> Selection:
+        """Add causes, round by round."""
+        at = start
+        while True:
+            taken, reason = self._verdict(at)
+            if not taken:
+                return Selection(at.current, start, reason)
+            found = self._pruned(at.candidates[0].fit)
+            if len(found.extension.hypotheses) >= most:
+                return Selection(found, start, f"{most} causes are the most that are looked for")
+            at = self.round(found)
 
-    def _candidates(self, current: Fit) -> list[Candidate]:
+    def round(self, current: Fit) -> Round:
         """Causes not yet at work that promise anything, best first."""
         taken = set(current.extension.names)
         at = fit(self.thin, current.extension, self.thin_used, 0)
-        share = float(self.used.sum() / self.thin_used.sum())
-        prospects = []
+        state, prospects = self.thin.state(current.extension), []
         for number, hypothesis in enumerate(self.hypotheses):
             if hypothesis.cause.name not in taken:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
-                prospects.append(prospect(self.thin, at, hypothesis))
-        promising = sorted((p for p in prospects if p is not None), key=lambda p: -p.gain)
-        scale = max(1.0, (at.chi_squared - promising[0].gain) / (2 * self.thin_used.sum())) if promising else 1.0
+                prospects.append(prospect(self.thin, at, state, hypothesis))
+        found = tuple(sorted((p for p in prospects if p is not None), key=lambda p: -p.gain))
+        return Round(current, found, tuple(self._fitted(current.extension, at, found)))
+
+    def _fitted(self, current: Extension, at: Fit, prospects: Sequence[Prospect]) -> list[Candidate]:
+        """Fits of the prospects that are worth one, best first."""
+        if not prospects:
+            return []
+        share = float(self.used.sum() / self.thin_used.sum())
+        scale = max(1.0, (at.chi_squared - prospects[0].gain) / (2 * self.thin_used.sum()))
         kept = [
             p
-            for p in promising
-            if p.gain > _PROMISE * promising[0].gain
+            for p in prospects
+            if p.gain > _PROMISE * prospects[0].gain
             and evidence.chance(share * p.gain / scale, p.parameters, len(self.hypotheses)) < _CHANCE
         ][:_FITTED]
-        self.progress(f"cause {len(taken) + 1}: fitting {', '.join(sorted({p.hypothesis.cause.name for p in kept}))}")
-        fits = [best_fit(self.thin, current.extension, p, self.thin_used) for p in kept]
+        self.progress(f"fitting {', '.join(sorted({p.hypothesis.cause.name for p in kept}))}")
+        fits = [best_fit(self.thin, current, p, self.thin_used) for p in kept]
         screened = self._ranked([found for found in fits if evidence.physical(found)])
         close = [c for c in screened if share * (c.cost - screened[0].cost) < _CLOSE][:_CONTENDERS]
         final = self._ranked([fit(self.full, candidate.fit.extension, self.used) for candidate in close])
         names = {candidate.hypothesis.cause.name for candidate in final}
-        return _best_of_each(final) + [c for c in _best_of_each(screened) if c.hypothesis.cause.name not in names]
+        rest = [c for c in _best_of_each(screened) if c.hypothesis.cause.name not in names]
+        return [replace(c, behind=c.cost - final[0].cost) for c in _best_of_each(final)] + [
+            replace(c, behind=share * (c.cost - screened[0].cost)) for c in rest
+        ]
 
     def _ranked(self, fits: Sequence[Fit]) -> list[Candidate]:
         if not fits:
@@ -176,31 +175,40 @@ class Search:
         ]
         return sorted(candidates, key=lambda candidate: candidate.cost)
 
-    def _held_out(self, before: Fit, after: Fit) -> HeldOutGain:
+    def gain(self, before: Fit, after: Fit) -> HeldOutGain:
+        """By how much a fit predicts held-out captures better than another."""
         observations = self.full.observations
         squares = [held_out_squares(each, observations.group, len(observations.captures)) for each in (before, after)]
         return held_out_gain(*squares)
 
-    def _verdict(self, current: Fit, best: Candidate, gain: HeldOutGain) -> tuple[bool, str]:
+    def _verdict(self, at: Round) -> tuple[bool, str]:
+        """Whether the best candidate is worth adding, and why not."""
+        if not at.candidates:
+            return False, "no other cause gains more than chance would"
+        current, best = at.current, at.candidates[0]
+        name = best.hypothesis.cause.name
         added = best.fit.at.free.size - current.at.free.size
         gained = (current.chi_squared - best.fit.chi_squared) / max(1.0, best.misfit)
         chance = evidence.chance(gained, max(added, 1), len(self.hypotheses))
         if chance > _CHANCE:
-            return False, f"chance alone gains as much with a probability of {chance:.2g}"
+            return False, f"{name} comes next, but chance alone gains as much with a probability of {chance:.2g}"
+        gain = self.gain(current, best.fit)
         if gain.significance < _SIGNIFICANCE:
-            return False, f"held-out captures gain {gain.significance:.1f} standard errors only"
+            return False, f"{name} comes next, but held-out captures gain {gain.significance:.1f} standard errors only"
         above = evidence.misfit(current) - 1.0
         share = (evidence.misfit(current) - best.misfit) / above if above > 0 else 1.0
         if best.misfit > _AT_NOISE and share < _SHARE:
-            return False, f"it takes away {100 * share:.0f} % of what is above the noise, and leaves the rest"
-        return True, f"held-out captures gain {gain.significance:.0f} standard errors"
+            return False, (
+                f"{name} comes next, but takes away only {100 * share:.0f} % of what is above the noise, and does not "
+                "lead down to it"
+            )
+        return True, ""
 
     def _pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
         for place in reversed(range(len(found.extension.hypotheses) - 1)):
             rest = fit(self.full, found.extension.without(place), self.used)
-            scale = min(evidence.misfit(rest), evidence.misfit(found))
-            if evidence.cost(rest, scale) < evidence.cost(found, scale):
+            if self.better(rest, found):
                 found = rest
         return found
 

@@ -5,8 +5,12 @@ from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter, Role
 from wlr_render.simulation.bench import Bench
 
 
-def _added(bench: Bench, values: FloatArray) -> Bench:
-    return device_changes.plate_added(bench, 1e-3 * float(values[0]), values[1:])
+def _tilted(bench: Bench, values: FloatArray) -> Bench:
+    return device_changes.plate_added(bench, 1e-3 * float(values[0]), tilt_deg=values[1:])
+
+
+def _wedged(bench: Bench, values: FloatArray) -> Bench:
+    return device_changes.plate_added(bench, 1e-3 * float(values[0]), wedge_deg=values[1:])
 
 
 CAUSE = Cause(
@@ -15,10 +19,10 @@ CAUSE = Cause(
     "device",
     (
         Parameter("thickness", "mm", 5.0, lowest=0.0),
-        Parameter("tilt_x", "deg", 20.0, Role.FORM),
-        Parameter("tilt_y", "deg", 20.0, Role.FORM),
+        Parameter("angle_x", "deg", 20.0, Role.FORM),
+        Parameter("angle_y", "deg", 20.0, Role.FORM),
     ),
     source="cover and prism plates of optical see-through headsets, 1 to 20 mm",
     separated_by="the target at more distances: the offset by a plate goes with 1 / distance, that by a lens does not",
-    variants={"of PMMA": _added},
+    variants={"plane-parallel, tilted by the angles": _tilted, "facing the eye, a wedge of the angles": _wedged},
 )

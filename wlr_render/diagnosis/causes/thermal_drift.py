@@ -5,9 +5,15 @@ from dataclasses import replace
 from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter, Role
 from wlr_render.simulation.bench import Bench
 
+_FASTEST_S = 1.0  # a fit may step below zero on its way
+
 
 def _creeping(bench: Bench, values: FloatArray) -> Bench:
-    mount = replace(bench.mount, panel_creep=bench.mount.panel_creep + 1e-3 * values[:2], warm_up_s=float(values[2]))
+    mount = replace(
+        bench.mount,
+        panel_creep=bench.mount.panel_creep + 1e-3 * values[:2],
+        warm_up_s=max(float(values[2]), _FASTEST_S),
+    )
     return replace(bench, mount=mount)
 
 

@@ -1,0 +1,137 @@
+"""Flexible smooth corrections of what is left over, each a function of one set of variables.
+
+They tell where an effect lives. None of them is a cause: each is judged by what it gains on captures that it was not
+fitted to, and offered as a correction.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
+from wlr_render.diagnosis.diagnosis import Correction
+from wlr_render.diagnosis.held_out import held_out_gain
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.numerics.polynomial import Box, basis
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_FOLDS = 8
+_RIDGE = 1e-6  # of the design's mean square: keeps terms that a session does not determine at zero
+_CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
+_SCREW_PERIODS_M = (0.00025, 0.0005, 0.001, 0.002)  # of the leads of micrometer screws
+
+
+def corrections(observations: Observations, residual: FloatArray, used: BoolArray, part: int) -> list[Correction]:
+    """All corrections of one part's residual (n, 2), the one that gains most on held-out captures first.
+
+    Args:
+        observations: all readings.
+        residual: of all readings, units of sigma.
+        used: which count.
+        part: which part is to be corrected.
+    """
+    rows = used & (observations.part == part) & np.isfinite(residual).all(axis=1)
+    within = rows[observations.part == part]
+    group, own = observations.group[rows], residual[rows]
+    if len(np.unique(group)) < _FOLDS:
+        return []
+    count = len(observations.captures)
+    before = _squares(own, group, count)
+    found = []
+    for bound_to, design in _designs(observations, part):
+        after = _squares(_held_out(design[within], own, group), group, count)
+        gain = held_out_gain(before, after)
+        found.append(Correction(PART_NAMES[part], bound_to, design.shape[1], gain))
+    return sorted(found, key=lambda correction: -correction.gain.percent)
+
+
+def _squares(residual: FloatArray, group: NDArray[np.int64], count: int) -> FloatArray:
+    """Sum of squares per capture (count,); NaN for those without readings."""
+    squares = np.bincount(group, np.sum(residual**2, axis=1), count)
+    return np.asarray(np.where(np.bincount(group, minlength=count) > 0, squares, np.nan))
+
+
+def _held_out(design: FloatArray, residual: FloatArray, group: NDArray[np.int64]) -> FloatArray:
+    """Residual (n, 2) after the correction, each capture by a fit to the captures of the other folds."""
+    left = np.empty_like(residual)
+    ridge = _RIDGE * len(design) * np.mean(design**2) * np.eye(design.shape[1])
+    # Captures follow each other in space and time; taking turns spreads every fold over both.
+    fold = np.searchsorted(np.unique(group), group) % _FOLDS
+    for number in range(_FOLDS):
+        out = fold == number
+        kept = design[~out]
+        coefficients = np.linalg.solve(kept.T @ kept + ridge, kept.T @ residual[~out])
+        left[out] = residual[out] - design[out] @ coefficients
+    return left
+
+
+def _designs(observations: Observations, part: int) -> Iterator[tuple[str, FloatArray]]:
+    """Names of variables, and a design (rows of the part, terms) in them."""
+    plan = observations.session.plan
+    makers: dict[int, Callable[[Observations], Iterator[tuple[str, FloatArray]]]] = {
+        DISPLAY: _display_designs,
+        SEE_THROUGH: _see_through_designs,
+        RUN_TIME: _run_time_designs,
+    }
+    yield from makers[part](observations)
+    by_part: dict[int, DisplayPlan | SeeThroughPlan | RunTimePlan | None] = {
+        DISPLAY: plan.display,
+        SEE_THROUGH: plan.see_through,
+        RUN_TIME: plan.run_time,
+    }
+    timed = by_part[part]
+    if timed is not None:
+        yield "time", _polynomial(timed.time_s[:, None], 10)
+    if isinstance(timed, DisplayPlan | SeeThroughPlan):
+        yield "stage", np.concatenate([_polynomial(timed.stage, 4), _screws(timed.stage)], axis=1)
+
+
+def _display_designs(observations: Observations) -> Iterator[tuple[str, FloatArray]]:
+    plan, pixel = observations.session.plan.display, observations.session.readings.panel_pixel
+    if plan is None or pixel is None:
+        return
+    smooth = _polynomial(pixel, 8)
+    yield "panel pixels", smooth
+    phase = np.mod(pixel, _CODE_PERIOD_PX).astype(int)
+    stripes = [np.eye(_CODE_PERIOD_PX)[phase[:, axis]] for axis in (0, 1)]
+    yield "panel pixels", np.concatenate([_polynomial(pixel, 2), *stripes], axis=1)
+    place = Box.around(plan.stage).scaled(plan.stage)
+    coarse = _polynomial(pixel, 6)
+    yield "panel pixels", np.concatenate([smooth, *(coarse * place[:, [axis]] for axis in range(3))], axis=1)
+    yield "camera pixels", _polynomial(plan.camera_pixel, 8)
+    if len(np.unique(plan.channel)) > 1:
+        affine = _polynomial(pixel, 1)
+        yield "colour", np.concatenate([affine * (plan.channel == channel)[:, None] for channel in range(3)], axis=1)
+
+
+def _see_through_designs(observations: Observations) -> Iterator[tuple[str, FloatArray]]:
+    plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
+    if plan is None or pixel is None:
+        return
+    yield "camera pixels", _polynomial(pixel, 8)
+    pitch = observations.nominal.target.pitch[plan.target_pose][:, None]
+    dots = _polynomial(plan.dot / pitch, 6)
+    poses = np.unique(plan.target_pose)
+    # A pose to each capture leaves nothing to hold out: then all share one function of the dot.
+    shared = len(poses) > len(np.unique(plan.capture)) / 2
+    each = [np.ones(len(plan), dtype=bool)] if shared else [plan.target_pose == pose for pose in poses]
+    yield "target", np.concatenate([dots * mine[:, None] for mine in each], axis=1)
+
+
+def _run_time_designs(observations: Observations) -> Iterator[tuple[str, FloatArray]]:
+    seen = observations.session.readings.seen
+    if seen is not None:
+        yield "camera pixels", _polynomial(seen[:, 2:], 4)
+
+
+def _polynomial(variables: FloatArray, degree: int) -> FloatArray:
+    return basis(variables, degree, Box.around(variables))
+
+
+def _screws(stage: FloatArray) -> FloatArray:
+    """Sines and cosines of the stage's axes with the periods of common screws."""
+    phases = [2 * np.pi * stage / period for period in _SCREW_PERIODS_M]
+    return np.concatenate([wave(phase) for phase in phases for wave in (np.sin, np.cos)], axis=1)

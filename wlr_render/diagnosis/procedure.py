@@ -1,0 +1,185 @@
+"""From a session and the bench as its makers believe it to be, to a diagnosis.
+
+Noise floor, stray readings, selection of causes, captures that moved, a contest for the place of each cause, and what
+stays unexplained; in that order. Generic over causes: nothing here knows any of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import Session
+from wlr_render.diagnosis import evidence, figures
+from wlr_render.diagnosis.cause import Cause
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.corrections import corrections
+from wlr_render.diagnosis.diagnosis import (
+    EXPLAINED,
+    NO_EFFECT,
+    PARTLY,
+    UNEXPLAINED,
+    Diagnosis,
+    FoundCause,
+    Unexplained,
+)
+from wlr_render.diagnosis.extension import Extension, Predictor
+from wlr_render.diagnosis.fit import Fit, fit
+from wlr_render.diagnosis.found import found_cause
+from wlr_render.diagnosis.hypotheses import hypotheses
+from wlr_render.diagnosis.limits import detection_limits
+from wlr_render.diagnosis.noise import noise_floors, sigma_of, stray_readings
+from wlr_render.diagnosis.observations import PART_NAMES, Observations, observe
+from wlr_render.diagnosis.outliers import MovedCapture, kept, moved_captures
+from wlr_render.diagnosis.search import Progress, Round, Search, Selection
+from wlr_render.diagnosis.steadiness import unsteadiness
+from wlr_render.simulation.bench import Bench
+
+BoolArray = NDArray[np.bool_]
+
+_MOST_CAUSES = 5
+_OUTLIER_ROUNDS = 3
+_CONTESTS = 3  # times that a rival may take a place before the contest ends
+_THIN = 6000  # readings for the first comparison of candidates
+_UNSTEADY = 0.35
+_NOT_NOISE = 1.1  # misfit above which what is left is more than noise
+_STRUCTURED = 1.0  # percent that a correction must gain on held-out captures, to count as structure
+_SIGNIFICANT = 4.0  # standard errors, likewise
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a diagnosis may be told.
+
+    Attributes:
+        causes: to be considered.
+        thin: readings on which candidates are first compared.
+    """
+
+    causes: Mapping[str, Cause]
+    thin: int = _THIN
+
+
+def diagnose(
+    nominal: Bench, session: Session, progress: Progress = lambda _: None, options: Options | None = None
+) -> Diagnosis:
+    """Say whether a bench predicts a session down to the noise, and if not, why.
+
+    Args:
+        nominal: the bench as its makers believe it to be.
+        session: what was measured.
+        progress: told what is being done.
+        options: causes and sizes other than the usual.
+
+    Raises:
+        BadInputError: the bench predicts no reading at all.
+    """
+    options = options or Options(CAUSES)
+    progress("predicting the session with the nominal bench")
+    observations = observe(nominal, session)
+    residual = Predictor(observations).residual(Extension())
+    floors = noise_floors(observations, residual)
+    observations = observations.with_sigma(sigma_of(floors, observations.sigma_px))
+    residual = Predictor(observations).residual(Extension())
+    strays = stray_readings(observations, residual)
+    search, selection, outliers = _selected(observations, ~strays, options, progress)
+    found, dropped = _steady(search, selection.fit)
+    found, rounds = _contested(search, found, selection.first)
+    progress("looking for structure in what is left")
+    left = _unexplained(observations, found, search.used)
+    causes = tuple(found_cause(search, found, number, contest) for number, contest in enumerate(rounds))
+    after = search.full.residual(found.extension)
+    reasons = [*dropped, selection.reason]
+    if strays.any():
+        reasons.insert(0, f"{int(strays.sum())} single readings lie far from their neighbours and were left out")
+    return Diagnosis(
+        verdict=_verdict(causes, left),
+        causes=tuple(sorted(causes, key=lambda cause: -cause.effect_over_noise)),
+        outliers=tuple(outliers),
+        floors=floors,
+        noise=figures.of_noise(observations, search.used),
+        before=figures.of_residual(observations, residual, search.used),
+        after=figures.of_residual(observations, after, search.used),
+        unexplained=left,
+        limits=() if causes or left else detection_limits(search.thin, search.thin_used, search.used, options.causes),
+        reasons=tuple(reasons),
+        observations=observations,
+        residual_before=residual,
+        residual_after=after,
+        used=search.used,
+        extended=found.extension.bench(nominal),
+    )
+
+
+def _selected(
+    observations: Observations, good: BoolArray, options: Options, progress: Progress
+) -> tuple[Search, Selection, list[MovedCapture]]:
+    """Select causes, set aside the captures that then stand out, and select again without them."""
+    spread = observations.spread(options.thin)
+    full, thin = Predictor(observations), Predictor(observations.of_rows(spread))
+    outliers: list[MovedCapture] = []
+    for _ in range(_OUTLIER_ROUNDS):
+        used = good & kept(full, outliers)
+        search = Search(full, thin, used, used[spread], hypotheses(options.causes), progress)
+        selection = search.select(_MOST_CAUSES)
+        progress("looking for captures that moved")
+        more = moved_captures(full, selection.fit)
+        if {each.capture for each in more} <= {each.capture for each in outliers}:
+            break
+        outliers = more
+    return search, selection, outliers
+
+
+def _steady(search: Search, found: Fit) -> tuple[Fit, list[str]]:
+    """Drop causes whose value depends on where it is measured, where the fit is not down to the noise."""
+    dropped: list[str] = []
+    while found.extension.hypotheses and evidence.misfit(found) > _NOT_NOISE:
+        change = unsteadiness(search.full.observations, found)
+        worst = int(np.argmax(change))
+        if change[worst] < _UNSTEADY:
+            break
+        dropped.append(
+            f"{found.extension.names[worst]} would explain part of it, but its value differs by "
+            f"{100 * change[worst]:.0f} % between halves of the readings: an imitation"
+        )
+        found = fit(search.full, found.extension.without(worst), search.used)
+    return found, dropped
+
+
+def _contested(search: Search, found: Fit, first: Round) -> tuple[Fit, list[Round]]:
+    """Give each place to the cause that, the others being as they are, costs least; and the candidates for each."""
+    for _ in range(_CONTESTS):
+        rounds: list[Round] = []
+        for number in range(len(found.extension.hypotheses)):
+            rest = found.extension.without(number)
+            alone = not rest.hypotheses
+            rounds.append(first if alone else search.round(fit(search.full, rest, search.used)))
+            rival = next((c.fit for c in rounds[-1].candidates if c.fit.used is search.used), found)
+            if rival.extension.names[-1] != found.extension.names[number] and search.better(rival, found):
+                found = rival
+                break
+        else:
+            return found, rounds
+    return found, rounds
+
+
+def _unexplained(observations: Observations, found: Fit, used: BoolArray) -> Unexplained | None:
+    """The part of the session in which most is left, if it is more than noise or has structure."""
+    left: list[Unexplained] = []
+    for part in np.unique(observations.part):
+        rows = used & (observations.part == part)
+        rms = float(np.sqrt(np.mean(found.residual[rows] ** 2)))
+        tried = corrections(observations, found.residual, used, part)
+        gain = tried[0].gain if tried else None
+        structured = gain is not None and gain.percent > _STRUCTURED and gain.significance > _SIGNIFICANT
+        if structured or rms**2 > _NOT_NOISE:
+            bound_to = tried[0].bound_to if structured else "captures"
+            left.append(Unexplained(PART_NAMES[part], bound_to, rms, tuple(tried)))
+    return max(left, key=lambda each: each.rms_over_noise, default=None)
+
+
+def _verdict(causes: tuple[FoundCause, ...], left: Unexplained | None) -> str:
+    if left is None:
+        return EXPLAINED if causes else NO_EFFECT
+    return PARTLY if causes else UNEXPLAINED

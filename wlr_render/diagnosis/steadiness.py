@@ -1,0 +1,74 @@
+"""Whether a cause has the same value wherever it is measured.
+
+A cause that only imitates something else fits one half of the readings with one value and the other with another. Where
+a fit is not down to the noise, that tells a true cause beside something unexplained from a mere imitation.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.diagnosis import evidence
+from wlr_render.diagnosis.fit import Fit
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+def unsteadiness(observations: Observations, found: Fit) -> FloatArray:
+    """For each cause of a fit, the largest change of its effect between two halves of the readings, over the effect.
+
+    The halves are near and far from the image's centre, left and right, top and bottom, of the stage's x and y, and
+    early and late. What noise alone would change is taken off. 0 is steady; near 1 and above there is no such cause.
+    """
+    owners = np.repeat(np.arange(len(found.extension.values)), [len(v) for v in found.extension.values])
+    owners = owners[found.at.free]
+    plausible = np.array([parameter.plausible for parameter in found.extension.parameters()])
+    effect = (found.extension.vector() / plausible)[found.at.free]
+    worst = np.zeros(len(found.extension.values))
+    scale = evidence.misfit(found)
+    total = np.linalg.inv(found.covariance)
+    for half in _halves(observations):
+        first, second = (_solved(found, found.used & rows) for rows in (half, ~half))
+        change, covariance = first[0] - second[0], scale * (first[1] + second[1])
+        for cause in range(len(worst)):
+            mine = owners == cause
+            weight = total[np.ix_(mine, mine)]
+            noise = float(np.trace(weight @ covariance[np.ix_(mine, mine)]))
+            moved = max(0.0, float(change[mine] @ weight @ change[mine]) - noise)
+            size = float(effect[mine] @ weight @ effect[mine])
+            worst[cause] = max(worst[cause], float(np.sqrt(moved / size)) if size > 0 else 0.0)
+    return worst
+
+
+def _solved(found: Fit, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Change of the free parameters, and their covariance, by some rows alone; they stay where rows say nothing."""
+    jacobian = found.at.jacobian[rows].reshape(2 * int(rows.sum()), found.at.free.size)
+    information = jacobian.T @ jacobian
+    # Hold to the whole fit where a half determines a hundredth of what the whole does.
+    held = information + 1e-2 * np.linalg.inv(found.covariance)
+    covariance = np.asarray(np.linalg.inv(held))
+    return covariance @ (jacobian.T @ found.residual[rows].ravel()), covariance
+
+
+def _halves(observations: Observations) -> list[BoolArray]:
+    """Masks (n,) of one half each, split at the median of every part."""
+    plan, readings = observations.session.plan, observations.session.readings
+    columns: dict[int, list[FloatArray]] = {}
+    centre = observations.nominal.camera.centre_px
+    for part, table, pixel in (
+        (DISPLAY, plan.display, None if plan.display is None else plan.display.camera_pixel),
+        (SEE_THROUGH, plan.see_through, readings.dot_pixel),
+    ):
+        if table is not None and pixel is not None:
+            radius = np.linalg.norm(pixel - centre, axis=1)
+            columns[part] = [radius, pixel[:, 0], pixel[:, 1], table.stage[:, 0], table.stage[:, 1], table.time_s]
+    if not columns:
+        return []
+    halves = []
+    for number in range(6):
+        half = np.zeros(len(observations), dtype=bool)
+        for part, variables in columns.items():
+            half[observations.part == part] = variables[number] > np.median(variables[number])
+        halves.append(half)
+    return halves
