@@ -1,7 +1,7 @@
 """Models of one side of the headset, refitted to a session as two benches believe it to be."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -111,26 +111,33 @@ def _refit(side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: Any
     rng = np.random.default_rng(0)
     rows = np.sort(rng.permutation(len(before))[:_ROWS])
     before, after = select(before, rows), select(after, rows)
-    model_before, own_before = _fitted(side, before)
-    model_after, own_after = side.fit(after, _KIND, own_before.degree)
+    (model_before, own_before), (model_after, own_after) = _pair(side, before, after, side.degree)
     names = np.unique(before.capture)
     out = np.isin(before.capture, rng.permutation(names)[: max(2, len(names) // _HELD_OUT)])
-    partial_before, tried = _fitted(side, select(before, ~out), own_before.degree)
-    partial_after, _ = side.fit(select(after, ~out), _KIND, tried.degree)
+    partial = _pair(side, select(before, ~out), select(after, ~out), own_before.degree)
     judge = select(after, out)
-    old, new = (arcmin_between(side.seen(model, judge), judge.view_dir) for model in (partial_before, partial_after))
+    old, new = (arcmin_between(side.seen(model, judge), judge.view_dir) for model, _ in partial)
     refitted = _refitted(own_before, own_after, judge.capture, old, new)
     return Refit(model_before, model_after, refitted)
 
 
-def _fitted(
-    side: _Side[AnyCaptures, AnyMapping], captures: AnyCaptures, degree: int | None = None
-) -> tuple[AnyMapping, FitReport]:
-    """At that degree, or the side's own; where the captures are too few for it, at the best that they support."""
+def _pair(
+    side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures, degree: int
+) -> tuple[tuple[AnyMapping, FitReport], tuple[AnyMapping, FitReport]]:
+    """Two fits at one degree: the given one or, where the captures are too few for it, the best that they support."""
     try:
-        return side.fit(captures, _KIND, degree or side.degree)
+        first = side.fit(before, _KIND, degree)
     except BadInputError:
-        return side.fit(captures, _KIND, None)
+        first = side.fit(before, _KIND, None)
+    if _same(before, after):
+        return first, first
+    return first, side.fit(after, _KIND, first[1].degree)
+
+
+def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
+    """Whether two benches make the same of what was read; then the fits must not differ by rounding either."""
+    arrays = [(getattr(before, field.name), getattr(after, field.name)) for field in fields(before)]
+    return all(np.array_equal(a, b) for a, b in arrays if isinstance(a, np.ndarray))
 
 
 def _refitted(
