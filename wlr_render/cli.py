@@ -300,6 +300,32 @@ def _compare(args: argparse.Namespace) -> None:
     print(f"The picture: {result.picture}")
 
 
+def _add_diagnose(verbs: Verbs) -> None:
+    text = (
+        "say whether a bench as described predicts what was measured on it, and if not, which physical causes explain "
+        "it; writes a report and the extended bench"
+    )
+    parser = _verb(verbs, "diagnose", _diagnose, text)
+    parser.add_argument("session", metavar="SESSION", type=Path, help="a bench session's folder")
+    parser.add_argument(
+        "--bench", type=Path, metavar="FILE", help="compare with this bench, not with the session's own"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the record; diagnosis.json in --out if not given")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="the page; diagnosis.html in --out if not given")
+
+
+def _diagnose(args: argparse.Namespace) -> None:
+    from wlr_render.studies import diagnose
+    from wlr_render.terminal import print_table, status_line
+
+    with status_line() as tell:
+        result = diagnose.run(diagnose.Options(args.session, args.out, args.json, args.html, args.bench), tell)
+    print(result.sentence, *(f"- {line}" for line in (*result.warnings, *result.advice)), sep="\n", end="\n\n")
+    for table in result.tables:
+        print_table(table)
+    print("Written: " + ", ".join(str(path) for path in result.files))
+
+
 def _add_bench(verbs: Verbs) -> None:
     text = "speed as ratios against what one would run otherwise, exactness of the fast map, memory"
     parser = _verb(verbs, "bench", _bench, text)
@@ -314,4 +340,4 @@ def _bench(args: argparse.Namespace) -> None:
         print_table(table)
 
 
-_VERBS = (_add_demo, _add_trace, _add_calibrate, _add_evaluate, _add_render, _add_compare, _add_bench)
+_VERBS = (_add_demo, _add_trace, _add_calibrate, _add_evaluate, _add_render, _add_compare, _add_diagnose, _add_bench)

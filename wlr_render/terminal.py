@@ -1,7 +1,8 @@
 """What the terminal shows: tables and progress bars. Nothing here computes."""
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from wlr_render.evaluation.report import ReportTable
@@ -21,6 +22,16 @@ def progress_bar(items: Iterable[Item], total: int, label: str) -> Iterator[Item
         for item in items:
             yield item
             bar.advance(task)
+
+
+@contextmanager
+def status_line() -> Iterator[Callable[[str], None]]:
+    """A line on standard error that says what is being done; to be told by calling it."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    with Console(stderr=True).status("starting") as status:
+        yield lambda text: status.update(escape(text))
 
 
 def print_table(table: ReportTable) -> None:

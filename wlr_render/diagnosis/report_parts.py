@@ -1,0 +1,252 @@
+"""The residuals of a session as a report draws them: part by part, over the field and against each variable.
+
+Angles are those that the camera sees, in arcminutes to the right and down.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
+from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.figures import arcminutes, panel_pixels
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_MOST_MAPS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """Something that a residual may depend on.
+
+    Attributes:
+        name: with its unit.
+        values: (m,) one for each reading.
+        outwards: (m, 2) unit direction of its first component as the camera sees it; None for right and down.
+    """
+
+    name: str
+    values: FloatArray
+    outwards: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FieldMap:
+    """Which readings one map of the field shows.
+
+    Attributes:
+        title: of the map.
+        rows: (m,) mask, of readings that count.
+    """
+
+    title: str
+    rows: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Residuals by one bench, right and down; NaN where a reading does not count or is not predicted.
+
+    Attributes:
+        name: of the bench.
+        seen: (m, 2) in arcminutes as the camera sees it.
+        on_map: (m, 2) in the unit of the maps.
+    """
+
+    name: str
+    seen: FloatArray
+    on_map: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ReportPart:
+    """One part of a session.
+
+    Attributes:
+        name: of the part.
+        states: by the bench as described and, where causes were found, by the extended one.
+        sigma_arcmin: noise, per axis.
+        place: (m, 2) where in the field each reading is, right and down.
+        map_unit: of what the maps show.
+        place_label: their axes.
+        maps: which to draw.
+        variables: that differ between readings.
+    """
+
+    name: str
+    states: tuple[State, ...]
+    sigma_arcmin: float
+    place: FloatArray
+    map_unit: str
+    place_label: tuple[str, str]
+    maps: tuple[FieldMap, ...]
+    variables: tuple[Variable, ...]
+
+
+def report_parts(diagnosis: Diagnosis) -> list[ReportPart]:
+    """Every part that has readings that count."""
+    makers = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
+    return [makers[int(part)](diagnosis) for part in np.unique(diagnosis.observations.part[diagnosis.used])]
+
+
+def _display(diagnosis: Diagnosis) -> ReportPart:
+    observations = diagnosis.observations
+    plan, pixel = observations.session.plan.display, observations.session.readings.panel_pixel
+    assert plan is not None
+    assert pixel is not None
+    from_middle = pixel - 0.5 * observations.nominal.optics.panel.pixels.size_px
+    outwards = _unit(np.einsum("nij,nj->ni", observations.camera_from_panel, from_middle))
+    variables = (
+        *_times_and_stage(observations, plan),
+        Variable("colour (0 red, 1 green, 2 blue)", plan.channel.astype(np.float64), outwards),
+        Variable("radius on panel (px)", np.linalg.norm(from_middle, axis=1), outwards),
+        _camera_radius(observations, plan.camera_pixel),
+    )
+    used = diagnosis.used[observations.part == DISPLAY]
+    maps = tuple(
+        FieldMap(f"capture {number}\n{_place_text(observations, plan, number)}", used & (plan.capture == number))
+        for number in _spread_captures(plan, used)
+    )
+    states = tuple(
+        State(name, _seen(diagnosis, DISPLAY, residual), panel_pixels(observations, residual))
+        for name, residual in _residuals(diagnosis)
+    )
+    sigma, labels = _sigma_arcmin(observations, DISPLAY), ("panel u (px)", "panel v (px)")
+    return ReportPart(PART_NAMES[DISPLAY], states, sigma, pixel, "panel px", labels, maps, _varying(variables))
+
+
+def _see_through(diagnosis: Diagnosis) -> ReportPart:
+    observations = diagnosis.observations
+    plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
+    assert plan is not None
+    assert pixel is not None
+    distance = _distance(observations, plan)
+    variables = (
+        *_times_and_stage(observations, plan),
+        Variable("distance of the dot (m)", distance),
+        Variable("radius on target (mm)", 1e3 * np.linalg.norm(plan.dot, axis=1)),
+        _camera_radius(observations, pixel),
+    )
+    camera = observations.nominal.camera
+    place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
+    used = diagnosis.used[observations.part == SEE_THROUGH]
+    poses = np.unique(plan.target_pose[used])
+    nearest_first = poses[np.argsort([distance[plan.target_pose == pose].mean() for pose in poses])]
+    maps = tuple(
+        FieldMap(
+            f"target pose {pose}\nat {distance[plan.target_pose == pose].mean():.2f} m",
+            used & (plan.target_pose == pose),
+        )
+        for pose in _thinned(nearest_first)
+    )
+    return _angular_part(diagnosis, SEE_THROUGH, place, maps, variables)
+
+
+def _run_time(diagnosis: Diagnosis) -> ReportPart:
+    observations = diagnosis.observations
+    plan, seen = observations.session.plan.run_time, observations.session.readings.seen
+    assert plan is not None
+    assert seen is not None
+    head = plan.world_from_device[:, :3, 3]
+    rate = np.degrees(np.einsum("nji,nj->ni", plan.world_from_device[:, :3, :3], plan.head_rate))
+    gaze = np.degrees(np.arctan(tangents_of_dir(plan.gaze)))
+    variables = (
+        Variable("time (s)", plan.time_s),
+        Variable("distance of the dot (m)", np.linalg.norm(plan.dot - head, axis=1)),
+        Variable("head turns up (deg/s)", rate[:, 0]),
+        Variable("head turns left (deg/s)", rate[:, 1]),
+        Variable("gaze right (deg)", gaze[:, 0]),
+        Variable("gaze up (deg)", gaze[:, 1]),
+        Variable("dot down in the field (deg)", -np.degrees(np.arctan(seen[:, 3]))),
+    )
+    place = np.degrees(np.arctan(seen[:, 2:])) * [1.0, -1.0]
+    used = diagnosis.used[observations.part == RUN_TIME]
+    maps = tuple(
+        FieldMap(f"recording {n}", used & (plan.capture == n)) for n in _thinned(np.unique(plan.capture[used]))
+    )
+    return _angular_part(diagnosis, RUN_TIME, place, maps, variables)
+
+
+def _angular_part(
+    diagnosis: Diagnosis, part: int, place: FloatArray, maps: tuple[FieldMap, ...], variables: tuple[Variable, ...]
+) -> ReportPart:
+    """A part whose maps show angles at angles."""
+    seen = [(name, _seen(diagnosis, part, residual)) for name, residual in _residuals(diagnosis)]
+    states = tuple(State(name, residual, residual) for name, residual in seen)
+    sigma, labels = _sigma_arcmin(diagnosis.observations, part), ("right (deg)", "down (deg)")
+    return ReportPart(PART_NAMES[part], states, sigma, place, "arcmin", labels, maps, _varying(variables))
+
+
+def _residuals(diagnosis: Diagnosis) -> list[tuple[str, FloatArray]]:
+    """Residuals (n, 2) of all parts by each bench that there is."""
+    before = ("bench as described", diagnosis.residual_before)
+    return [before, ("extended bench", diagnosis.residual_after)] if diagnosis.causes else [before]
+
+
+def _seen(diagnosis: Diagnosis, part: int, residual: FloatArray) -> FloatArray:
+    """Residual (m, 2) of one part, arcminutes right and down; NaN where a reading does not count."""
+    observations = diagnosis.observations
+    used = diagnosis.used[observations.part == part][:, None]
+    angle = arcminutes(observations, residual, part) * ([1.0, -1.0] if part == RUN_TIME else [1.0, 1.0])
+    return np.where(used, angle, np.nan)
+
+
+def _sigma_arcmin(observations: Observations, part: int) -> float:
+    return float(observations.sigma_px[part] / (np.mean(observations.nominal.camera.focal_px) * ARCMIN))
+
+
+def _times_and_stage(observations: Observations, plan: DisplayPlan | SeeThroughPlan) -> list[Variable]:
+    from_origin = 1e3 * (plan.stage - observations.nominal.stage.origin)
+    named = zip(("right", "up", "back"), "xyz", from_origin.T, strict=True)
+    return [
+        Variable("time (s)", plan.time_s),
+        *(Variable(f"stage {axis}, {way} (mm)", values) for way, axis, values in named),
+    ]
+
+
+def _camera_radius(observations: Observations, pixel: FloatArray) -> Variable:
+    from_centre = pixel - observations.nominal.camera.centre_px
+    return Variable("radius on camera (px)", np.linalg.norm(from_centre, axis=1), _unit(from_centre))
+
+
+def _distance(observations: Observations, plan: SeeThroughPlan) -> FloatArray:
+    """From the camera to each dot, by the nominal bench, metres."""
+    in_target = np.concatenate([plan.dot, np.zeros((len(plan), 1))], axis=1)
+    device_from_target = observations.nominal.target.device_from_target[plan.target_pose]
+    dot = np.einsum("nij,nj->ni", device_from_target[:, :3, :3], in_target) + device_from_target[:, :3, 3]
+    return np.asarray(np.linalg.norm(dot - plan.stage, axis=1))
+
+
+def _varying(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
+    return tuple(variable for variable in variables if np.ptp(variable.values) > 1e-9)
+
+
+def _spread_captures(plan: DisplayPlan, used: BoolArray) -> list[int]:
+    """The capture in the middle of all, then each time the one farthest from those chosen."""
+    numbers, first = np.unique(plan.capture[used], return_index=True)
+    stage = plan.stage[used][first]
+    chosen = [int(np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1)))]
+    while len(chosen) < min(_MOST_MAPS, len(numbers)):
+        gap = np.linalg.norm(stage[:, None] - stage[chosen], axis=-1).min(axis=1)
+        chosen.append(int(np.argmax(gap)))
+    return [int(numbers[index]) for index in chosen]
+
+
+def _place_text(observations: Observations, plan: DisplayPlan, capture: int) -> str:
+    """Where its camera stood, mm from the stage's origin."""
+    x, y, z = 1e3 * (plan.stage[plan.capture == capture][0] - observations.nominal.stage.origin)
+    return f"at ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm"
+
+
+def _thinned(numbers: NDArray[np.int64]) -> list[int]:
+    places = np.linspace(0, len(numbers) - 1, min(_MOST_MAPS, len(numbers))).round().astype(int)
+    return [int(number) for number in numbers[places]]
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-12))
