@@ -125,21 +125,22 @@ def _see_through(diagnosis: Diagnosis) -> ReportPart:
     plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
     assert plan is not None
     assert pixel is not None
-    distance = _distance(observations, plan)
+    distance, radius = _distance(observations, plan), _camera_radius(observations, pixel)
     variables = (
         *_times_and_stage(observations, plan),
-        Variable("distance of the dot (m)", distance),
+        Variable("distance of the target (m)", distance),
+        Variable("distance of the target (m), outwards", distance, radius.outwards),
         Variable("radius on target (mm)", 1e3 * np.linalg.norm(plan.dot, axis=1)),
-        _camera_radius(observations, pixel),
+        radius,
     )
     camera = observations.nominal.camera
     place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
     used = diagnosis.used[observations.part == SEE_THROUGH]
     poses = np.unique(plan.target_pose[used])
-    nearest_first = poses[np.argsort([distance[plan.target_pose == pose].mean() for pose in poses])]
+    nearest_first = poses[np.argsort([distance[plan.target_pose == pose][0] for pose in poses])]
     maps = tuple(
         FieldMap(
-            f"target pose {pose}\nat {distance[plan.target_pose == pose].mean():.2f} m",
+            f"target pose {pose}\nat {distance[plan.target_pose == pose][0]:.2f} m",
             used & (plan.target_pose == pose),
         )
         for pose in _thinned(nearest_first)
@@ -215,11 +216,13 @@ def _camera_radius(observations: Observations, pixel: FloatArray) -> Variable:
 
 
 def _distance(observations: Observations, plan: SeeThroughPlan) -> FloatArray:
-    """From the camera to each dot, by the nominal bench, metres."""
+    """From the camera to the target's dots at each row's pose, on average, by the nominal bench, metres."""
     in_target = np.concatenate([plan.dot, np.zeros((len(plan), 1))], axis=1)
     device_from_target = observations.nominal.target.device_from_target[plan.target_pose]
     dot = np.einsum("nij,nj->ni", device_from_target[:, :3, :3], in_target) + device_from_target[:, :3, 3]
-    return np.asarray(np.linalg.norm(dot - plan.stage, axis=1))
+    # Not dot by dot: on a tilted target distance would stand for the place on it.
+    _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
+    return np.asarray((np.bincount(pose, np.linalg.norm(dot - plan.stage, axis=1)) / count)[pose])
 
 
 def _varying(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
