@@ -126,17 +126,20 @@ def plate_added(
     """
     if thickness == 0.0:
         return bench
-    pmma = Medium("plate", FORMULAS["pmma_sultanova_2009"])
+    pmma = Medium("added_plate", FORMULAS["pmma_sultanova_2009"])
     index = pmma.index(bench.target_wavelength_um)
-    medium = pmma if thickness > 0.0 else Medium.constant("plate", 1.0 / (2.0 - 1.0 / index))
+    medium = pmma if thickness > 0.0 else Medium.constant("added_plate", 1.0 / (2.0 - 1.0 / index))
     near = _tilt(np.zeros(2) if tilt_deg is None else tilt_deg)
     far = near @ _tilt(np.zeros(2) if wedge_deg is None else wedge_deg)
     centre = bench.optics.eye_box.centre + _PLATE_AHEAD * _FORWARD
     reach = _PLATE_HALF_SIZE * np.array([1.0, 1.0, np.inf])
     aperture = ClearAperture(-reach, reach)
     steps = []
-    for name, turn, along, into in (("plate_near", near, 0.0, medium), ("plate_far", far, abs(thickness), AIR)):
-        face = PlacedSurface(name, Conic(0.0), rigid(turn, centre + along * near @ _FORWARD), aperture)
+    number = len(bench.optics.surfaces())  # no name may be there twice
+    for side, turn, along, into in (("near", near, 0.0, medium), ("far", far, abs(thickness), AIR)):
+        face = PlacedSurface(
+            f"added_plate_{number}_{side}", Conic(0.0), rigid(turn, centre + along * near @ _FORWARD), aperture
+        )
         steps.append(Step(face, Interaction.REFRACT, into))
     path = Path(bench.optics.see_through.steps + tuple(steps))
     return with_optics(bench, replace(bench.optics, see_through=path))

@@ -16,27 +16,29 @@ def misfit(found: Fit) -> float:
     return float(found.chi_squared / max(1, 2 * int(found.used.sum()) - found.at.free.size))
 
 
-def cost(found: Fit, scale: float = 1.0) -> float:
+def cost(found: Fit) -> float:
     """-2 log of the extension's marginal likelihood, up to a constant: lower is better.
 
     Laplace's approximation with a normal prior of the plausible size for every parameter (D. MacKay, "Information
     Theory, Inference, and Learning Algorithms", 2003, chapter 28): a parameter that could have been anything pays for
     having been tuned. A cause whose values are multiples of a whole step pays for the choice of the multiple only.
 
-    Args:
-        found: the fit.
-        scale: chi-squared per degree of freedom of the best extension at hand, where that is not down to the noise.
+    What an extension leaves above the noise counts as noise of unknown size in each part of the session by itself. So
+    an extension that explains one part wholly is worth more than one that explains a little of both.
     """
+    likelihood = 0.0
+    for count, squares in found.by_part:
+        variance = max(1.0, squares / count)
+        likelihood += count * np.log(variance) + squares / variance
     values, parameters = found.extension.vector(), found.extension.parameters()
     plausible = np.array([parameter.plausible for parameter in parameters])
-    information = np.linalg.inv(found.covariance) / max(scale, 1.0)
+    information = np.linalg.inv(found.covariance)
     whole, off_step = _whole_steps(found)
     free = ~whole[found.at.free]
-    scaled = (values / plausible)[found.at.free][free]
-    sizes = np.where(np.isfinite(scaled), scaled, 0.0)
+    sizes = (values / plausible)[found.at.free][free]
     _, log_determinant = np.linalg.slogdet(information[np.ix_(free, free)] + np.eye(int(free.sum())))
     choices = 2.0 * np.log(_WHOLE_CHOICES) * int(whole.sum())
-    return float(found.chi_squared / max(scale, 1.0) + sizes @ sizes + log_determinant + off_step + choices)
+    return float(likelihood + sizes @ sizes + log_determinant + off_step + choices)
 
 
 def _whole_steps(found: Fit) -> tuple[NDArray[np.bool_], float]:

@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.session import Readings
+from wlr_render.captures.session import Readings, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import simulate
+from wlr_render.simulation.simulate_session import Sights, simulate, simulate_near
 
 FloatArray = NDArray[np.float64]
 
 _STEP = 2e-3  # of a parameter's plausible size, for the differences
+_NOTHING = 1e-6  # sigma per plausible size: the rounding of predictions that do not change
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,17 +76,34 @@ class Extension:
 
 
 @dataclass(frozen=True, eq=False)
+class State:
+    """A bench and its readings.
+
+    Attributes:
+        bench: the bench.
+        readings: predicted.
+        sights: of the targets' dots, for neighbouring benches to start from; None where there is no target.
+    """
+
+    bench: Bench
+    readings: Readings
+    sights: Sights | None
+
+
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """Readings near one extension.
 
     Attributes:
         extension: where.
+        state: its bench and readings.
         residual: (n, 2) measured minus predicted there, in units of sigma.
         jacobian: (n, 2, p) of the predicted readings by the free parameters, in units of sigma per plausible size.
         free: (p,) indices into the extension's parameters; moments and forms without a size are not free.
     """
 
     extension: Extension
+    state: State
     residual: FloatArray
     jacobian: FloatArray
     free: NDArray[np.int64]
@@ -94,29 +112,38 @@ class Linearisation:
 class Predictor:
     """Predicts the readings of one set of observations by extensions of its nominal bench.
 
-    It keeps the nominal prediction, and does again only the part of a session that a change can touch.
+    A state near another one costs little: the part of a session that their difference cannot touch is not done again,
+    and the rest starts from the other's solution.
     """
 
     def __init__(self, observations: Observations) -> None:
         self.observations = observations
-        self._start = observations.start
-        readings = simulate(observations.nominal, observations.session.plan, self._start)
-        self._nominal = State(observations.nominal, readings)
+        nominal, plan = observations.nominal, observations.session.plan
+        sights = None if plan.see_through is None else Sights(nominal, plan.see_through)
+        self._nominal = State(nominal, simulate(nominal, plan, sights), sights)
 
     def residual(self, extension: Extension) -> FloatArray:
         """Measured minus predicted, (n, 2), in units of sigma."""
-        return self._residual(extension.bench(self.observations.nominal), self._nominal)
+        return self.residual_of(self.state(extension))
 
-    def state(self, extension: Extension) -> "State":
-        """An extension's bench and its readings."""
-        bench = extension.bench(self.observations.nominal)
-        return State(bench, self._predicted(bench, self._nominal))
+    def residual_of(self, state: State) -> FloatArray:
+        """Likewise, of a state."""
+        return self.observations.residual(state.readings)
 
-    def linearised(self, extension: Extension) -> Linearisation:
-        """Residual and Jacobian at an extension, by forward differences."""
-        return self._differences(extension, 0, self.state(extension))
+    def state(self, extension: Extension, near: State | None = None) -> State:
+        """An extension's bench and its readings, starting from the nominal or a nearer state."""
+        near, bench = near or self._nominal, extension.bench(self.observations.nominal)
+        todo = self._touched(bench, near)
+        sights = near.sights
+        if todo.see_through is not None:
+            sights = Sights(bench, todo.see_through, near.sights)
+        return State(bench, _merged(simulate(bench, todo, sights), near.readings), sights)
 
-    def added(self, current: "State", extension: Extension) -> Linearisation:
+    def linearised(self, extension: Extension, state: State | None = None) -> Linearisation:
+        """Residual and Jacobian at an extension, whose state may be known, by forward differences."""
+        return self._differences(extension, 0, state or self.state(extension))
+
+    def added(self, current: State, extension: Extension) -> Linearisation:
         """Linearisation by the parameters of an extension's last cause only, at values where it has no effect yet.
 
         Args:
@@ -125,26 +152,25 @@ class Predictor:
         """
         return self._differences(extension, len(extension.vector()) - len(extension.values[-1]), current)
 
-    def _differences(self, extension: Extension, first: int, base: "State") -> Linearisation:
-        residual = self.observations.residual(base.readings)
+    def _differences(self, extension: Extension, first: int, base: State) -> Linearisation:
+        residual, nominal = self.residual_of(base), self.observations.nominal
         vector, columns, free = extension.vector(), [], []
         for number, parameter in list(enumerate(extension.parameters()))[first:]:
             if parameter.role is Role.MOMENT:
                 continue
             moved = vector.copy()
             moved[number] += _STEP * parameter.plausible
-            column = (residual - self._residual(extension.at(moved).bench(self.observations.nominal), base)) / _STEP
-            if np.nanmax(np.abs(column), initial=0.0) > 0.0:
+            bench = extension.at(moved).bench(nominal)
+            readings = _merged(simulate_near(bench, self._touched(bench, base), base.sights), base.readings)
+            column = (residual - self.observations.residual(readings)) / _STEP
+            if np.nanmax(np.abs(column), initial=0.0) > _NOTHING:
                 columns.append(column)
                 free.append(number)
         jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
-        return Linearisation(extension, residual, jacobian, np.array(free, dtype=np.int64))
+        return Linearisation(extension, base, residual, jacobian, np.array(free, dtype=np.int64))
 
-    def _residual(self, bench: Bench, near: "State") -> FloatArray:
-        return self.observations.residual(self._predicted(bench, near))
-
-    def _predicted(self, bench: Bench, near: "State") -> Readings:
-        """Readings of a bench; those of `near` where the two benches share all that decides them."""
+    def _touched(self, bench: Bench, near: State) -> SessionPlan:
+        """The parts of the session whose readings may differ between a bench and a state."""
         plan, old = self.observations.session.plan, near.bench
         common = all(getattr(bench, name) is getattr(old, name) for name in ("camera", "stage", "mount"))
         paths, was = bench.optics, old.optics
@@ -152,22 +178,18 @@ class Predictor:
         same_display = same_display and paths.display is was.display
         same_world = common and bench.target is old.target and bench.tracking is old.tracking
         same_world = same_world and paths.see_through is was.see_through
-        todo = replace(
-            plan,
-            display=None if same_display else plan.display,
-            see_through=None if same_world else plan.see_through,
-        )
-        found = simulate(bench, todo, self._start)
-        return Readings(
-            near.readings.panel_pixel if same_display else found.panel_pixel,
-            near.readings.dot_pixel if same_world else found.dot_pixel,
-            found.seen,
+        same_run = paths is was and bench.eye_tracking is old.eye_tracking and bench.clock is old.clock
+        return SessionPlan(
+            None if same_display else plan.display,
+            None if same_world else plan.see_through,
+            None if same_run else plan.run_time,
         )
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """A bench and its readings."""
-
-    bench: Bench
-    readings: Readings
+def _merged(found: Readings, old: Readings) -> Readings:
+    """Readings that were found, and the old ones of the parts that were not done again."""
+    return Readings(
+        old.panel_pixel if found.panel_pixel is None else found.panel_pixel,
+        old.dot_pixel if found.dot_pixel is None else found.dot_pixel,
+        old.seen if found.seen is None else found.seen,
+    )

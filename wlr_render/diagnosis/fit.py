@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.diagnosis.extension import Extension, Linearisation, Predictor
+from wlr_render.diagnosis.extension import Extension, Linearisation, Predictor, State
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -26,6 +26,7 @@ class Fit:
         extension: with the fitted values.
         residual: (n, 2) measured minus predicted, units of sigma.
         chi_squared: its sum of squares over the readings that were used.
+        by_part: number of values and sum of squares in each part of the session that was used.
         used: (n,) which were.
         at: the linearisation at the solution.
         covariance: (p, p) of the free parameters in plausible sizes, for noise of sigma.
@@ -34,6 +35,7 @@ class Fit:
     extension: Extension
     residual: FloatArray
     chi_squared: float
+    by_part: tuple[tuple[int, float], ...]
     used: BoolArray
     at: Linearisation
     covariance: FloatArray
@@ -46,7 +48,9 @@ class Fit:
         return np.asarray(sigma * plausible)
 
 
-def fit(predictor: Predictor, start: Extension, used: BoolArray, iterations: int = _ITERATIONS) -> Fit:
+def fit(
+    predictor: Predictor, start: Extension, used: BoolArray, iterations: int = _ITERATIONS, near: State | None = None
+) -> Fit:
     """Fit all causes of an extension together, from its values on.
 
     Args:
@@ -54,8 +58,9 @@ def fit(predictor: Predictor, start: Extension, used: BoolArray, iterations: int
         start: what to fit, and from where.
         used: (n,) the readings that count.
         iterations: Gauss-Newton steps at most.
+        near: a state near the start, if one is known.
     """
-    at = predictor.linearised(start)
+    at = predictor.linearised(start, predictor.state(start, near))
     used = used & np.isfinite(at.residual).all(axis=1)
     chi_squared, damping = _chi_squared(at.residual, used), 1e-6
     for _ in range(iterations):
@@ -64,18 +69,20 @@ def fit(predictor: Predictor, start: Extension, used: BoolArray, iterations: int
         stepped = _stepped(predictor, at, used, chi_squared, damping)
         if stepped is None:
             break
-        trial, found, damping = stepped
+        trial, state, found, damping = stepped
         gained, chi_squared = chi_squared - found, found
-        at = predictor.linearised(trial)
+        at = predictor.linearised(trial, state)
         if gained < _SETTLED:
             break
-    return Fit(at.extension, at.residual, chi_squared, used, at, np.asarray(np.linalg.inv(_information(at, used))))
+    covariance = np.asarray(np.linalg.inv(_information(at, used)))
+    by_part = _by_part(predictor.observations.part[used], at.residual[used])
+    return Fit(at.extension, at.residual, chi_squared, by_part, used, at, covariance)
 
 
 def _stepped(
     predictor: Predictor, at: Linearisation, used: BoolArray, chi_squared: float, damping: float
-) -> tuple[Extension, float, float] | None:
-    """The next extension, its chi-squared and the damping to go on with; None where no step helps."""
+) -> tuple[Extension, State, float, float] | None:
+    """The next extension, its state and chi-squared, and the damping to go on with; None where no step helps."""
     information = _information(at, used)
     gradient = np.einsum("nkp,nk->p", at.jacobian[used], at.residual[used])
     plausible = np.array([parameter.plausible for parameter in at.extension.parameters()])
@@ -84,14 +91,19 @@ def _stepped(
         moved = at.extension.vector()
         moved[at.free] += step * plausible[at.free]
         trial = at.extension.at(moved)
-        residual = predictor.residual(trial)
-        found = _chi_squared(residual, used)
+        state = predictor.state(trial, at.state)
+        found = _chi_squared(predictor.residual_of(state), used)
         if found < chi_squared:
-            return trial, found, 0.1 * damping
+            return trial, state, found, 0.1 * damping
         if float(gradient @ step) < _SETTLED:
             return None
         damping = max(10.0 * damping, 1e-4)
     return None
+
+
+def _by_part(part: NDArray[np.int64], residual: FloatArray) -> tuple[tuple[int, float], ...]:
+    squares = np.sum(residual**2, axis=1)
+    return tuple((2 * int(np.sum(part == each)), float(squares[part == each].sum())) for each in np.unique(part))
 
 
 def _chi_squared(residual: FloatArray, used: BoolArray) -> float:

@@ -1,6 +1,6 @@
 """All ways in which one more cause may explain a session: what each promises, and its fit from the best start."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
-from wlr_render.diagnosis.extension import Extension, Hypothesis, Linearisation, Predictor, State
+from wlr_render.diagnosis.extension import Hypothesis, Linearisation, Predictor
 from wlr_render.diagnosis.fit import Fit, fit
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _MOMENTS = 6  # times tried at once
-_FIRST_STEPS = 2  # Gauss-Newton steps by which neighbouring moments are compared
 _EDGE = 0.05  # of all captures must lie on either side of a moment: fewer are captures that moved
 
 
@@ -41,15 +40,32 @@ def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
     return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
 
 
-def prospect(predictor: Predictor, current: Fit, state: State, hypothesis: Hypothesis) -> Prospect | None:
-    """What a hypothesis would add to a fit by the same predictor, in this state; None where it changes nothing."""
-    found = []
-    for start in _starts(hypothesis.cause, predictor.observations.session.plan):
-        at = predictor.added(state, current.extension.plus(hypothesis, start))
-        if at.free.size:
-            gain = _gain(current, at)
-            found.append(Prospect(hypothesis, start, gain, at.free.size))
-    return max(found, key=lambda each: each.gain, default=None)
+def prospect(predictor: Predictor, current: Fit, hypothesis: Hypothesis) -> Prospect | None:
+    """What a hypothesis would add to a fit by the same predictor; None where it changes nothing."""
+
+    def of(start: FloatArray) -> Prospect:
+        at = predictor.added(current.at.state, current.extension.plus(hypothesis, start))
+        return Prospect(hypothesis, start, _gain(current, at) if at.free.size else 0.0, at.free.size)
+
+    plan, roles = predictor.observations.session.plan, [parameter.role for parameter in hypothesis.cause.parameters]
+    best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain)
+    if best.parameters == 0:
+        return None
+    return _with_better_moment(of, best, roles.index(Role.MOMENT), moments(plan)) if Role.MOMENT in roles else best
+
+
+def _with_better_moment(
+    of: Callable[[FloatArray], Prospect], best: Prospect, moment: int, times: FloatArray
+) -> Prospect:
+    """Try the times around the best so far, ever closer, until its neighbours have been tried."""
+    stride = max(1, len(times) // (2 * _MOMENTS))
+    while stride >= 1:
+        at = int(np.argmin(np.abs(times - best.start[moment])))
+        neighbours = {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}
+        found = max((of(_with(best.start, moment, float(times[n]))) for n in neighbours), key=lambda p: p.gain)
+        stride = stride if found.gain > best.gain else stride // 2
+        best = max(best, found, key=lambda each: each.gain)
+    return best
 
 
 def _gain(current: Fit, added: Linearisation) -> float:
@@ -67,14 +83,10 @@ def _gain(current: Fit, added: Linearisation) -> float:
     return total - already
 
 
-def best_fit(predictor: Predictor, current: Extension, prospect: Prospect, used: BoolArray) -> Fit:
+def best_fit(predictor: Predictor, current: Fit, prospect: Prospect) -> Fit:
     """Fit an extension with one more cause from the start of its prospect."""
-    extended = current.plus(prospect.hypothesis, prospect.start)
-    moment = _moment(prospect.hypothesis.cause)
-    if moment is None:
-        return fit(predictor, extended, used)
-    first = fit(predictor, extended, used, _FIRST_STEPS)
-    return fit(predictor, _with_better_moment(predictor, first, moment, used).extension, used)
+    extended = current.extension.plus(prospect.hypothesis, prospect.start)
+    return fit(predictor, extended, current.used, near=current.at.state)
 
 
 def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
@@ -105,25 +117,3 @@ def _with(values: FloatArray, number: int, value: float) -> FloatArray:
     changed = values.copy()
     changed[number] = value
     return changed
-
-
-def _moment(cause: Cause) -> int | None:
-    roles = [parameter.role for parameter in cause.parameters]
-    return roles.index(Role.MOMENT) if Role.MOMENT in roles else None
-
-
-def _with_better_moment(predictor: Predictor, found: Fit, moment: int, used: BoolArray) -> Fit:
-    """Try the times around the best so far, ever closer, until its neighbours have been tried."""
-    times = moments(predictor.observations.session.plan)
-    stride = max(1, len(times) // (3 * _MOMENTS))
-    while stride >= 1:
-        at = int(np.argmin(np.abs(times - found.extension.values[-1][moment])))
-        trials = [found]
-        for neighbour in {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}:
-            values = _with(found.extension.values[-1], moment, float(times[neighbour]))
-            extension = Extension(found.extension.hypotheses, (*found.extension.values[:-1], values))
-            trials.append(fit(predictor, extension, used, _FIRST_STEPS))
-        best = min(trials, key=lambda each: each.chi_squared)
-        stride = stride if best is not found else stride // 2
-        found = best
-    return found

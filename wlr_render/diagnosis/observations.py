@@ -5,7 +5,6 @@ Jacobian of panel position by camera pixel, so that all residuals below are came
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import Start, panel_pixels, simulate
+from wlr_render.simulation.simulate_session import panel_pixels, simulate
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -67,11 +66,6 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.group)
-
-    @cached_property
-    def start(self) -> Start:
-        """For predictions by benches near the nominal one."""
-        return Start(self.nominal, self.session.plan)
 
     @np.errstate(invalid="ignore")
     def residual(self, predicted: Readings) -> FloatArray:

@@ -156,7 +156,9 @@ def _contested(search: Search, found: Fit, first: Round) -> tuple[Fit, list[Roun
             alone = not rest.hypotheses
             rounds.append(first if alone else search.round(fit(search.full, rest, search.used)))
             rival = next((c.fit for c in rounds[-1].candidates if c.fit.used is search.used), found)
-            if rival.extension.names[-1] != found.extension.names[number] and search.better(rival, found):
+            if rival.extension.names[-1] != found.extension.names[number] and evidence.cost(rival) < evidence.cost(
+                found
+            ):
                 found = rival
                 break
         else:

@@ -26,6 +26,7 @@ _CLOSE = 40.0  # of the cost, scaled to the whole session: who is further behind
 _CHANCE = 1e-3
 _SIGNIFICANCE = 3.0  # standard errors of the held-out difference
 _SHARE = 0.3  # of what is above the noise: a cause must take away so much, unless it leads down to the noise
+_IDLE = 1.2  # misfit over the misfit with a cause, up to which it may be idle
 _AT_NOISE = 1.1  # misfit up to which residuals count as noise
 
 
@@ -109,14 +110,9 @@ class Search:
             for seed in [c for c in first.candidates[1:] if c.fit.used is self.used][:_SEEDS]:
                 self.progress(f"again from {seed.hypothesis.cause.name}")
                 other = self._grown(self.round(seed.fit), most)
-                if self.better(other.fit, best.fit):
+                if evidence.cost(other.fit) < evidence.cost(best.fit):
                     best = replace(other, first=first)
         return best
-
-    def better(self, one: Fit, other: Fit) -> bool:
-        """Whether one fit of all readings costs less than another."""
-        scale = min(evidence.misfit(one), evidence.misfit(other))
-        return evidence.cost(one, scale) < evidence.cost(other, scale)
 
     def _grown(self, start: Round, most: int) -> Selection:
         """Add causes, round by round."""
@@ -134,15 +130,15 @@ class Search:
         """Causes not yet at work that promise anything, best first."""
         taken = set(current.extension.names)
         at = fit(self.thin, current.extension, self.thin_used, 0)
-        state, prospects = self.thin.state(current.extension), []
+        prospects = []
         for number, hypothesis in enumerate(self.hypotheses):
             if hypothesis.cause.name not in taken:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
-                prospects.append(prospect(self.thin, at, state, hypothesis))
+                prospects.append(prospect(self.thin, at, hypothesis))
         found = tuple(sorted((p for p in prospects if p is not None), key=lambda p: -p.gain))
-        return Round(current, found, tuple(self._fitted(current.extension, at, found)))
+        return Round(current, found, tuple(self._fitted(at, found)))
 
-    def _fitted(self, current: Extension, at: Fit, prospects: Sequence[Prospect]) -> list[Candidate]:
+    def _fitted(self, at: Fit, prospects: Sequence[Prospect]) -> list[Candidate]:
         """Fits of the prospects that are worth one, best first."""
         if not prospects:
             return []
@@ -155,25 +151,15 @@ class Search:
             and evidence.chance(share * p.gain / scale, p.parameters, len(self.hypotheses)) < _CHANCE
         ][:_FITTED]
         self.progress(f"fitting {', '.join(sorted({p.hypothesis.cause.name for p in kept}))}")
-        fits = [best_fit(self.thin, current, p, self.thin_used) for p in kept]
-        screened = self._ranked([found for found in fits if evidence.physical(found)])
+        fits = [best_fit(self.thin, at, p) for p in kept]
+        screened = _ranked([found for found in fits if evidence.physical(found)])
         close = [c for c in screened if share * (c.cost - screened[0].cost) < _CLOSE][:_CONTENDERS]
-        final = self._ranked([fit(self.full, candidate.fit.extension, self.used) for candidate in close])
+        final = _ranked([fit(self.full, candidate.fit.extension, self.used) for candidate in close])
         names = {candidate.hypothesis.cause.name for candidate in final}
         rest = [c for c in _best_of_each(screened) if c.hypothesis.cause.name not in names]
         return [replace(c, behind=c.cost - final[0].cost) for c in _best_of_each(final)] + [
             replace(c, behind=share * (c.cost - screened[0].cost)) for c in rest
         ]
-
-    def _ranked(self, fits: Sequence[Fit]) -> list[Candidate]:
-        if not fits:
-            return []
-        scale = min(evidence.misfit(each) for each in fits)
-        candidates = [
-            Candidate(each.extension.hypotheses[-1], each, evidence.cost(each, scale), evidence.misfit(each))
-            for each in fits
-        ]
-        return sorted(candidates, key=lambda candidate: candidate.cost)
 
     def gain(self, before: Fit, after: Fit) -> HeldOutGain:
         """By how much a fit predicts held-out captures better than another."""
@@ -207,10 +193,21 @@ class Search:
     def _pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
         for place in reversed(range(len(found.extension.hypotheses) - 1)):
-            rest = fit(self.full, found.extension.without(place), self.used)
-            if self.better(rest, found):
-                found = rest
+            rest = found.extension.without(place)
+            with_it, without_it = (fit(self.thin, each, self.thin_used) for each in (found.extension, rest))
+            if evidence.misfit(without_it) > _IDLE * evidence.misfit(with_it):
+                continue
+            full = fit(self.full, without_it.extension, self.used)
+            if evidence.cost(full) < evidence.cost(found):
+                found = full
         return found
+
+
+def _ranked(fits: Sequence[Fit]) -> list[Candidate]:
+    candidates = [
+        Candidate(each.extension.hypotheses[-1], each, evidence.cost(each), evidence.misfit(each)) for each in fits
+    ]
+    return sorted(candidates, key=lambda candidate: candidate.cost)
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:

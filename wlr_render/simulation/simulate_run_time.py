@@ -1,11 +1,14 @@
 """Where the real dot and the virtual one that is meant to cover it are seen while the glasses run."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.session import RunTimePlan
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
+from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench
 
@@ -21,7 +24,7 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     It is seen later by the clock's latency and, row by row of the panel, its scan-out, when the head has moved on, and
     from where the pupil truly is. NaN where a dot cannot be seen or drawn.
     """
-    display = TracedDisplay(bench.optics, bench.target_wavelength_um)
+    display = _display(bench.optics, bench.target_wavelength_um)
     see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
     drawn_for = _dot_in_device(plan, np.zeros(len(plan)))
     wanted = see_through.view_dir_of_real_point(drawn_for, plan.viewpoint)
@@ -33,6 +36,12 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     virtual = display.view_dir_of_pixel(pixel, pupil)
     real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil)
     return np.concatenate([tangents_of_dir(virtual.value), tangents_of_dir(real.value)], axis=1)
+
+
+@lru_cache(maxsize=4)
+def _display(optics: EyeOptics, wavelength_um: float) -> TracedDisplay:
+    """The display's mapping; its fitted first guess is worth keeping while only tracking and clock change."""
+    return TracedDisplay(optics, wavelength_um)
 
 
 def _dot_in_device(plan: RunTimePlan, later_s: FloatArray) -> FloatArray:

@@ -11,50 +11,76 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import Status
 from wlr_render.optics.traced_mappings import TracedDisplay
-from wlr_render.simulation import dot_sights
 from wlr_render.simulation.bench import Bench, EyeballCamera
+from wlr_render.simulation.dot_sights import Scene
 from wlr_render.simulation.simulate_run_time import run_time_readings
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """What a bench has in common with its neighbours: the solved sights of its dots.
+class Sights:
+    """The directions in which a bench sees the dots of its targets; what neighbouring benches start from.
 
     Attributes:
-        bench, plan: of which.
+        bench: the bench.
+        plan: its see-through readings.
+        near: of a neighbouring bench and the same plan; it makes the solve fast and does not change its result.
     """
 
     bench: Bench
-    plan: SessionPlan
+    plan: SeeThroughPlan
+    near: "Sights | None" = None
 
     @cached_property
-    def sights(self) -> dot_sights.SightStart | None:
-        """Solved when first asked for; None where no target was photographed."""
-        if self.plan.see_through is None:
-            return None
-        viewpoint, point, _ = dot_geometry(self.bench, self.plan.see_through)
-        return dot_sights.solved(self.bench.optics, self.bench.target_wavelength_um, viewpoint, point)
+    def tangents(self) -> FloatArray:
+        """(n, 2), device frame; NaN where a dot is not seen."""
+        scene = _scene(self.bench, self.plan)
+        return scene.solved() if self.near is None else scene.followed(self.near.tangents, self.near.tangents_from_miss)
+
+    @cached_property
+    def tangents_from_miss(self) -> FloatArray:
+        """(n, 2, 2) inverse Jacobian of the solve."""
+        return _scene(self.bench, self.plan).tangents_from_miss(self.tangents)
 
 
-def simulate(bench: Bench, plan: SessionPlan, start: Start | None = None) -> Readings:
+def simulate(bench: Bench, plan: SessionPlan, sights: Sights | None = None) -> Readings:
     """Predict every reading of a session.
 
     Args:
         bench: the bench.
         plan: what is set up, row by row.
-        start: of a neighbouring bench and the same plan; it makes the solve fast and does not change its result.
+        sights: of this bench, where they are known already.
 
     Returns:
         The readings; NaN where the panel or a dot cannot be seen.
     """
-    sights = (start or Start(bench, plan)).sights
+    dots = None
+    if plan.see_through is not None:
+        dots = dot_pixels(bench, plan.see_through, (sights or Sights(bench, plan.see_through)).tangents)
+    return _with_dots(bench, plan, dots)
+
+
+def simulate_near(bench: Bench, plan: SessionPlan, sights: Sights | None) -> Readings:
+    """As `simulate`, right to first order in the change from a neighbouring bench, whose sights these are."""
+    dots = None
+    if plan.see_through is not None and sights is not None:
+        tangents = _scene(bench, plan.see_through).stepped(sights.tangents, sights.tangents_from_miss)
+        dots = dot_pixels(bench, plan.see_through, tangents)
+    return _with_dots(bench, plan, dots)
+
+
+def _with_dots(bench: Bench, plan: SessionPlan, dots: FloatArray | None) -> Readings:
     return Readings(
         None if plan.display is None else panel_pixels(bench, plan.display),
-        None if plan.see_through is None or sights is None else dot_pixels(bench, plan.see_through, sights),
+        dots,
         None if plan.run_time is None else run_time_readings(bench, plan.run_time),
     )
+
+
+def _scene(bench: Bench, plan: SeeThroughPlan) -> Scene:
+    viewpoint, point, _ = dot_geometry(bench, plan)
+    return Scene(bench.optics, bench.target_wavelength_um, viewpoint, point)
 
 
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
@@ -95,10 +121,9 @@ def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:
     return np.asarray(warm[:, None] * mount.panel_creep / panel.size * panel.pixels.size_px)
 
 
-def dot_pixels(bench: Bench, plan: SeeThroughPlan, sights: dot_sights.SightStart) -> FloatArray:
-    """Camera pixel (n, 2) of each dot as seen through the optics."""
-    viewpoint, point, device_from_camera = dot_geometry(bench, plan)
-    tangents = dot_sights.view_tangents(bench.optics, bench.target_wavelength_um, viewpoint, point, sights)
+def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> FloatArray:
+    """Camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
+    _, _, device_from_camera = dot_geometry(bench, plan)
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
     return pixel_of_tangents(bench.camera, tangents_of_dir(in_camera))
 
