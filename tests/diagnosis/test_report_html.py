@@ -100,12 +100,21 @@ def test_parts_hold_the_residuals_that_count_in_their_units(diagnosis):
     assert np.isfinite(before.seen[own.capture != 3]).all()
     assert not any("capture 3\n" in field.title for field in display.maps)
     assert len(display.maps) == 4
-    assert [field.title.split("\n")[0] for field in see_through.maps] == [f"target pose {pose}" for pose in range(3)]
+    assert [field.title.split(" at")[0] for field in see_through.maps] == [f"target pose {pose}" for pose in range(3)]
     names = [variable.name for variable in (*display.variables, *see_through.variables)]
     for name in ("time", "stage x", "stage y", "stage z", "distance", "radius on panel", "radius on camera"):
         assert any(each.startswith(name) for each in names), name
     # One colour is no variable.
     assert not any(each.startswith("colour") for each in names)
+
+
+def test_maps_show_single_captures_from_places_far_apart(diagnosis):
+    plan = diagnosis.observations.session.plan
+    for part, side in zip(report_parts(diagnosis), (plan.display, plan.see_through), strict=True):
+        places = [np.unique(side.stage[field.rows], axis=0) for field in part.maps]
+        assert all(len(place) == 1 for place in places)
+        gaps = [np.linalg.norm(a - b) for n, a in enumerate(places) for b in places[:n]]
+        assert min(gaps) > 0.3 * np.ptp(side.stage, axis=0).max()
 
 
 def test_without_an_effect_there_is_one_state_to_show(diagnosis):
@@ -121,8 +130,8 @@ def test_a_radial_residual_is_outwards_everywhere(diagnosis):
     figure = pictures.residual_curves(replace(see_through, states=(replace(see_through.states[0], seen=seen),)))
     axis = next(each for each in figure.axes if each.get_xlabel() == radius.name)
     lines = {line.get_label(): line.get_xydata() for line in axis.lines}
-    np.testing.assert_allclose(lines["right, or outwards"][:, 1], 1e-3 * lines["right, or outwards"][:, 0], rtol=1e-9)
-    np.testing.assert_allclose(lines["down, or around"][:, 1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(lines["mean, right or outwards"][:, 1], 1e-3 * lines["mean, right or outwards"][:, 0])
+    np.testing.assert_allclose(lines["mean, down or around"][:, 1], 0.0, atol=1e-12)
 
 
 def test_maps_average_the_readings_of_a_cell(diagnosis):
@@ -151,3 +160,17 @@ def test_a_run_time_session_is_drawn(diagnosis):
     # There are no captures to calibrate by.
     assert "diagnose ran --bench" in page
     assert "calibrate" not in page
+
+
+def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(diagnosis):
+    part = report_parts(diagnosis)[0]
+    rng = np.random.default_rng(4)
+    noise = rng.normal(0, part.sigma_arcmin, part.place.shape)
+    # Half of the readings to the right, half to the left: no mean, but an rms.
+    sides = np.where(rng.random(len(noise)) < 0.5, 1.0, -1.0)[:, None] * [3 * part.sigma_arcmin, 0.0]
+    for residual, low, high in ((noise, 0.0, 0.5), (noise + sides, 1.9, 2.2)):
+        figure = pictures.residual_curves(replace(part, states=(replace(part.states[0], seen=residual),)))
+        lines = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}
+        excess = lines["rms beyond the noise"] / part.sigma_arcmin
+        assert np.median(excess) == pytest.approx(0.5 * (low + high), abs=0.5 * (high - low))
+        assert np.abs(lines["mean, down or around"]).max() < 4 * part.sigma_arcmin / np.sqrt(len(noise) / len(excess))

@@ -2,12 +2,14 @@
 
 import io
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.diagnosis.report_parts import FieldMap, ReportPart, Variable
+from wlr_render.diagnosis.field_maps import FieldMap
+from wlr_render.diagnosis.report_parts import ReportPart, Variable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,11 +18,11 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _COLOURS = ("#9ab7d3", "#1f4e79", "#b2182b")  # of small to large arrows
-_FIRST, _SECOND, _RMS = "#1f4e79", "#c4651a", "#8c8c8c"
+_FIRST, _SECOND, _GREY = "#1f4e79", "#c4651a", "#8c8c8c"
 _CELLS = (14, 11)  # arrows across and down
 _BINS = 12
 _COLUMNS = 4
-_BAND = 2.0  # standard errors of a bin's mean
+_BAND = 2.0  # standard errors that count as noise
 
 
 def png(figure: "Figure") -> bytes:
@@ -66,7 +68,7 @@ def residual_maps(part: ReportPart) -> "Figure":
 
 
 def residual_curves(part: ReportPart) -> "Figure":
-    """Mean and rms residual in bins of each variable; for each, a row for each bench."""
+    """Mean residual in bins of each variable, and what its rms has beyond the noise; a row for each bench."""
     from matplotlib.figure import Figure
 
     blocks, states = -(-len(part.variables) // _COLUMNS), len(part.states)
@@ -75,11 +77,14 @@ def residual_curves(part: ReportPart) -> "Figure":
     # Places (states, variables): each block of rows has one row for each state.
     places = axes.reshape(blocks, states, _COLUMNS).swapaxes(0, 1).reshape(states, blocks * _COLUMNS)
     for state, row in zip(part.states, places, strict=True):
-        top = _largest(part, state.seen)
-        for variable, axis in zip(part.variables, row, strict=False):
-            _curve(axis, variable, state.seen, part.sigma_arcmin)
+        curves = [_curve(variable, state.seen, part.sigma_arcmin) for variable in part.variables]
+        top = 1.1 * max((curve.top for curve in curves), default=1.0)
+        for variable, curve, axis in zip(part.variables, curves, row, strict=False):
+            _draw_curve(axis, curve)
+            if variable.outwards is not None:
+                axis.set_title("outwards / around", fontsize=7, loc="right", pad=2, color=_GREY)
             axis.set_ylim(-top, top)
-            axis.set_title(state.name, fontsize=7, loc="left", pad=2, color=_RMS)
+            axis.set_title(state.name, fontsize=7, loc="left", pad=2, color=_GREY)
             axis.tick_params(labelsize=7, labelbottom=state is part.states[-1])
         for axis in row[::_COLUMNS]:
             axis.set_ylabel("arcmin", fontsize=8)
@@ -117,23 +122,49 @@ def _cells(part: ReportPart, field: FieldMap, residual: FloatArray) -> tuple[Flo
     return np.stack(means[:2], axis=1), np.stack(means[2:], axis=1)
 
 
-def _curve(axis: "Axes", variable: Variable, residual: FloatArray, sigma: float) -> None:
-    """Binned means of both components with the noise band, and the rms of both."""
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """Residuals in bins of a variable.
+
+    Attributes:
+        middle: (k,) of the bins, by the variable.
+        means: (2, k) of both components.
+        band: (k,) how far noise alone would move a mean.
+        excess: (k,) rms of the readings beyond what noise alone would give.
+    """
+
+    middle: FloatArray
+    means: FloatArray
+    band: FloatArray
+    excess: FloatArray
+
+    @property
+    def top(self) -> float:
+        """What an axis must hold."""
+        return float(max(np.max(np.abs(self.means)), np.max(self.excess), 1.5 * np.max(self.band)))
+
+
+def _curve(variable: Variable, residual: FloatArray, sigma: float) -> _Curve:
     good = np.isfinite(residual).all(axis=1)
     along = residual[good] if variable.outwards is None else _radial(residual[good], variable.outwards[good])
-    values = variable.values[good]
-    index, counts = _bins(values)
-    middle = np.bincount(index, values) / counts
-    band = _BAND * sigma / np.sqrt(counts)
-    means = [np.bincount(index, component) / counts for component in along.T]
-    rms = np.sqrt(np.bincount(index, np.mean(along**2, axis=1)) / counts)
-    axis.fill_between(middle, -band, band, color="0.85", label="noise of a mean (2 sigma)", linewidth=0)
-    axis.axhline(sigma, color=_RMS, linestyle=":", linewidth=0.8)
-    axis.plot(middle, rms, color=_RMS, linewidth=1.0, label="rms (dotted: noise)")
-    for mean, colour, label in zip(means, (_FIRST, _SECOND), ("right, or outwards", "down, or around"), strict=True):
-        axis.plot(middle, mean, color=colour, marker="o", markersize=2.5, linewidth=1.0, label=label)
-    if variable.outwards is not None:
-        axis.text(0.98, 0.03, "outwards / around", fontsize=6.5, color=_RMS, ha="right", transform=axis.transAxes)
+    index, counts = _bins(variable.values[good])
+    square = np.bincount(index, np.mean(along**2, axis=1)) / counts
+    return _Curve(
+        middle=np.bincount(index, variable.values[good]) / counts,
+        means=np.stack([np.bincount(index, component) / counts for component in along.T]),
+        band=_BAND * sigma / np.sqrt(counts),
+        # The mean square of n readings of two components scatters by sigma^2 / sqrt(n).
+        excess=np.sqrt(np.clip(square - sigma**2 * (1.0 + _BAND / np.sqrt(counts)), 0.0, None)),
+    )
+
+
+def _draw_curve(axis: "Axes", curve: _Curve) -> None:
+    axis.fill_between(curve.middle, -curve.band, curve.band, color="0.85", label="noise of a mean", linewidth=0)
+    axis.plot(curve.middle, curve.excess, color=_GREY, linewidth=1.0, label="rms beyond the noise")
+    for mean, colour, label in zip(
+        curve.means, (_FIRST, _SECOND), ("mean, right or outwards", "mean, down or around"), strict=True
+    ):
+        axis.plot(curve.middle, mean, color=colour, marker="o", markersize=2.5, linewidth=1.0, label=label)
 
 
 def _radial(residual: FloatArray, outwards: FloatArray) -> FloatArray:
@@ -151,14 +182,3 @@ def _bins(values: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         edges = np.quantile(values, np.linspace(0, 1, _BINS + 1)[1:-1])
     _, index, counts = np.unique(np.searchsorted(edges, values), return_inverse=True, return_counts=True)
     return index.astype(np.int64), counts.astype(np.int64)
-
-
-def _largest(part: ReportPart, residual: FloatArray) -> float:
-    """Limit of the axes that show a residual: what its rms in the worst bin of any variable needs."""
-    good = np.isfinite(residual).all(axis=1)
-    square = np.mean(residual[good] ** 2, axis=1)
-    worst = 0.0
-    for variable in part.variables:
-        index, counts = _bins(variable.values[good])
-        worst = max(worst, float(np.max(np.bincount(index, square) / counts)))
-    return 1.25 * float(np.sqrt(2.0 * worst))

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.field_maps import FieldMap, display_maps, run_time_maps, see_through_maps
 from wlr_render.diagnosis.figures import arcminutes, panel_pixels
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-_MOST_MAPS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,19 +32,6 @@ class Variable:
     name: str
     values: FloatArray
     outwards: FloatArray | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class FieldMap:
-    """Which readings one map of the field shows.
-
-    Attributes:
-        title: of the map.
-        rows: (m,) mask, of readings that count.
-    """
-
-    title: str
-    rows: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +94,7 @@ def _display(diagnosis: Diagnosis) -> ReportPart:
         _camera_radius(observations, plan.camera_pixel),
     )
     used = diagnosis.used[observations.part == DISPLAY]
-    maps = tuple(
-        FieldMap(f"capture {number}\n{_place_text(observations, plan, number)}", used & (plan.capture == number))
-        for number in _spread_captures(plan, used)
-    )
+    maps = display_maps(plan, used, observations.nominal.stage.origin)
     states = tuple(
         State(name, _seen(diagnosis, DISPLAY, residual), panel_pixels(observations, residual))
         for name, residual in _residuals(diagnosis)
@@ -136,15 +119,7 @@ def _see_through(diagnosis: Diagnosis) -> ReportPart:
     camera = observations.nominal.camera
     place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
     used = diagnosis.used[observations.part == SEE_THROUGH]
-    poses = np.unique(plan.target_pose[used])
-    nearest_first = poses[np.argsort([distance[plan.target_pose == pose][0] for pose in poses])]
-    maps = tuple(
-        FieldMap(
-            f"target pose {pose}\nat {distance[plan.target_pose == pose][0]:.2f} m",
-            used & (plan.target_pose == pose),
-        )
-        for pose in _thinned(nearest_first)
-    )
+    maps = see_through_maps(plan, used, observations.nominal.stage.origin, distance)
     return _angular_part(diagnosis, SEE_THROUGH, place, maps, variables)
 
 
@@ -167,9 +142,7 @@ def _run_time(diagnosis: Diagnosis) -> ReportPart:
     )
     place = np.degrees(np.arctan(seen[:, 2:])) * [1.0, -1.0]
     used = diagnosis.used[observations.part == RUN_TIME]
-    maps = tuple(
-        FieldMap(f"recording {n}", used & (plan.capture == n)) for n in _thinned(np.unique(plan.capture[used]))
-    )
+    maps = run_time_maps(plan, used)
     return _angular_part(diagnosis, RUN_TIME, place, maps, variables)
 
 
@@ -227,28 +200,6 @@ def _distance(observations: Observations, plan: SeeThroughPlan) -> FloatArray:
 
 def _varying(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
     return tuple(variable for variable in variables if np.ptp(variable.values) > 1e-9)
-
-
-def _spread_captures(plan: DisplayPlan, used: BoolArray) -> list[int]:
-    """The capture in the middle of all, then each time the one farthest from those chosen."""
-    numbers, first = np.unique(plan.capture[used], return_index=True)
-    stage = plan.stage[used][first]
-    chosen = [int(np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1)))]
-    while len(chosen) < min(_MOST_MAPS, len(numbers)):
-        gap = np.linalg.norm(stage[:, None] - stage[chosen], axis=-1).min(axis=1)
-        chosen.append(int(np.argmax(gap)))
-    return [int(numbers[index]) for index in chosen]
-
-
-def _place_text(observations: Observations, plan: DisplayPlan, capture: int) -> str:
-    """Where its camera stood, mm from the stage's origin."""
-    x, y, z = 1e3 * (plan.stage[plan.capture == capture][0] - observations.nominal.stage.origin)
-    return f"at ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm"
-
-
-def _thinned(numbers: NDArray[np.int64]) -> list[int]:
-    places = np.linspace(0, len(numbers) - 1, min(_MOST_MAPS, len(numbers))).round().astype(int)
-    return [int(number) for number in numbers[places]]
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
