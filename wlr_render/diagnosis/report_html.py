@@ -16,8 +16,8 @@ _STYLE = Path(__file__).with_name("report.css")
 _BAND_TEXT = (
     "Dots: mean of the readings in a bin, in the camera's image; grey band: how far noise alone would move such a mean "
     "(two standard errors). Grey line: what the rms of the readings has beyond noise (root of the difference of "
-    "squares, zero within two standard errors); it shows what averages out. Stage positions are from the stage's origin "
-    "in the device's frame, x right, y up, z towards the wearer."
+    "squares, zero within two standard errors); it shows what averages out. Stage positions are from the origin of "
+    "the stage in the device's frame, x right, y up, z towards the wearer."
 )
 _MAP_TEXT = (
     "Each arrow is the mean of the readings around it, measured minus simulated. Arrows are drawn to the scale of "
