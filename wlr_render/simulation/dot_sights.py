@@ -62,16 +62,20 @@ class Scene:
         return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
 
     def followed(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Tangents (n, 2) by as many such steps as it takes; rows that do not settle are solved from cold."""
+        """Tangents (n, 2) by as many such steps as it takes; rows that do not settle are solved from cold.
+
+        A point that the neighbour sees and that has come to lie past the edge of an aperture keeps its tangents.
+        """
         tangents = tangents.copy()
-        going = np.flatnonzero(np.isfinite(tangents).all(axis=1) & np.isfinite(tangents_from_miss).all(axis=(1, 2)))
+        led = np.isfinite(tangents).all(axis=1) & np.isfinite(tangents_from_miss).all(axis=(1, 2))
+        going = np.flatnonzero(led)
         for _ in range(_ITERATIONS):
             step = np.einsum("nij,nj->ni", tangents_from_miss[going], self.miss(tangents[going], going))
             tangents[going] -= step
             going = going[~(np.abs(step).max(axis=1) < _TOLERANCE)]
             if going.size == 0:
                 break
-        stuck = np.union1d(going, np.flatnonzero(~np.isfinite(tangents).all(axis=1)))
+        stuck = np.union1d(going, np.flatnonzero(~led))
         if stuck.size:
             tangents[stuck] = self.solved(stuck)
         return tangents

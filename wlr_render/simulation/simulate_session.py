@@ -25,7 +25,8 @@ class Sights:
     Attributes:
         bench: the bench.
         plan: its see-through readings.
-        near: of a neighbouring bench and the same plan; it makes the solve fast and does not change its result.
+        near: of a neighbouring bench and the same plan; it makes the solve fast and does not change its result, but
+            that a dot which has come to lie past the edge of an aperture is still seen.
     """
 
     bench: Bench
