@@ -16,7 +16,19 @@ from wlr_render.files import resource
 from wlr_render.rendering import gl
 from wlr_render.studies import alignment_demo, bench, render_sequence, sampling_study, trace_device
 
-VERBS = ("demo", "trace", "calibrate", "evaluate", "render", "compare", "bench")
+VERBS = (
+    "demo",
+    "trace",
+    "calibrate",
+    "evaluate",
+    "render",
+    "compare",
+    "diagnose",
+    "hold-out",
+    "import",
+    "viewpoints",
+    "bench",
+)
 TABLE = ReportTable("A title", ("what", "how much (arcmin)"), [["this", 1.25]], ("A note.",))
 
 

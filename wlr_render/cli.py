@@ -326,6 +326,48 @@ def _diagnose(args: argparse.Namespace) -> None:
     print("Written: " + ", ".join(str(path) for path in result.files))
 
 
+def _add_hold_out(verbs: Verbs) -> None:
+    text = "diagnose a session, and say how well the causes found predict captures and distances not fitted to"
+    parser = _verb(verbs, "hold-out", _hold_out, text)
+    parser.add_argument("session", metavar="SESSION", type=Path, help="a bench session's folder")
+
+
+def _hold_out(args: argparse.Namespace) -> None:
+    from wlr_render.studies import hold_out
+    from wlr_render.terminal import print_table, status_line
+
+    with status_line() as tell:
+        result = hold_out.run(args.session, args.out, tell)
+    print_table(result.table)
+
+
+def _add_import(verbs: Verbs) -> None:
+    parser = _verb(verbs, "import", _import, "write a measured set of others as a bench session, to be diagnosed")
+    parser.add_argument("format", choices=("itoh-seethrough",), help="what the set is")
+    parser.add_argument("source", metavar="FOLDER", type=Path, help="of the set, as docs/measured-data.md says")
+
+
+def _import(args: argparse.Namespace) -> None:
+    from wlr_render.studies import import_session
+
+    made = import_session.FORMATS[args.format](args.source, args.out)
+    print(f"{made.captures} captures, {made.readings} readings that scatter by {made.sigma_px:.3f} px: {made.folder}")
+
+
+def _add_viewpoints(verbs: Verbs) -> None:
+    text = "which display model the captures of a headset from two viewpoints support, and what is due to the rig"
+    parser = _verb(verbs, "viewpoints", _viewpoints, text)
+    parser.add_argument("captures", metavar="FOLDER", type=Path, help="North Star captures, see docs/measured-data.md")
+
+
+def _viewpoints(args: argparse.Namespace) -> None:
+    from wlr_render.studies import viewpoints
+    from wlr_render.terminal import print_table
+
+    for table in viewpoints.run(args.captures, args.out):
+        print_table(table)
+
+
 def _add_bench(verbs: Verbs) -> None:
     text = "speed as ratios against what one would run otherwise, exactness of the fast map, memory"
     parser = _verb(verbs, "bench", _bench, text)
@@ -340,4 +382,16 @@ def _bench(args: argparse.Namespace) -> None:
         print_table(table)
 
 
-_VERBS = (_add_demo, _add_trace, _add_calibrate, _add_evaluate, _add_render, _add_compare, _add_diagnose, _add_bench)
+_VERBS = (
+    _add_demo,
+    _add_trace,
+    _add_calibrate,
+    _add_evaluate,
+    _add_render,
+    _add_compare,
+    _add_diagnose,
+    _add_hold_out,
+    _add_import,
+    _add_viewpoints,
+    _add_bench,
+)
