@@ -24,6 +24,7 @@ from wlr_render.simulation.bench import Bench
 FloatArray = NDArray[np.float64]
 
 _PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
+_PLATE_APART = 0.05  # metres from one added plate to the next
 _PLATE_HALF_SIZE = 0.2  # metres
 _FORWARD = np.array([0.0, 0.0, -1.0])
 
@@ -131,7 +132,8 @@ def plate_added(
     medium = pmma if thickness > 0.0 else Medium.constant("added_plate", 1.0 / (2.0 - 1.0 / index))
     near = _tilt(np.zeros(2) if tilt_deg is None else tilt_deg)
     far = near @ _tilt(np.zeros(2) if wedge_deg is None else wedge_deg)
-    centre = bench.optics.eye_box.centre + _PLATE_AHEAD * _FORWARD
+    standing = sum(surface.name.startswith("added_plate") for surface in bench.optics.surfaces()) // 2
+    centre = bench.optics.eye_box.centre + (_PLATE_AHEAD + standing * _PLATE_APART) * _FORWARD
     reach = _PLATE_HALF_SIZE * np.array([1.0, 1.0, np.inf])
     aperture = ClearAperture(-reach, reach)
     steps = []

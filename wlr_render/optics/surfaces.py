@@ -157,7 +157,7 @@ class Offset:
         normal = self.base.normal(point)
         for _ in range(_MAX_TURNS):
             previous, normal = normal, self.base.normal(point - self.distance * normal)
-            if not (np.abs(normal - previous).max(axis=0) > _SETTLED / abs(self.distance)).any():
+            if not (abs(self.distance) * np.abs(normal - previous).max(axis=0) > _SETTLED).any():
                 break
         return normal
 

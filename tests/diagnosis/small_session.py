@@ -1,0 +1,122 @@
+"""A session small enough to be fitted in a fraction of a second, yet one that tells the causes apart."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from wlr_render.captures.session import (
+    DisplayPlan,
+    Readings,
+    RunTimePlan,
+    SeeThroughPlan,
+    Session,
+    SessionPlan,
+)
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.extension import Extension, Hypothesis
+from wlr_render.diagnosis.observations import observe
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.optics.device_file import load_device
+from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.simulation.simulate_session import simulate
+
+SIGMA_PX = 0.1
+SECONDS = 60.0
+"""From one capture to the next."""
+
+
+def small_bench():
+    """Project North Star before a camera of 1.2 arcminutes per pixel, and a target at two distances."""
+    device = load_device("northstar")
+    middle = device.eyes["right"].eye_box.centre
+    camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([900.0, 900.0]), np.array([640.0, 300.0]), SIGMA_PX)
+    # Askew, so that the target's axes are not those of the device.
+    turn = rotations_of_vectors(np.array([[0.1, -0.2, 0.05], [-0.1, 0.15, 0.0]]))
+    poses = rigid(turn, middle + np.array([[0.0, -0.08, -0.5], [0.02, -0.2, -1.2]]))
+    return Bench(device, "right", camera, Stage(middle), Target(poses, np.array([0.03, 0.07])))
+
+
+def stage_positions():
+    """(18, 3) offsets and (18,) directions of the last move; the first two places are visited again at the end."""
+    offsets = np.array([[x, y, z] for z in (-3, 3) for y in (-3, 3) for x in (-4, -1.5, 1.5, 4)]) * 1e-3
+    offsets[4:8], offsets[12:] = offsets[7:3:-1], offsets[15:11:-1]
+    travel = np.repeat([1.0, -1.0, 1.0, -1.0], 4)
+    return np.concatenate([offsets, offsets[:2]]), np.append(travel, travel[:2])
+
+
+def small_plan(bench):
+    """Display and see-through readings: 18 captures of 56 points, and 2 times 9 of 49 dots."""
+    offsets, travel = stage_positions()
+    place = bench.stage.origin + offsets
+    u, v = np.meshgrid(np.linspace(330, 950, 8), np.linspace(200, 900, 7))
+    grid = np.stack([u, v], axis=-1).reshape(-1, 2)
+    capture = np.repeat(np.arange(len(place)), len(grid))
+    # The places that are visited again show the same colour as before.
+    channel = np.append(np.arange(16), [0, 1])[capture] % 3
+    display = DisplayPlan(
+        capture, SECONDS * capture, travel[capture], place[capture], channel, np.tile(grid, (len(place), 1))
+    )
+    return SessionPlan(display, _see_through(bench, place[::2], travel[::2]))
+
+
+def _see_through(bench, place, travel):
+    x, y = np.meshgrid(np.arange(-3, 4), np.arange(-3, 4))
+    dots = np.stack([x, y], axis=-1).reshape(-1, 2)
+    poses = len(bench.target.pitch)
+    pose, capture = (np.repeat(each.ravel(), len(dots)) for each in np.indices((poses, len(place))))
+    time_s = SECONDS * (18 + pose * len(place) + capture)
+    dot = np.tile(dots, (poses * len(place), 1)) * bench.target.pitch[pose][:, None]
+    return SeeThroughPlan(capture, time_s, travel[capture], place[capture], pose, dot)
+
+
+def run_time_plan(bench, rows=160, captures=8, distance_m=(0.4, 3.0)):
+    """Run-time readings while the head turns: dots in the display's field at several distances."""
+    rng = np.random.default_rng(21)
+    viewpoint = bench.stage.origin + rng.uniform(-2e-3, 2e-3, (rows, 3))
+    gaze = dir_of_tangents(rng.uniform([-0.25, -0.5], [0.3, 0.1], (rows, 2)))
+    head = rigid(rotations_of_vectors(rng.normal(0, 0.5, (rows, 3))), rng.normal(0, 1, (rows, 3)))
+    in_device = viewpoint + rng.uniform(*distance_m, (rows, 1)) * gaze
+    dot = np.einsum("nij,nj->ni", head[:, :3, :3], in_device) + head[:, :3, 3]
+    capture = np.arange(rows) * captures // rows
+    velocity, rate = rng.normal(0, 0.2, (rows, 3)), rng.normal(0, 0.6, (rows, 3))
+    return RunTimePlan(capture, 0.1 * np.arange(rows), head, velocity, rate, viewpoint, gaze, dot)
+
+
+def hypothesis(name, variant=0):
+    """A cause acting in one of its ways, by number."""
+    return Hypothesis(CAUSES[name], list(CAUSES[name].variants)[variant])
+
+
+def extension(**values):
+    """Causes by name at values, each in its usual way."""
+    names = tuple(hypothesis(name) for name in values)
+    return Extension(names, tuple(np.asarray(each, dtype=float) for each in values.values()))
+
+
+def measured(bench, plan, sigma_px=0.0, seed=0, true=Extension(), nominal=None):
+    """Observations of a session that a bench with causes at work would read, with noise of the camera's pixels."""
+    nominal, rng = nominal or bench, np.random.default_rng(seed)
+    read = simulate(true.bench(bench), plan)
+    observations = observe(nominal, Session("small", plan, read))
+    return with_noise(observations, sigma_px, rng)
+
+
+def with_noise(observations, sigma_px, rng):
+    """The same observations with more noise in every part."""
+    read, focal = observations.session.readings, observations.nominal.camera.focal_px
+    changes = {}
+    if read.panel_pixel is not None:
+        kick = rng.normal(0, sigma_px, (*read.panel_pixel.shape, 1))
+        changes["panel_pixel"] = read.panel_pixel + np.linalg.solve(observations.camera_from_panel, kick)[:, :, 0]
+    if read.dot_pixel is not None:
+        changes["dot_pixel"] = read.dot_pixel + rng.normal(0, sigma_px, read.dot_pixel.shape)
+    if read.seen is not None:
+        changes["seen"] = read.seen + rng.normal(0, sigma_px, read.seen.shape) / np.tile(focal, 2)
+    return with_readings(observations, **changes)
+
+
+def with_readings(observations, **changes):
+    """Observations with other readings."""
+    session = observations.session
+    return replace(observations, session=replace(session, readings=replace(session.readings, **changes)))
