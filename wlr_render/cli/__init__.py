@@ -1,0 +1,3 @@
+"""The command line."""
+
+from wlr_render.cli.program import main as main
