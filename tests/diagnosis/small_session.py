@@ -6,7 +6,6 @@ import numpy as np
 
 from wlr_render.captures.session import (
     DisplayPlan,
-    Readings,
     RunTimePlan,
     SeeThroughPlan,
     Session,
@@ -94,12 +93,10 @@ def extension(**values):
     return Extension(names, tuple(np.asarray(each, dtype=float) for each in values.values()))
 
 
-def measured(bench, plan, sigma_px=0.0, seed=0, true=Extension(), nominal=None):
-    """Observations of a session that a bench with causes at work would read, with noise of the camera's pixels."""
-    nominal, rng = nominal or bench, np.random.default_rng(seed)
-    read = simulate(true.bench(bench), plan)
-    observations = observe(nominal, Session("small", plan, read))
-    return with_noise(observations, sigma_px, rng)
+def measured(bench, plan, sigma_px=0.0, seed=0, **causes):
+    """Observations of a session read by a bench with causes at work (name=values), with noise of camera pixels."""
+    read = simulate(extension(**causes).bench(bench), plan)
+    return with_noise(observe(bench, Session("small", plan, read)), sigma_px, np.random.default_rng(seed))
 
 
 def with_noise(observations, sigma_px, rng):

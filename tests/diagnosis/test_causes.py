@@ -13,12 +13,36 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
 from wlr_render.simulation.simulate_session import simulate
 
-NAMES = """
-combiner_tilt combiner_shift panel_shift panel_axial_shift panel_rotation panel_scale substrate_index
-substrate_thickness see_through_plate stage_scale stage_tilt stage_backlash camera_pupil_offset camera_rotation
-camera_focal_length camera_distortion target_scale target_bow tracking_rotation tracking_translation thermal_drift
-headset_slip lateral_colour pixel_origin eye_position_bias gaze_pupil_shift latency rolling_scanout
-""".split()
+NAMES = {
+    "combiner_tilt",
+    "combiner_shift",
+    "panel_shift",
+    "panel_axial_shift",
+    "panel_rotation",
+    "panel_scale",
+    "substrate_index",
+    "substrate_thickness",
+    "see_through_plate",
+    "stage_scale",
+    "stage_tilt",
+    "stage_backlash",
+    "camera_pupil_offset",
+    "camera_rotation",
+    "camera_focal_length",
+    "camera_distortion",
+    "target_scale",
+    "target_bow",
+    "tracking_rotation",
+    "tracking_translation",
+    "thermal_drift",
+    "headset_slip",
+    "lateral_colour",
+    "pixel_origin",
+    "eye_position_bias",
+    "gaze_pupil_shift",
+    "latency",
+    "rolling_scanout",
+}
 PARTS = {"device", "camera", "stage", "target", "tracking", "mount", "eye tracking", "clock"}
 RUN_TIME = {"eye tracking", "clock"}
 # How the picture is read out is a part of the device that is not in its prescription.
@@ -67,7 +91,7 @@ def read(plans):
 
 
 def test_the_dictionary_holds_the_named_causes_under_their_names():
-    assert set(CAUSES) == set(NAMES)
+    assert set(CAUSES) == NAMES
     assert [cause.name for cause in CAUSES.values()] == list(CAUSES)
 
 
@@ -119,7 +143,7 @@ def test_opposite_values_undo_a_small_cause(bench, read, cause, variant):
     effect = np.abs(read(there, cause) - read(bench, cause)).max()
     back = cause.perturb(there, sized(cause, -0.05), variant)
     # A plate of negative thickness undoes another one near the axis only.
-    tolerance = 0.1 if cause.name == "see_through_plate" else 2e-3
+    tolerance = 0.2 if cause.name == "see_through_plate" else 2e-3
     np.testing.assert_allclose(read(back, cause), read(bench, cause), atol=tolerance * effect)
 
 

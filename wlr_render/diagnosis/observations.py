@@ -161,6 +161,7 @@ def _names(plan: SessionPlan) -> list[CaptureName]:
     return names
 
 
+@np.errstate(invalid="ignore")
 def _camera_from_panel(bench: Bench, plan: SessionPlan) -> FloatArray:
     """Local Jacobian (n, 2, 2) of camera pixel by panel pixel."""
     if plan.display is None:
