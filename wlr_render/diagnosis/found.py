@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.diagnosis import FoundCause, Overlap, ParameterValue, Rival
 from wlr_render.diagnosis.fit import Fit
-from wlr_render.diagnosis.search import Candidate, Round, Search
+from wlr_render.diagnosis.search import Round, Search
 
 FloatArray = NDArray[np.float64]
 
@@ -43,31 +43,43 @@ def found_cause(search: Search, found: Fit, number: int, contest: Round) -> Foun
         hypothesis.variant,
         parameters,
         search.gain(contest.current, found),
-        _overlaps(contest, cause.name, cause.separated_by),
-        _rivals(contest.candidates),
+        _overlaps(contest, cause.name),
+        _rivals(contest),
         float(np.sqrt(np.nanmean(change**2))),
     )
 
 
-def _overlaps(contest: Round, name: str, separated_by: str) -> tuple[Overlap, ...]:
+def _overlaps(contest: Round, name: str) -> tuple[Overlap, ...]:
     """Causes whose best imitation of the effect is at a small angle to it.
 
     To first order a hypothesis at the angle a to the effect gains cos^2 a of what the effect's own cause does.
     """
     gains: dict[str, float] = {}
-    separating = {name: separated_by}
+    separating: dict[str, str] = {}
     for each in contest.prospects:
         cause = each.hypothesis.cause
         gains[cause.name] = max(gains.get(cause.name, 0.0), each.gain)
         separating[cause.name] = cause.separated_by
     own = gains.get(name, 0.0)
     overlaps = [
-        Overlap(other, min(1.0, float(np.sqrt(gain / own))), f"{separated_by}; or {separating[other]}")
+        Overlap(other, min(1.0, float(np.sqrt(gain / own))), separating[other])
         for other, gain in gains.items()
         if other != name and own > 0 and gain / own > _ALIKE**2
     ]
     return tuple(sorted(overlaps, key=lambda overlap: -overlap.cosine))
 
 
-def _rivals(candidates: tuple[Candidate, ...]) -> tuple[Rival, ...]:
-    return tuple(Rival(c.hypothesis.cause.name, c.hypothesis.variant, c.misfit, c.behind) for c in candidates[:_RIVALS])
+def _rivals(contest: Round) -> tuple[Rival, ...]:
+    """Those that were fitted, then the best of the others by what they promise to first order."""
+    rivals = [Rival(c.hypothesis.cause.name, c.hypothesis.variant, c.misfit, c.behind) for c in contest.candidates]
+    named = {rival.name for rival in rivals}
+    values = 2 * int(contest.screened.used.sum())
+    for each in contest.prospects:
+        name = each.hypothesis.cause.name
+        if name in named or not contest.candidates:
+            continue
+        named.add(name)
+        left = contest.screened.chi_squared - each.gain
+        behind = contest.share * (left - contest.candidates[0].misfit * values)
+        rivals.append(Rival(name, f"{each.hypothesis.variant}; not fitted, to first order", left / values, behind))
+    return tuple(rivals[:_RIVALS])

@@ -6,17 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.extension import Hypothesis, Predictor
 from wlr_render.diagnosis.fit import Fit
-from wlr_render.diagnosis.observations import CaptureName
+from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
 
 FloatArray = NDArray[np.float64]
 
 _POSE = ("camera_pupil_offset", "camera_rotation")
-_SIGNIFICANT = 25.0  # chi-squared per degree of freedom that a pose of its own must gain a capture
-_APART = 10.0  # times the median of all captures
-_MOST = 0.1  # of the captures; more than that are no outliers
+_SIGNIFICANT = 25.0  # chi-squared per degree of freedom, over the fit's, that a pose of its own must gain a capture
+_APART = 6.0  # times the spread of all captures' root gains above their median
+_MOST = 0.1  # of the captures; more than that, and more than two, are no outliers
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,28 @@ class MovedCapture:
 
     Attributes:
         capture: which.
-        shift_mm: (3,) by how much its camera seems to stand elsewhere, device frame.
-        turn_deg: (3,) by how much it seems to be turned.
+        shift_mm: (3,) by how much its camera seems to stand elsewhere, device frame; None where dots are placed by a
+            photograph without the headset, which moves with the camera.
+        turn_deg: (3,) by how much it seems to be turned; likewise.
         rms_before, rms_after: its rms residual in units of sigma, without and with that move.
     """
 
     capture: CaptureName
-    shift_mm: tuple[float, ...]
-    turn_deg: tuple[float, ...]
+    shift_mm: tuple[float, ...] | None
+    turn_deg: tuple[float, ...] | None
     rms_before: float
     rms_after: float
 
 
-def moved_captures(predictor: Predictor, fit: Fit) -> list[MovedCapture]:
+def moved_captures(predictor: Predictor, fit: Fit, good: NDArray[np.bool_]) -> list[MovedCapture]:
     """Captures that stand out from all others after a fit, by the gain of a camera pose of their own.
 
     A run-time recording has no camera pose, and is never set aside.
+
+    Args:
+        predictor: of all readings.
+        fit: to those that counted so far.
+        good: (n,) readings that may count: no strays.
     """
     observations = predictor.observations
     state = predictor.state(fit.extension)
@@ -49,7 +56,7 @@ def moved_captures(predictor: Predictor, fit: Fit) -> list[MovedCapture]:
     if poses.shape[-1] < sum(len(CAUSES[name].parameters) for name in _POSE):
         return []
     residuals = columns[0].residual
-    usable = np.isfinite(residuals).all(axis=1) & np.isfinite(poses).all(axis=(1, 2))
+    usable = good & np.isfinite(residuals).all(axis=1) & np.isfinite(poses).all(axis=(1, 2))
     gains, moves = np.full(len(observations.captures), np.nan), {}
     for number in np.unique(observations.group[usable]):
         rows = usable & (observations.group == number)
@@ -59,18 +66,23 @@ def moved_captures(predictor: Predictor, fit: Fit) -> list[MovedCapture]:
         pose = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
         left = residual - jacobian @ pose
         gains[number] = (residual @ residual - left @ left) / poses.shape[-1]
-        moves[number] = (pose, np.sqrt(np.mean(residual**2)), np.sqrt(np.mean(left**2)))
-    apart = np.flatnonzero(gains > np.maximum(_SIGNIFICANT, _APART * np.nanmedian(gains)))
-    if len(apart) > max(1, _MOST * len(observations.captures)):
+        moves[number] = (pose, float(np.sqrt(np.mean(residual**2))), float(np.sqrt(np.mean(left**2))))
+    root = np.sqrt(gains)
+    middle = np.nanmedian(root)
+    # 1.48: a standard deviation by the median absolute deviation.
+    usual = middle + _APART * 1.48 * np.nanmedian(np.abs(root - middle))
+    apart = np.flatnonzero((gains > _SIGNIFICANT * max(1.0, evidence.misfit(fit))) & (root > usual))
+    if len(apart) > max(2, _MOST * len(observations.captures)):
         return []
-    plausible = [p.plausible for name in _POSE for p in CAUSES[name].parameters]
-    found = []
-    for number in apart:
-        pose, before, after = moves[number]
-        values = [float(v) for v in pose * plausible]
-        capture = observations.captures[number]
-        found.append(MovedCapture(capture, tuple(values[:3]), tuple(values[3:]), float(before), float(after)))
-    return found
+    return [_moved(observations, number, *moves[number]) for number in apart]
+
+
+def _moved(observations: Observations, number: int, pose: FloatArray, before: float, after: float) -> MovedCapture:
+    name, plan = observations.captures[number], observations.session.plan.see_through
+    if name.part == SEE_THROUGH and plan is not None and plan.bare_pixel is not None:
+        return MovedCapture(name, None, None, before, after)
+    values = pose * [parameter.plausible for cause in _POSE for parameter in CAUSES[cause].parameters]
+    return MovedCapture(name, tuple(values[:3].tolist()), tuple(values[3:].tolist()), before, after)
 
 
 def kept(predictor: Predictor, outliers: Sequence[MovedCapture]) -> NDArray[np.bool_]:

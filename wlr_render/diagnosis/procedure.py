@@ -43,7 +43,7 @@ _OUTLIER_ROUNDS = 3
 _CONTESTS = 3  # times that a rival may take a place before the contest ends
 _THIN = 6000  # readings for the first comparison of candidates
 _UNSTEADY = 0.35
-_NOT_NOISE = 1.1  # misfit above which what is left is more than noise
+_NOT_NOISE = 1.1  # misfit of a part above which what is left is more than noise
 _STRUCTURED = 1.0  # percent that a correction must gain on held-out captures, to count as structure
 _SIGNIFICANT = 4.0  # standard errors, likewise
 
@@ -84,10 +84,16 @@ def diagnose(
     residual = Predictor(observations).residual(Extension())
     strays = stray_readings(observations, residual)
     search, selection, outliers = _selected(observations, ~strays, options, progress)
-    found, dropped = _steady(search, selection.fit)
-    found, rounds = _contested(search, found, selection.first)
+    found, rounds = _contested(search, selection.fit, selection.first)
     progress("looking for structure in what is left")
     left = _unexplained(observations, found, search.used)
+    dropped: list[str] = []
+    while left is not None and (imitation := _imitation(search, found)) is not None:
+        number, sentence = imitation
+        dropped.append(sentence)
+        found = fit(search.full, found.extension.without(number), search.used)
+        rounds = _contests(search, found, selection.first)
+        left = _unexplained(observations, found, search.used)
     causes = tuple(found_cause(search, found, number, contest) for number, contest in enumerate(rounds))
     after = search.full.residual(found.extension)
     reasons = [*dropped, selection.reason]
@@ -124,46 +130,50 @@ def _selected(
         search = Search(full, thin, used, used[spread], hypotheses(options.causes), progress)
         selection = search.select(_MOST_CAUSES)
         progress("looking for captures that moved")
-        more = moved_captures(full, selection.fit)
+        more = moved_captures(full, selection.fit, good)
         if {each.capture for each in more} <= {each.capture for each in outliers}:
             break
         outliers = more
     return search, selection, outliers
 
 
-def _steady(search: Search, found: Fit) -> tuple[Fit, list[str]]:
-    """Drop causes whose value depends on where it is measured, where the fit is not down to the noise."""
-    dropped: list[str] = []
-    while found.extension.hypotheses and evidence.misfit(found) > _NOT_NOISE:
-        change = unsteadiness(search.full.observations, found)
-        worst = int(np.argmax(change))
-        if change[worst] < _UNSTEADY:
-            break
-        dropped.append(
-            f"{found.extension.names[worst]} would explain part of it, but its value differs by "
-            f"{100 * change[worst]:.0f} % between halves of the readings: an imitation"
-        )
-        found = fit(search.full, found.extension.without(worst), search.used)
-    return found, dropped
+def _imitation(search: Search, found: Fit) -> tuple[int, str] | None:
+    """The cause whose value depends most on where it is measured, and what to say of it; None where all are steady."""
+    if not found.extension.hypotheses:
+        return None
+    change = unsteadiness(search.full.observations, found)
+    worst = int(np.argmax(change))
+    if change[worst] < _UNSTEADY:
+        return None
+    return worst, (
+        f"{found.extension.names[worst]} would explain part of it, but its value differs by "
+        f"{100 * change[worst]:.0f} % between halves of the readings: an imitation"
+    )
 
 
 def _contested(search: Search, found: Fit, first: Round) -> tuple[Fit, list[Round]]:
     """Give each place to the cause that, the others being as they are, costs least; and the candidates for each."""
     for _ in range(_CONTESTS):
-        rounds: list[Round] = []
-        for number in range(len(found.extension.hypotheses)):
-            rest = found.extension.without(number)
-            alone = not rest.hypotheses
-            rounds.append(first if alone else search.round(fit(search.full, rest, search.used)))
-            rival = next((c.fit for c in rounds[-1].candidates if c.fit.used is search.used), found)
-            if rival.extension.names[-1] != found.extension.names[number] and evidence.cost(rival) < evidence.cost(
-                found
-            ):
-                found = rival
-                break
-        else:
-            return found, rounds
+        rounds = _contests(search, found, first)
+        rivals = [
+            candidate.fit
+            for name, contest in zip(found.extension.names, rounds, strict=True)
+            for candidate in contest.candidates[:1]
+            if candidate.fit.used is search.used and candidate.hypothesis.cause.name != name
+        ]
+        best = min(rivals, key=evidence.cost, default=found)
+        if evidence.cost(best) >= evidence.cost(found):
+            break
+        found = best
     return found, rounds
+
+
+def _contests(search: Search, found: Fit, first: Round) -> list[Round]:
+    """For each cause, the candidates for its place, the others being as they are."""
+    if len(found.extension.hypotheses) == 1:
+        return [first]
+    rests = [found.extension.without(number) for number in range(len(found.extension.hypotheses))]
+    return [search.round(fit(search.full, rest, search.used)) for rest in rests]
 
 
 def _unexplained(observations: Observations, found: Fit, used: BoolArray) -> Unexplained | None:

@@ -2,6 +2,7 @@
 
 from wlr_render.diagnosis.diagnosis import NO_EFFECT, Diagnosis
 from wlr_render.diagnosis.gain import Gains
+from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.report_text import FIGURES, value_and_sigma, value_text
 from wlr_render.evaluation.report import Cell, ReportTable
 
@@ -118,12 +119,16 @@ def ranking_table(diagnosis: Diagnosis) -> ReportTable:
     return ReportTable("Ranking", columns, rows, (note,))
 
 
+def _pose(moved: MovedCapture) -> tuple[float | None, ...]:
+    return (*(moved.shift_mm or (None,) * 3), *(moved.turn_deg or (None,) * 3))
+
+
 def outliers_table(diagnosis: Diagnosis) -> ReportTable:
     """Captures set aside, and the move that would explain each."""
     rows: list[list[Cell]] = [
         [
             str(moved.capture),
-            *(f"{value:+.3f}" for value in (*moved.shift_mm, *moved.turn_deg)),
+            *(None if value is None else f"{value:+.3f}" for value in _pose(moved)),
             moved.rms_before,
             moved.rms_after,
         ]

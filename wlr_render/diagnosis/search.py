@@ -24,7 +24,7 @@ _SEEDS = 3
 _CONTENDERS = 5
 _CLOSE = 40.0  # of the cost, scaled to the whole session: who is further behind is not fitted again
 _CHANCE = 1e-3
-_SIGNIFICANCE = 3.0  # standard errors of the held-out difference
+_SIGNIFICANCE = 2.0  # standard errors of the held-out difference
 _SHARE = 0.3  # of what is above the noise: a cause must take away so much, unless it leads down to the noise
 _IDLE = 1.2  # misfit over the misfit with a cause, up to which it may be idle
 _AT_NOISE = 1.1  # misfit up to which residuals count as noise
@@ -55,11 +55,15 @@ class Round:
 
     Attributes:
         current: the fit to which it would be added.
-        prospects: what each hypothesis promises to first order.
+        screened: the same fit to the readings on which prospects are compared.
+        share: readings of the whole session for each of those.
+        prospects: what each hypothesis promises to first order, on the readings screened; most first.
         candidates: those that were fitted, best first, one per cause in the best of its ways.
     """
 
     current: Fit
+    screened: Fit
+    share: float
     prospects: tuple[Prospect, ...]
     candidates: tuple[Candidate, ...]
 
@@ -130,19 +134,19 @@ class Search:
         """Causes not yet at work that promise anything, best first."""
         taken = set(current.extension.names)
         at = fit(self.thin, current.extension, self.thin_used, 0)
+        share = float(self.used.sum() / self.thin_used.sum())
         prospects = []
         for number, hypothesis in enumerate(self.hypotheses):
             if hypothesis.cause.name not in taken:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
                 prospects.append(prospect(self.thin, at, hypothesis))
         found = tuple(sorted((p for p in prospects if p is not None), key=lambda p: -p.gain))
-        return Round(current, found, tuple(self._fitted(at, found)))
+        return Round(current, at, share, found, tuple(self._fitted(at, found, share)))
 
-    def _fitted(self, at: Fit, prospects: Sequence[Prospect]) -> list[Candidate]:
+    def _fitted(self, at: Fit, prospects: Sequence[Prospect], share: float) -> list[Candidate]:
         """Fits of the prospects that are worth one, best first."""
         if not prospects:
             return []
-        share = float(self.used.sum() / self.thin_used.sum())
         scale = max(1.0, (at.chi_squared - prospects[0].gain) / (2 * self.thin_used.sum()))
         kept = [
             p

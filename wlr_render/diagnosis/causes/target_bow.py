@@ -24,6 +24,8 @@ def _same_sag(bench: Bench, sag_mm: FloatArray) -> Bench:
 def _bowed(bench: Bench, sag_mm: FloatArray, power: int) -> Bench:
     """`power`: with which inverse power of its pitch a target at another pose is bowed."""
     pitch = bench.target.pitch
+    if len(pitch) == 0:
+        return bench
     curvature = 1e-3 * sag_mm / (DOTS * pitch[0]) ** 2 * ((pitch[0] / pitch) ** power)[:, None]
     return replace(bench, target=replace(bench.target, bow=bench.target.bow + curvature))
 
