@@ -123,28 +123,29 @@ def _smoothed(
             left = own[rows] - design @ np.linalg.lstsq(design[good], own[rows][good], rcond=None)[0]
             size = np.linalg.norm(left, axis=1)
             # 1.18: the median length of a two-vector of unit normal components.
-            worst = size > _STRAY * max(1.0, float(np.median(size[good])) / 1.18)
-            if not np.any(worst & good):
+            near = size <= _STRAY * max(1.0, float(np.median(size[good])) / 1.18)
+            if np.array_equal(near, good):
                 break
-            good &= ~worst
+            # A stray pulls the surface, and its neighbours seem astray until it is gone.
+            good = near
         if good.sum() > 2 * design.shape[1]:
             yield rows, left, good, design.shape[1]
 
 
 def _repeats(observations: Observations, residual: FloatArray) -> float:
-    """From display points seen at the same camera pixel from the same place more than once, over sigma."""
+    """From display points seen at the same camera pixel from the same place more than once, over sigma.
+
+    What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
+    """
     plan = observations.session.plan.display
     if plan is None:
         return np.nan
     place = np.round(np.column_stack([1e9 * plan.stage, 1e3 * plan.camera_pixel, plan.travel, plan.channel]))
     _, point, counts = np.unique(place, axis=0, return_inverse=True, return_counts=True)
-    repeated = counts[point] > 1
-    if repeated.sum() < 50:
-        return np.nan
-    point = point[repeated]
-    own = residual[observations.part == DISPLAY][repeated]
-    mean = (
-        np.stack([np.bincount(point, own[:, axis]) for axis in (0, 1)], axis=-1) / np.bincount(point).clip(1)[:, None]
-    )
-    degrees = len(own) - len(np.unique(point))
-    return float(np.sqrt(np.sum((own - mean[point]) ** 2) / (2 * degrees)))
+    own, times = residual[observations.part == DISPLAY], counts[point]
+    sums = np.stack([np.bincount(point, own[:, axis]) for axis in (0, 1)], axis=-1)
+    # A deviation from the mean of k readings is smaller than noise by the root of 1 - 1/k.
+    deviation = (own - sums[point] / times[:, None]) / np.sqrt(1.0 - 1.0 / times.clip(2))[:, None]
+    repeated = np.zeros(len(observations), dtype=bool)
+    repeated[np.flatnonzero(observations.part == DISPLAY)[times > 1]] = True
+    return _within(observations.of_rows(repeated), deviation[times > 1], DISPLAY)
