@@ -101,7 +101,9 @@ def partly(diagnosis):
     observations = diagnosis.observations
     moved = MovedCapture(observations.captures[3], (0.41, -0.72, 0.13), (0.05, 0.26, -0.07), 9.5, 1.02)
     gains = [("panel pixels", HeldOutGain(31.4, 2.2, 8.6)), ("time", HeldOutGain(-1.3, 0.4, -3.1))]
-    left = Unexplained("display", "panel pixels", 2.37, tuple(Correction("display", b, 9, g) for b, g in gains))
+    left = Unexplained(
+        "display", "panel pixels", 2.37, tuple(Correction("display", b, "smooth", 9, g) for b, g in gains)
+    )
     floor = NoiseFloor("display", 0.05, 0.0931, np.nan, 0.0931)
     doubtful = [replace(c, rivals=(c.rivals[0], replace(c.rivals[1], cost_behind=1.5))) for c in diagnosis.causes]
     return replace(

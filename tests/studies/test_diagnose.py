@@ -1,7 +1,9 @@
 """The verb from end to end, with a few causes so that it is quick."""
 
 import json
+import shutil
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,6 +51,8 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
         "diagnosis.html",
         "diagnosis.json",
         "extended/bench.toml",
+        "extended/display.csv.gz",
+        "extended/seethrough.csv.gz",
     ]
     record = json.loads((out / "diagnosis.json").read_text())
     (cause,) = record["causes"]
@@ -66,16 +70,26 @@ def test_by_the_extended_bench_the_session_shows_no_effect_and_the_old_bench_goe
 ):
     out = tmp_path / "out"
     assert run(capsys, session, "--out", out)[0] == 0
-    bench = (out / "extended" / "bench.toml").replace(tmp_path / "bench.toml")
+    extended = (out / "extended").rename(tmp_path / "session")
+    (out / "extended").mkdir()
     (out / "extended" / "bench.toml").write_text("of an earlier diagnosis")
     elsewhere = tmp_path / "record.json"
-    status, printed = run(capsys, session, "--bench", bench, "--out", out, "--json", elsewhere)
+    status, printed = run(capsys, extended, "--out", out, "--json", elsewhere)
     assert status == 0
     assert printed.out.startswith("No effect found")
     record = json.loads(elsewhere.read_text())
     assert (record["verdict"], record["causes"], record["gains"]) == ("no effect", [], None)
     assert {limit["cause"] for limit in record["detection_limits"]} == set(FEW)
     assert not (out / "extended" / "bench.toml").exists()
+
+
+def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):
+    inside = tmp_path / "out" / "extended"
+    shutil.copytree(session, inside)
+    status, printed = run(capsys, inside, "--out", tmp_path / "out")
+    assert status == 2
+    assert "would replace this session" in printed.err
+    assert sorted(path.name for path in inside.iterdir()) == sorted(path.name for path in Path(session).iterdir())
 
 
 def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, monkeypatch):

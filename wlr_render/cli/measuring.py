@@ -93,6 +93,7 @@ def _diagnose(args: argparse.Namespace) -> None:
     with status_line() as tell:
         result = diagnose.run(diagnose.Options(args.session, args.out, args.json, args.html, args.bench), tell)
     print(result.sentence, *(f"- {line}" for line in (*result.warnings, *result.advice)), sep="\n", end="\n\n")
+    print("The search for causes:", *(f"- {line}" for line in result.reasons), sep="\n", end="\n\n")
     for table in result.tables:
         print_table(table)
     print("Written: " + ", ".join(str(path) for path in result.files))

@@ -17,6 +17,8 @@ from wlr_render.numerics.polynomial import Box, basis
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+Design = tuple[str, str, FloatArray]
+"""What a correction is bound to, its form, and its terms for each reading of the part."""
 
 _FOLDS = 8
 _RIDGE = 1e-6  # of the design's mean square: keeps terms that a session does not determine at zero
@@ -41,10 +43,10 @@ def corrections(observations: Observations, residual: FloatArray, used: BoolArra
     count = len(observations.captures)
     before = _squares(own, group, count)
     found = []
-    for bound_to, design in _designs(observations, part):
+    for bound_to, form, design in _designs(observations, part):
         after = _squares(_held_out(design[within], own, group), group, count)
         gain = held_out_gain(before, after)
-        found.append(Correction(PART_NAMES[part], bound_to, design.shape[1], gain))
+        found.append(Correction(PART_NAMES[part], bound_to, form, design.shape[1], gain))
     return sorted(found, key=lambda correction: -correction.gain.percent)
 
 
@@ -68,10 +70,10 @@ def _held_out(design: FloatArray, residual: FloatArray, group: NDArray[np.int64]
     return left
 
 
-def _designs(observations: Observations, part: int) -> Iterator[tuple[str, FloatArray]]:
-    """Names of variables, and a design (rows of the part, terms) in them."""
+def _designs(observations: Observations, part: int) -> Iterator[Design]:
+    """All that are tried on a part."""
     plan = observations.session.plan
-    makers: dict[int, Callable[[Observations], Iterator[tuple[str, FloatArray]]]] = {
+    makers: dict[int, Callable[[Observations], Iterator[Design]]] = {
         DISPLAY: _display_designs,
         SEE_THROUGH: _see_through_designs,
         RUN_TIME: _run_time_designs,
@@ -84,47 +86,51 @@ def _designs(observations: Observations, part: int) -> Iterator[tuple[str, Float
     }
     timed = by_part[part]
     if timed is not None:
-        yield "time", _polynomial(timed.time_s[:, None], 10)
+        yield "time", "smooth", _polynomial(timed.time_s[:, None], 10)
     if isinstance(timed, DisplayPlan | SeeThroughPlan):
-        yield "stage", np.concatenate([_polynomial(timed.stage, 4), _screws(timed.stage)], axis=1)
+        design = np.concatenate([_polynomial(timed.stage, 4), _screws(timed.stage)], axis=1)
+        yield "stage", "smooth, and periods of screws", design
 
 
-def _display_designs(observations: Observations) -> Iterator[tuple[str, FloatArray]]:
+def _display_designs(observations: Observations) -> Iterator[Design]:
     plan, pixel = observations.session.plan.display, observations.session.readings.panel_pixel
     if plan is None or pixel is None:
         return
     smooth = _polynomial(pixel, 8)
-    yield "panel pixels", smooth
+    yield "panel pixels", "smooth", smooth
     phase = np.mod(pixel, _CODE_PERIOD_PX).astype(int)
     stripes = [np.eye(_CODE_PERIOD_PX)[phase[:, axis]] for axis in (0, 1)]
-    yield "panel pixels", np.concatenate([_polynomial(pixel, 2), *stripes], axis=1)
+    yield "panel pixels", "stripes of a code", np.concatenate([_polynomial(pixel, 2), *stripes], axis=1)
     place = Box.around(plan.stage).scaled(plan.stage)
     coarse = _polynomial(pixel, 6)
-    yield "panel pixels", np.concatenate([smooth, *(coarse * place[:, [axis]] for axis in range(3))], axis=1)
-    yield "camera pixels", _polynomial(plan.camera_pixel, 8)
+    swimming = np.concatenate([smooth, *(coarse * place[:, [axis]] for axis in range(3))], axis=1)
+    yield "panel pixels", "smooth, changing with the viewpoint", swimming
+    yield "camera pixels", "smooth", _polynomial(plan.camera_pixel, 8)
     if len(np.unique(plan.channel)) > 1:
         affine = _polynomial(pixel, 1)
-        yield "colour", np.concatenate([affine * (plan.channel == channel)[:, None] for channel in range(3)], axis=1)
+        design = np.concatenate([affine * (plan.channel == channel)[:, None] for channel in range(3)], axis=1)
+        yield "colour", "a shift, scale and shear to each", design
 
 
-def _see_through_designs(observations: Observations) -> Iterator[tuple[str, FloatArray]]:
+def _see_through_designs(observations: Observations) -> Iterator[Design]:
     plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
     if plan is None or pixel is None:
         return
-    yield "camera pixels", _polynomial(pixel, 8)
+    yield "camera pixels", "smooth", _polynomial(pixel, 8)
     pitch = observations.nominal.target.pitch[plan.target_pose][:, None]
     dots = _polynomial(plan.dot / pitch, 6)
     poses = np.unique(plan.target_pose)
     # A pose to each capture leaves nothing to hold out: then all share one function of the dot.
     shared = len(poses) > len(np.unique(plan.capture)) / 2
     each = [np.ones(len(plan), dtype=bool)] if shared else [plan.target_pose == pose for pose in poses]
-    yield "target", np.concatenate([dots * mine[:, None] for mine in each], axis=1)
+    form = "smooth, the same at each pose" if shared else "smooth, of its own at each pose"
+    yield "target", form, np.concatenate([dots * mine[:, None] for mine in each], axis=1)
 
 
-def _run_time_designs(observations: Observations) -> Iterator[tuple[str, FloatArray]]:
+def _run_time_designs(observations: Observations) -> Iterator[Design]:
     seen = observations.session.readings.seen
     if seen is not None:
-        yield "camera pixels", _polynomial(seen[:, 2:], 4)
+        yield "camera pixels", "smooth", _polynomial(seen[:, 2:], 4)
 
 
 def _polynomial(variables: FloatArray, degree: int) -> FloatArray:

@@ -95,12 +95,14 @@ class Correction:
     Attributes:
         part: of the session it corrects.
         bound_to: the variables that it is a function of.
+        form: how it depends on them.
         terms: coefficients per axis.
         gain: on held-out captures.
     """
 
     part: str
     bound_to: str
+    form: str
     terms: int
     gain: HeldOutGain
 

@@ -120,8 +120,7 @@ def _smoothed(
             continue
         design, good = basis(place[rows], degree, box), np.ones(len(rows), dtype=bool)
         for _ in range(_STRAY_ROUNDS):
-            left = own[rows] - design @ np.linalg.lstsq(design[good], own[rows][good], rcond=None)[0]
-            size = np.linalg.norm(left, axis=1)
+            left, size = _studentised(design, own[rows], good)
             # 1.18: the median length of a two-vector of unit normal components.
             near = size <= _STRAY * max(1.0, float(np.median(size[good])) / 1.18)
             if np.array_equal(near, good):
@@ -130,6 +129,19 @@ def _smoothed(
             good = near
         if good.sum() > 2 * design.shape[1]:
             yield rows, left, good, design.shape[1]
+
+
+def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """What a surface through the good ones of `values` (n, 2) leaves of all, and its length over its spread (n,).
+
+    A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
+    "Residuals and Influence in Regression", 1982, chapter 2).
+    """
+    solve = np.linalg.pinv(design[good])
+    left = values - design @ (solve @ values[good])
+    leverage = np.sum((design @ solve) ** 2, axis=1)
+    spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
+    return left, np.linalg.norm(left, axis=1) / spread
 
 
 def _repeats(observations: Observations, residual: FloatArray) -> float:

@@ -74,7 +74,7 @@ def moved_captures(predictor: Predictor, fit: Fit, good: NDArray[np.bool_]) -> l
     apart = np.flatnonzero((gains > _SIGNIFICANT * max(1.0, evidence.misfit(fit))) & (root > usual))
     if len(apart) > max(2, _MOST * len(observations.captures)):
         return []
-    return [_moved(observations, number, *moves[number]) for number in apart]
+    return [_moved(observations, int(number), *moves[int(number)]) for number in apart]
 
 
 def _moved(observations: Observations, number: int, pose: FloatArray, before: float, after: float) -> MovedCapture:

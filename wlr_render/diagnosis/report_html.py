@@ -94,17 +94,17 @@ def _going_on(diagnosis: Diagnosis) -> str:
     limits = _tables([report_tables.limits_table(diagnosis)])
     if not diagnosis.causes:
         return _section("How to go on", "<p>Nothing was found to extend the bench by; go on with its file.</p>", limits)
-    name = escape(diagnosis.observations.session.name)
     plan = diagnosis.observations.session.plan
     both = plan.display is not None and plan.see_through is not None
-    verbs = ("diagnose", "calibrate --captures") if both else ("diagnose",)
-    lines = [f"wlr-render {verb} {name} --bench extended/bench.toml" for verb in verbs]
+    verbs = ("diagnose extended --out again", "calibrate --captures extended")[: 2 if both else 1]
+    lines = [f"wlr-render {verb}" for verb in verbs]
     if diagnosis.extended.device is not diagnosis.observations.nominal.device:
         lines.append("wlr-render render extended/device.toml desk")
     return _section(
         "How to go on",
-        "<p>The folder <code>extended</code>, written with this report, holds the bench with the causes at work, and "
-        "the headset where that is changed. See that it predicts the session, and go on with it:</p>",
+        "<p>The folder <code>extended</code>, written with this report, is a session: the readings that counted, and "
+        "the bench with the causes at work, with a headset of its own where that is changed. See that it predicts "
+        "them, and go on with it:</p>",
         "<pre>" + "\n".join(lines) + "</pre>",
     )
 

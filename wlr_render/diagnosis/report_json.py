@@ -103,6 +103,7 @@ def _unexplained(left: Unexplained) -> dict[str, Any]:
     corrections = [
         {
             "bound_to": correction.bound_to,
+            "form": correction.form,
             "terms": correction.terms,
             "held_out_gain": correction.gain.percent,
             "gain_sigma": correction.gain.sigma,

@@ -144,10 +144,10 @@ def unexplained_table(diagnosis: Diagnosis) -> ReportTable:
     left = diagnosis.unexplained
     title = "" if left is None else f"What is left in the {left.part} part, {left.rms_over_noise:.3g} times the noise"
     rows: list[list[Cell]] = [
-        [c.bound_to, c.terms, f"{c.gain.percent:.1f} +- {c.gain.sigma:.1f}", c.gain.significance]
+        [c.bound_to, c.form, c.terms, f"{c.gain.percent:.1f} +- {c.gain.sigma:.1f}", c.gain.significance]
         for c in (left.corrections if left else ())
     ]
-    columns = ("correction as a function of", "terms per axis", "held-out gain (%)", "standard errors")
+    columns = ("correction as a function of", "form", "terms per axis", "held-out gain (%)", "standard errors")
     note = "A correction describes what is left; it is no cause, and says nothing of other benches."
     return ReportTable(title, columns, rows, (note,))
 

@@ -39,6 +39,10 @@ _TRANSLATION = Entry("translation", ("translation",), "mm", (3,), POINT)
 _PITCH = Entry("pitch", ("pitch_mm",), "distance of neighbouring dots", rule=POSITIVE)
 
 
+DEVICE_FILE = "device.toml"
+"""A headset that is not a shipped one lies beside the bench under this name."""
+
+
 def load_bench(path: str | Path) -> Bench:
     """Read a bench file.
 
@@ -125,7 +129,7 @@ def _device_key(device: Device, folder: Path) -> str:
     shipped = device.name in shipped_names("devices", ".toml")
     if shipped and device_content(load_device(device.name)) == device_content(device):
         return device.name
-    return save_device(device, folder / "device.toml").name
+    return save_device(device, folder / DEVICE_FILE).name
 
 
 def _section(file: Table, name: str, axes: FloatArray) -> dict[str, Any]:

@@ -15,7 +15,14 @@ from wlr_render.files import read_toml
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.optics.device_file import FRAMES
 from wlr_render.simulation.bench import Bench, EyeballCamera
-from wlr_render.simulation.bench_file import WRITTEN_FRAME, bench_of, device_from_file, load_bench, save_bench
+from wlr_render.simulation.bench_file import (
+    DEVICE_FILE,
+    WRITTEN_FRAME,
+    bench_of,
+    device_from_file,
+    load_bench,
+    save_bench,
+)
 from wlr_render.simulation.simulate_session import camera_dirs, pixel_of_tangents
 
 FloatArray = NDArray[np.float64]
@@ -54,6 +61,14 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
     if "seen" in readings:
         readings["seen"] = _tangents_seen(bench.camera, readings["seen"])
     return bench, Session(folder.resolve().name, SessionPlan(**plans), Readings(**readings))
+
+
+def remove_session(folder: str | Path) -> None:
+    """Remove the files of a session, and nothing else, from a folder."""
+    folder = Path(folder)
+    tables = [path for schema in SCHEMAS for path in _tables(folder, schema)]
+    for path in (folder / "bench.toml", folder / DEVICE_FILE, *tables):
+        path.unlink(missing_ok=True)
 
 
 def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:

@@ -1,4 +1,4 @@
-"""Explain a measured session: the report of a diagnosis, and the extended bench."""
+"""Explain a measured session: the report of a diagnosis, and the session by the extended bench."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,8 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import output_folder, write_text
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.bench_file import save_bench
-from wlr_render.simulation.session_folder import check_enough_captures, load_session
+from wlr_render.simulation.session_folder import check_enough_captures, load_session, remove_session, save_session
 
 Tell = Callable[[str], None]
 
@@ -47,7 +46,7 @@ class Result:
 
     Attributes:
         sentence: the verdict.
-        warnings, advice: sentences.
+        warnings, advice, reasons: sentences; the last say why the search for causes ended.
         tables: the evidence.
         files: what was written.
     """
@@ -55,6 +54,7 @@ class Result:
     sentence: str
     warnings: Sequence[str]
     advice: Sequence[str]
+    reasons: Sequence[str]
     tables: Sequence[ReportTable]
     files: Sequence[Path]
 
@@ -69,6 +69,8 @@ def run(options: Options, tell: Tell = lambda _: None) -> Result:
     nominal, session = load_session(options.session, options.bench)
     check_enough_captures(session)
     folder = output_folder(options.out)
+    if (folder / EXTENDED).resolve() == options.session.resolve():
+        raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
     record = _writable(options.json or folder / "diagnosis.json")
     page = _writable(options.html or folder / "diagnosis.html")
     found = diagnose(nominal, session, tell)
@@ -77,7 +79,7 @@ def run(options: Options, tell: Tell = lambda _: None) -> Result:
     tell("writing the report")
     files = [write_text(record, report_json(found, worth)), write_text(page, report_html(found, worth))]
     files += _extended(folder / EXTENDED, found)
-    return Result(verdict_sentence(found), warnings(found), advice(found), tables(found, worth), files)
+    return Result(verdict_sentence(found), warnings(found), advice(found), found.reasons, tables(found, worth), files)
 
 
 def _worth(nominal: Bench, found: Diagnosis) -> Gains | None:
@@ -88,10 +90,12 @@ def _worth(nominal: Bench, found: Diagnosis) -> Gains | None:
 
 
 def _extended(folder: Path, found: Diagnosis) -> list[Path]:
-    """Write the extended bench, and its device if that is changed; those of an earlier diagnosis are removed."""
-    for name in ("bench.toml", "device.toml"):
-        (folder / name).unlink(missing_ok=True)
-    return [save_bench(found.extended, folder / "bench.toml")] if found.causes else []
+    """Write the extended bench with the readings that count, as a session; that of an earlier diagnosis is removed."""
+    if folder.is_dir():
+        remove_session(folder)
+    if not found.causes:
+        return []
+    return [save_session(folder, found.extended, found.observations.of_rows(found.used).session)]
 
 
 def _writable(path: Path) -> Path:
