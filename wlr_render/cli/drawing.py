@@ -130,16 +130,33 @@ def _compare(args: argparse.Namespace) -> None:
 
 
 def _add_bench(verbs: Verbs) -> None:
-    text = "speed as ratios against what one would run otherwise, exactness of the fast map, memory"
+    text = (
+        "how good the program itself is. speed: ratios against what one would run otherwise, exactness of the fast "
+        "map, memory. diagnosis: diagnoses of sessions in which an effect is hidden, judged by what is true"
+    )
     parser = new_verb(verbs, "bench", _bench, text)
-    add_backend(parser)
+    parser.add_argument("what", nargs="?", choices=("speed", "diagnosis"), default="speed", help="what to measure")
+    add_backend(parser.add_argument_group("speed"))
+    diagnosis = parser.add_argument_group("diagnosis")
+    diagnosis.add_argument("--trials", type=count, default=20, help="for every cause; takes 4 minutes each")
+    diagnosis.add_argument("--workers", type=count, help="processes; one per core if not given")
+    add_seed(diagnosis)
 
 
 def _bench(args: argparse.Namespace) -> None:
-    from wlr_render.studies import bench
+    from wlr_render.evaluation.report import ReportTable
     from wlr_render.terminal import print_table, progress_bar
 
-    for table in bench.run(bench.Options(args.backend, args.out), progress_bar):
+    tables: list[ReportTable]
+    if args.what == "diagnosis":
+        from wlr_render.studies.diagnosis_trials import study
+
+        tables = study.run(study.Options(args.trials, args.seed, args.workers, args.out), progress_bar)
+    else:
+        from wlr_render.studies import bench
+
+        tables = bench.run(bench.Options(args.backend, args.out), progress_bar)
+    for table in tables:
         print_table(table)
 
 

@@ -30,7 +30,7 @@ def add_seed(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--seed", type=seed, default=1, help="of all random numbers")
 
 
-def add_backend(parser: argparse.ArgumentParser) -> None:
+def add_backend(parser: argparse._ActionsContainer) -> None:
     """Who rasterises."""
     parser.add_argument(
         "--backend",

@@ -10,11 +10,15 @@ from wlr_render.studies.hidden_effects.captures import Captures, Plan, display_c
 from wlr_render.studies.hidden_effects.device_effects import DEVICE_EFFECTS
 from wlr_render.studies.hidden_effects.own_tracer import FloatArray, turn
 from wlr_render.studies.hidden_effects.recipes import Amount, Draw, Recipe, vector, xyz
+from wlr_render.studies.hidden_effects.run_time_effects import RUN_TIME_EFFECTS
 from wlr_render.studies.hidden_effects.unlisted_effects import UNLISTED_EFFECTS
 from wlr_render.studies.hidden_effects.world import World
 
 LISTED = tuple({**DEVICE_EFFECTS, **BENCH_EFFECTS})
-"""Names that a diagnosis is expected to find."""
+"""Names that a diagnosis of a bench session is expected to find."""
+
+LISTED_AT_RUN_TIME = tuple(RUN_TIME_EFFECTS)
+"""Names that a diagnosis of a run-time session is expected to find."""
 
 UNLISTED = tuple(UNLISTED_EFFECTS)
 """Names that no list of causes holds."""
@@ -37,6 +41,7 @@ _OUTLIER_DRAWS = (Draw(xyz("mm"), 0.3, 1.0), Draw(xyz("deg"), 0.1, 0.3))
 _RECIPES = {
     **DEVICE_EFFECTS,
     **BENCH_EFFECTS,
+    **RUN_TIME_EFFECTS,
     **UNLISTED_EFFECTS,
     OUTLIER: Recipe("the camera moved in one capture and was turned", _OUTLIER_DRAWS, _outlier),
 }
@@ -47,7 +52,7 @@ class Effect:
     """An effect and its size.
 
     Attributes:
-        name: one of `LISTED`, `UNLISTED`, or `OUTLIER`.
+        name: one of `LISTED`, `LISTED_AT_RUN_TIME`, `UNLISTED`, or `OUTLIER`.
         amount: by keys that end in their unit; the description fixes the signs.
     """
 
@@ -73,7 +78,7 @@ def draw_effect(name: str, rng: np.random.Generator, strength: float = 1.0) -> E
     """An effect of random size, sign and direction; `strength` multiplies its typical sizes.
 
     Raises:
-        BadInputError: the name is neither in `LISTED` nor in `UNLISTED`.
+        BadInputError: the name is not listed above.
     """
     if name == OUTLIER:
         raise BadInputError("An outlier belongs to a plan: draw it with draw_outlier.")
@@ -94,5 +99,7 @@ def _amount(name: str, rng: np.random.Generator, strength: float) -> dict[str, f
 
 def _recipe(name: str) -> Recipe:
     if name not in _RECIPES:
-        raise BadInputError(f"There is no effect '{name}' to hide; choose {', '.join((*LISTED, *UNLISTED))}.")
+        raise BadInputError(
+            f"There is no effect '{name}' to hide; choose {', '.join((*LISTED, *LISTED_AT_RUN_TIME, *UNLISTED))}."
+        )
     return _RECIPES[name]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wlr_render.studies.hidden_effects import sights
 from wlr_render.studies.hidden_effects.captures import (
     CAMERA_CENTRE_PX,
     CAMERA_FOCAL_PX,
@@ -17,16 +18,14 @@ from wlr_render.studies.hidden_effects.captures import (
     display_captures,
     see_through_captures,
 )
-from wlr_render.studies.hidden_effects.devices import CHANNEL_UM, SEE_THROUGH_UM, own_device
+from wlr_render.studies.hidden_effects.devices import CHANNEL_UM, own_device
 from wlr_render.studies.hidden_effects.effects import Effect
-from wlr_render.studies.hidden_effects.own_tracer import FloatArray, unit
+from wlr_render.studies.hidden_effects.own_tracer import FloatArray
 from wlr_render.studies.hidden_effects.world import World
 
 _GRID_FROM_PX = np.array([40.0, 40.0])
 _PANEL_MARGIN_PX = 2.0  # nothing is decoded nearer to the panel's edge
 _LENS_STEPS = 12
-_AIM_STEPS = 25
-_AIM_MM = 1e-9
 
 _STAGE = ("stage_x_mm", "stage_y_mm", "stage_z_mm")
 
@@ -108,7 +107,7 @@ def see_through_table(world: World, plan: Plan, captures: Captures, rng: np.rand
     point = np.empty((len(printed), 3))
     for k in range(len(TARGET_DISTANCES_MM)):
         point[pose == k] = _dots_in_device(world, plan, k, printed[pose == k])
-    direction = np.einsum("nji,nj->ni", turned[capture], _aimed(world, position[capture], point))
+    direction = np.einsum("nji,nj->ni", turned[capture], sights.of_point(world, position[capture], point))
     uv = CAMERA_CENTRE_PX + CAMERA_FOCAL_PX * direction[:, :2] / direction[:, 2:]
     for image in world.image:
         uv = image(uv, time_s)
@@ -153,8 +152,7 @@ def _camera(world: World, captures: Captures) -> tuple[FloatArray, FloatArray]:
 
 def _line_of_sight(uv: FloatArray) -> FloatArray:
     """Unit directions (n, 3) of camera pixels (n, 2) of a pinhole, camera frame."""
-    tangents = (uv - CAMERA_CENTRE_PX) / CAMERA_FOCAL_PX
-    return unit(np.concatenate([tangents, np.ones((len(uv), 1))], axis=-1))
+    return sights.forward((uv - CAMERA_CENTRE_PX) / CAMERA_FOCAL_PX)
 
 
 def _without_lens(world: World, seen: FloatArray, time_s: FloatArray) -> FloatArray:
@@ -177,27 +175,6 @@ def _dots_in_device(world: World, plan: Plan, target_pose: int, printed: FloatAr
     for pose in world.pose:
         axes, place = pose(axes, place)
     return np.asarray(dots @ axes.T + place)
-
-
-def _aimed(world: World, eye: FloatArray, point: FloatArray) -> FloatArray:
-    """Unit directions (n, 3) in which eyes (n, 3) see points (n, 3) through the optics; NaN where they do not.
-
-    Each round aims by as much beside the point as the last one missed it; the optics bend rays so little that the
-    miss shrinks about a hundredfold.
-    """
-    gap = point - eye
-    tangents = gap[:, :2] / gap[:, 2:]
-    for _ in range(_AIM_STEPS):
-        direction = unit(np.concatenate([tangents, np.ones((len(eye), 1))], axis=-1))
-        origin, beyond = world.device.trace(world.device.see_through, eye, direction, SEE_THROUGH_UM)
-        for element in world.beyond:
-            origin = element(origin, beyond)
-        along = (point[:, 2] - origin[:, 2]) / beyond[:, 2]
-        miss = (point - origin - along[:, None] * beyond)[:, :2]
-        tangents = tangents + miss / gap[:, 2:]
-        if not np.any(np.abs(miss) > _AIM_MM):
-            break
-    return np.where(np.all(np.abs(miss) <= _AIM_MM, axis=-1)[:, None], direction, np.nan)
 
 
 def _pair(name: str, values: FloatArray) -> dict[str, FloatArray]:

@@ -28,6 +28,12 @@ Pose = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 Beyond = Callable[[FloatArray, FloatArray], FloatArray]
 """Rays behind the optics: origins (n, 3), unit directions (n, 3) -> origins of the same directions farther out."""
 
+Pupil = Callable[[FloatArray, FloatArray], FloatArray]
+"""Places of the pupil (n, 3) that were believed, unit directions of gaze (n, 3) -> places that are true."""
+
+Late = Callable[[FloatArray], FloatArray]
+"""Heights on the panel (n,), 0 at its first row and 1 at its last -> seconds by which they are seen late."""
+
 
 @dataclass(frozen=True, eq=False)
 class World:
@@ -42,6 +48,8 @@ class World:
         print: what is wrong with the targets' dots, in turn.
         pose: what the tracking camera gets wrong, in turn.
         beyond: elements between the optics and the world, from the eye outwards.
+        pupil: what eye tracking gets wrong, in turn.
+        late: delays of the picture, which add up.
     """
 
     device: OwnDevice
@@ -52,3 +60,5 @@ class World:
     print: tuple[Print, ...] = ()
     pose: tuple[Pose, ...] = ()
     beyond: tuple[Beyond, ...] = ()
+    pupil: tuple[Pupil, ...] = ()
+    late: tuple[Late, ...] = ()

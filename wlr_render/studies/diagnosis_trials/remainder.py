@@ -1,0 +1,44 @@
+"""What remains of a hidden effect once another single cause has imitated it as well as it can."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.extension import Extension, Predictor
+from wlr_render.diagnosis.fit import Fit, fit
+from wlr_render.diagnosis.hypotheses import best_fit, hypotheses, prospect
+
+_RIVALS = 6
+_WORTH_A_FIT = 0.3  # of what the truth gains: who promises less leaves far more than the truth does
+
+
+def remainder(said: Diagnosis, hidden: Sequence[str], name: str) -> float:
+    """Chi-squared that the best other cause in the place of a hidden one leaves above the truth; 25 are 5 sigma.
+
+    All causes are fitted to the readings that the diagnosis used; no cause at all is a rival too. What the diagnosis
+    found does not matter.
+
+    Args:
+        said: the diagnosis.
+        hidden: all causes that are at work.
+        name: which of them is to be imitated, the others being at work.
+    """
+    predictor = Predictor(said.observations)
+    rest = fit(predictor, Extension(), said.used)
+    for other in hidden:
+        if other != name:
+            rest = min(_fitted(predictor, rest, [other], 1), key=lambda each: each.chi_squared)
+    truth = min(each.chi_squared for each in _fitted(predictor, rest, [name], _RIVALS))
+    promising = _WORTH_A_FIT * (rest.chi_squared - truth)
+    rivals = _fitted(predictor, rest, set(CAUSES) - set(hidden), _RIVALS, promising)
+    return float(min([rest.chi_squared, *(each.chi_squared for each in rivals)]) - truth)
+
+
+def _fitted(predictor: Predictor, rest: Fit, names: Iterable[str], most: int, least_gain: float = -np.inf) -> list[Fit]:
+    """One more cause on top of the rest, in the most promising ways; none that promises less than `least_gain`."""
+    causes = {name: CAUSES[name] for name in names}
+    prospects = [found for each in hypotheses(causes) if (found := prospect(predictor, rest, each)) is not None]
+    chosen = sorted((p for p in prospects if p.gain > least_gain), key=lambda p: -p.gain)[:most]
+    return [best_fit(predictor, rest, each) for each in chosen] or [rest]
