@@ -1,0 +1,122 @@
+"""Captures that moved are found by name and amount, and nothing else is taken for one."""
+
+import numpy as np
+import pytest
+from small_session import SIGMA_PX, extension, hypothesis, measured
+
+from wlr_render.diagnosis.extension import Extension, Predictor
+from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName
+from wlr_render.diagnosis.outliers import kept, moved_captures
+from wlr_render.simulation.simulate_session import simulate
+
+NEAR, FAR = CaptureName(SEE_THROUGH, 0, 3), CaptureName(SEE_THROUGH, 1, 5)
+
+
+def with_moved(observations, bench, captures, shift_mm, turn_deg=(0.0, 0.0, 0.0)):
+    """Add to the readings of some captures what a camera that stands elsewhere would read differently."""
+    plan, read = observations.session.plan, observations.session.readings
+    moved = extension(camera_pupil_offset=shift_mm, camera_rotation=turn_deg).bench(bench)
+    here, there = simulate(bench, plan), simulate(moved, plan)
+    mine = np.isin(observations.group, [observations.captures.index(name) for name in captures])
+    shown, seen = mine[observations.part == DISPLAY], mine[observations.part == SEE_THROUGH]
+    read.panel_pixel[shown] += (there.panel_pixel - here.panel_pixel)[shown]
+    read.dot_pixel[seen] += (there.dot_pixel - here.dot_pixel)[seen]
+    return observations
+
+
+def found_in(observations, start=Extension(), aside=None):  # noqa: B008
+    predictor = Predictor(observations)
+    good = np.ones(len(observations), dtype=bool)
+    return moved_captures(predictor, fit(predictor, start, good if aside is None else ~aside), good)
+
+
+@pytest.mark.parametrize("shift_mm", [(0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)])
+def test_a_photograph_of_the_panel_half_a_millimetre_off_is_found_with_its_shift(bench, plan, shift_mm):
+    name = CaptureName(DISPLAY, -1, 6)
+    (found,) = found_in(with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [name], shift_mm))
+    assert found.capture == name
+    np.testing.assert_allclose(found.shift_mm, shift_mm, atol=0.05)
+    np.testing.assert_allclose(found.turn_deg, 0.0, atol=0.02)
+    assert found.rms_before > 3
+    assert found.rms_after == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_turn_is_told_from_a_shift(bench, plan):
+    name = CaptureName(DISPLAY, -1, 9)
+    turn = (0.2, -0.1, 0.3)
+    (found,) = found_in(with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [name], (0, 0, 0), turn))
+    assert found.capture == name
+    np.testing.assert_allclose(found.turn_deg, turn, atol=0.03)
+    np.testing.assert_allclose(found.shift_mm, 0.0, atol=0.05)
+
+
+@pytest.mark.parametrize("name", [NEAR, FAR])
+def test_a_photograph_of_a_target_is_found(bench, plan, name):
+    """How far it moved, one plane of dots does not tell well: a shift looks like a turn."""
+    moved = with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [name], (0.5, 0.3, 0.0))
+    (found,) = found_in(moved)
+    assert found.capture == name
+    assert found.rms_before > 3
+    assert found.rms_after == pytest.approx(1.0, abs=0.15)
+
+
+def test_two_that_moved_are_found_on_top_of_a_cause(bench, plan):
+    """The cause is fitted to all captures, then to those that are left: then none but the two stand out."""
+    observations = measured(bench, plan, SIGMA_PX, seed=3, combiner_tilt=[0.5, -0.5, 0.5])
+    names = [CaptureName(DISPLAY, -1, 2), NEAR]
+    with_moved(observations, bench, names, (0.7, 0.0, 0.0))
+    predictor, good = Predictor(observations), np.ones(len(observations), dtype=bool)
+    first = moved_captures(predictor, fit(predictor, extension(combiner_tilt=[0, 0, 0]), good), good)
+    left = kept(predictor, first)
+    again = fit(predictor, extension(combiner_tilt=[0, 0, 0]), left)
+    assert {each.capture for each in moved_captures(predictor, again, good)} == set(names)
+    np.testing.assert_allclose(again.extension.vector(), [0.5, -0.5, 0.5], atol=0.01)
+
+
+def test_readings_of_outliers_are_not_kept(bench, plan):
+    observations = with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [NEAR], (0.5, 0.0, 0.0))
+    predictor = Predictor(observations)
+    aside = ~kept(predictor, found_in(observations))
+    np.testing.assert_array_equal(aside, observations.group == observations.captures.index(NEAR))
+    assert kept(predictor, []).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_moved_in_a_clean_session(bench, plan, seed):
+    assert found_in(measured(bench, plan, SIGMA_PX, seed=seed)) == []
+
+
+def test_a_cause_that_moves_every_photograph_sets_none_aside(bench, plan):
+    for causes in ({"camera_rotation": [0.3, 0.3, 0.3]}, {"stage_scale": [1.0, 1.0, 1.0]}):
+        assert found_in(measured(bench, plan, SIGMA_PX, **causes)) == []
+
+
+def test_more_than_a_tenth_are_no_outliers(bench, plan):
+    names = [CaptureName(DISPLAY, -1, number) for number in range(6)]
+    assert found_in(with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, names, (0.5, 0.0, 0.0))) == []
+
+
+def test_recordings_at_run_time_have_no_camera_to_move(bench, run_time):
+    observations = measured(bench, run_time, SIGMA_PX)
+    observations.session.readings.seen[observations.group == 2] += [0.01, 0.0, 0.0, 0.0]
+    assert found_in(observations) == []
+
+
+def test_strays_do_not_move_their_capture(bench, plan):
+    observations = measured(bench, plan, SIGMA_PX, seed=2)
+    observations.session.readings.panel_pixel[:4] += 60.0
+    predictor, all_of = Predictor(observations), np.ones(len(observations), dtype=bool)
+    good = np.arange(len(observations)) >= 4
+    assert moved_captures(predictor, fit(predictor, Extension(), good), good) == []
+    assert len(moved_captures(predictor, fit(predictor, Extension(), all_of), all_of)) == 1
+
+
+def test_the_fit_keeps_its_own_camera_causes(bench, plan):
+    """Where the camera's offset is fitted already, what a single capture has beyond it is told."""
+    observations = measured(bench, plan, SIGMA_PX, seed=2, camera_pupil_offset=[1.0, -1.0, 0.5])
+    name = CaptureName(DISPLAY, -1, 6)
+    with_moved(observations, bench, [name], (0.5, 0.0, 0.0))
+    (found,) = found_in(observations, Extension().plus(hypothesis("camera_pupil_offset")))
+    assert found.capture == name
+    np.testing.assert_allclose(found.shift_mm, [0.5, 0.0, 0.0], atol=0.1)
