@@ -14,12 +14,14 @@ from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
+_SPREADS = 4.0  # standard deviations above its mean up to which the square of a change may be noise
+
 
 def unsteadiness(observations: Observations, found: Fit) -> FloatArray:
     """For each cause of a fit, the largest change of its effect between two halves of the readings, over the effect.
 
     The halves are near and far from the image's centre, left and right, top and bottom, of the stage's x and y, and
-    early and late. What noise alone would change is taken off. 0 is steady; near 1 and above there is no such cause.
+    early and late. What noise alone may change is taken off. 0 is steady; near 1 and above there is no such cause.
     """
     owners = np.repeat(np.arange(len(found.extension.values)), [len(v) for v in found.extension.values])
     owners = owners[found.at.free]
@@ -34,8 +36,9 @@ def unsteadiness(observations: Observations, found: Fit) -> FloatArray:
         for cause in range(len(worst)):
             mine = owners == cause
             weight = total[np.ix_(mine, mine)]
-            noise = float(np.trace(weight @ covariance[np.ix_(mine, mine)]))
-            moved = max(0.0, float(change[mine] @ weight @ change[mine]) - noise)
+            noise = weight @ covariance[np.ix_(mine, mine)]
+            usual = float(np.trace(noise) + _SPREADS * np.sqrt(2.0 * np.trace(noise @ noise)))
+            moved = max(0.0, float(change[mine] @ weight @ change[mine]) - usual)
             size = float(effect[mine] @ weight @ effect[mine])
             worst[cause] = max(worst[cause], float(np.sqrt(moved / size)) if size > 0 else 0.0)
     return worst
