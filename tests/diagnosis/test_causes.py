@@ -72,8 +72,8 @@ def sized(cause, share):
 def plans(bench, plan):
     """A thinned plan for causes on the bench, and one for causes at run time."""
     few = SessionPlan(
-        select_rows(plan.display, np.arange(0, len(plan.display), 5)),
-        select_rows(plan.see_through, np.arange(0, len(plan.see_through), 5)),
+        select_rows(plan.display, np.arange(0, len(plan.display), 9)),
+        select_rows(plan.see_through, np.arange(0, len(plan.see_through), 9)),
     )
     return {False: few, True: SessionPlan(run_time=run_time_plan(bench, 40))}
 
@@ -126,7 +126,7 @@ def test_a_cause_changes_its_own_part_of_the_bench_only(bench, cause, variant):
 
 
 @every_way
-def test_an_effect_is_proportional_to_a_small_cause_and_adds_to_itself(bench, read, cause, variant):
+def test_a_small_effect_is_proportional_adds_to_itself_and_is_undone(bench, read, cause, variant):
     at_rest = read(bench, cause)
     half, whole = sized(cause, 0.05), sized(cause, 0.1)
     once = cause.perturb(bench, half, variant)
@@ -135,16 +135,11 @@ def test_an_effect_is_proportional_to_a_small_cause_and_adds_to_itself(bench, re
     assert size > 1e-3
     np.testing.assert_allclose(2 * (read(once, cause) - at_rest), effect, atol=0.01 * size)
     np.testing.assert_allclose(read(cause.perturb(once, half, variant), cause) - at_rest, effect, atol=1e-3 * size)
-
-
-@every_way
-def test_opposite_values_undo_a_small_cause(bench, read, cause, variant):
-    there = cause.perturb(bench, sized(cause, 0.05), variant)
-    effect = np.abs(read(there, cause) - read(bench, cause)).max()
-    back = cause.perturb(there, sized(cause, -0.05), variant)
+    back = cause.perturb(once, sized(cause, -0.05), variant)
     # A plate of negative thickness undoes another one near the axis only.
-    tolerance = 0.2 if cause.name == "see_through_plate" else 2e-3
-    np.testing.assert_allclose(read(back, cause), read(bench, cause), atol=tolerance * effect)
+    np.testing.assert_allclose(
+        read(back, cause), at_rest, atol=(0.1 if cause.name == "see_through_plate" else 1e-3) * size
+    )
 
 
 @every_device_way

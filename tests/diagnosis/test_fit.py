@@ -56,9 +56,9 @@ def test_three_causes_at_once_come_back(bench, plan):
     np.testing.assert_allclose(found.extension.vector(), true.vector(), atol=1e-6)
 
 
-@pytest.mark.parametrize("names", [("combiner_tilt",), ("camera_pupil_offset", "target_scale"), ("thermal_drift",)])
-def test_error_bars_are_honest(bench, plan, names):
+def test_error_bars_are_honest(bench, plan):
     """Over draws of the noise, (estimate - truth) weighted by the stated covariance is chi-squared distributed."""
+    names = ("combiner_tilt", "target_scale", "thermal_drift")
     truth = extension(**{name: injected(CAUSES[name]) for name in names})
     exact = measured(bench, plan, **dict(zip(truth.names, truth.values, strict=True)))
     exact = exact.of_rows(exact.spread(240))
