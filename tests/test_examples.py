@@ -12,6 +12,7 @@ WORDS_AND_FILES = {
     "02_calibrate": ("against the truth, anywhere in the eye box: 0.0", {"birdbath28.model.json"}),
     "03_render_a_frame": ("pixels are disoccluded", {"raster.png", "raytrace.png", "warp.tiff"}),
     "04_moving_wearer": ("4 frames in frames; again: 4 kept", {"head.tum", "eyes.txt", "frames"}),
+    "05_diagnose": ("Explained: printed size of the target", {"session", "diagnosis.html", "extended"}),
 }
 
 

@@ -102,7 +102,7 @@ def test_tables_tell_the_numbers_of_the_record(diagnosis):
     assert "5.25 80.9 +- 1.2" in cause
     assert told["Look-alikes"] == [f"target_scale {fake.RIVAL} 0.9876 {fake.SEPARATED_BY}"]
     assert told["Captures that moved"] == ["display capture 3 +0.410 -0.720 +0.130 +0.050 +0.260 -0.070 9.5 1.02"]
-    assert told["What is left in the display part, 2.37 times the noise"][0] == "panel pixels 9 31.4 +- 2.2 8.6"
+    assert told["What is left in the display part, 2.37 times the noise"][0] == "panel pixels smooth 9 31.4 +- 2.2 8.6"
     assert f"1: target_scale {fake.RIVAL} as a whole 3.21 1.5" in told["Ranking"]
     assert told["Noise"][0] == "display 0.05 0.0931 - 0.0931 no"
 
