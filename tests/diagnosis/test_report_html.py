@@ -158,7 +158,7 @@ def test_a_run_time_session_is_drawn(diagnosis):
     page = report_html(found)
     assert "latency" in page
     # There are no captures to calibrate by.
-    assert "diagnose ran --bench" in page
+    assert "diagnose extended --out again" in page
     assert "calibrate" not in page
 
 
