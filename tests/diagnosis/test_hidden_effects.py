@@ -1,0 +1,114 @@
+"""Effects hidden by code that shares nothing with the causes: the diagnosis finds them, or says that it does not."""
+
+import numpy as np
+import pytest
+
+from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, UNEXPLAINED
+from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.studies.diagnosis_trials.trial import observed
+from wlr_render.studies.diagnosis_trials.truths import truth_of
+from wlr_render.studies.hidden_effects.captures import Plan
+from wlr_render.studies.hidden_effects.effects import OUTLIER, Effect
+from wlr_render.studies.hidden_effects.run_time import RunTimePlan
+
+
+def small(device, channels=(1,)):
+    return Plan(device, grid=(9, 7), dots=(8, 5), nodes=4, off_plane=12, channels=channels)
+
+
+def diagnosed(plan, *effects, seed=1):
+    return diagnose(*observed(plan, effects, np.random.default_rng(seed)))
+
+
+def names(said):
+    return {cause.name for cause in said.causes}
+
+
+def check_explained(said, plan, *effects):
+    """Exactly the hidden effects, down to the noise, with values whose error bars hold the truth."""
+    assert names(said) == {effect.name for effect in effects}
+    assert said.verdict == EXPLAINED
+    assert said.after.over_noise == pytest.approx(1.0, abs=0.04)
+    for cause in said.causes:
+        (effect,) = (each for each in effects if each.name == cause.name)
+        truth = truth_of(effect, plan)
+        assert truth
+        for parameter in cause.parameters:
+            if parameter.name in truth:
+                assert abs(parameter.value - truth[parameter.name]) < 4.0 * parameter.sigma
+
+
+@pytest.mark.parametrize(
+    ("device", "effect"),
+    [
+        ("northstar", Effect("panel_shift", {"x_mm": 0.1, "y_mm": -0.07})),
+        ("northstar", Effect("target_bow", {"bow_mm": -2.0, "second_ratio": 0.4})),
+        ("freeform40", Effect("combiner_shift", {"x_mm": 0.02, "y_mm": 0.03, "z_mm": -0.03})),
+        ("freeform40", Effect("stage_tilt", {"x_deg": 0.6, "y_deg": -0.5, "z_deg": 0.7})),
+        ("birdbath28", Effect("headset_slip", {"x_mm": 0.3, "y_mm": -0.2, "z_mm": 0.3, "start_s": 650.0})),
+        ("birdbath28", Effect("tracking_rotation", {"x_deg": 0.05, "y_deg": 0.1, "z_deg": -0.1})),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_one_cause_is_found_with_its_size_and_sign(device, effect):
+    plan = small(device)
+    check_explained(diagnosed(plan, effect), plan, effect)
+
+
+def test_two_causes_are_found_at_once():
+    plan = small("freeform40")
+    effects = [
+        Effect("panel_scale", {"scale_percent": 0.3}),
+        Effect("tracking_translation", {"x_mm": 0.8, "y_mm": -0.6, "z_mm": 1.0}),
+    ]
+    check_explained(diagnosed(plan, *effects), plan, *effects)
+
+
+@pytest.mark.parametrize("device", ["northstar", "freeform40"])
+def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found(device):
+    said = diagnosed(small(device))
+    assert (said.verdict, said.causes, said.outliers) == (NO_EFFECT, (), ())
+    limit = {(each.cause, each.parameter): each.smallest for each in said.limits}
+    # The sizes that the effects above have are far beyond these.
+    assert 0.0 < limit["panel_shift", "shift_u"] < 0.1
+    assert 0.0 < limit["tracking_translation", "shift_x"] < 0.8
+
+
+@pytest.mark.parametrize(
+    ("effect", "part"),
+    [
+        (Effect("panel_bow", {"corner_mm": 0.4}), "display"),
+        (
+            Effect("target_wrinkle", {"height_mm": 8.0, "x_ratio": 0.2, "y_ratio": -0.1, "width_ratio": 0.3}),
+            "see-through",
+        ),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_what_no_cause_stands_for_is_unexplained_and_is_placed(effect, part):
+    said = diagnosed(small("northstar"), effect)
+    assert (said.verdict, names(said)) == (UNEXPLAINED, set())
+    assert said.unexplained is not None
+    assert said.unexplained.part == part
+    assert said.unexplained.rms_over_noise > 1.2
+
+
+def test_a_capture_that_moved_is_set_aside_by_name_and_hides_no_cause():
+    plan, cause = small("northstar"), Effect("camera_focal_length", {"focal_percent": 0.2})
+    pose = {"x_mm": 0.5, "y_mm": -0.4, "z_mm": 0.3, "x_deg": 0.1, "y_deg": -0.1, "z_deg": 0.2}
+    said = diagnosed(plan, cause, Effect(OUTLIER, {"target_pose": 1, "capture": 6, **pose}))
+    assert [str(each.capture) for each in said.outliers] == ["see-through capture 6 of target pose 1"]
+    check_explained(said, plan, cause)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Effect("rolling_scanout", {"duration_ms": 6.0}),
+        Effect("eye_position_bias", {"x_mm": 0.3, "y_mm": -0.4, "z_mm": 0.5}),
+    ],
+    ids=lambda effect: effect.name,
+)
+def test_a_cause_that_shows_while_the_glasses_run_is_found(effect):
+    plan = RunTimePlan("northstar", recordings=8, moments=30, sigma_px=0.2)
+    check_explained(diagnosed(plan, effect), plan, effect)
