@@ -9,8 +9,10 @@ from small_session import run_time_plan
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan, select_rows
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.optics.device import Path
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
+from wlr_render.optics.tracer import trace
 from wlr_render.simulation.simulate_session import simulate
 
 NAMES = {
@@ -160,6 +162,21 @@ def test_only_what_a_device_cause_names_is_moved(bench, cause, variant):
         rigid_moves = [moved[s.name] @ s.surface_from_device for s in old.surfaces()]
         assert len(rigid_moves) == 2
         np.testing.assert_allclose(rigid_moves[0], rigid_moves[1], atol=1e-15)
+
+
+@pytest.mark.parametrize("device", ["northstar", "birdbath28", "plane_plate"])
+@pytest.mark.parametrize("variant", CAUSES["substrate_thickness"].variants)
+def test_a_thicker_combiner_has_a_longer_way_through_it(bench, device, variant):
+    def way(of):
+        start, ahead = of.optics.eye_box.centre, np.array([0.0, -0.1, -1.0]) / np.sqrt(1.01)
+        steps = of.optics.see_through.steps
+        near, far = (trace(Path(met), start, ahead, 0.55).origin for met in (steps[:1], steps))
+        return np.linalg.norm(far - near)
+
+    loaded = replace(bench, device=load_device(device))
+    thicker = way(CAUSES["substrate_thickness"].perturb(loaded, np.array([0.1]), variant)) - way(loaded)
+    # Less along the axis of Project North Star's ellipsoid, which lies 53 degrees off the face's normal.
+    assert 0.5e-4 < thicker < 3e-4
 
 
 @pytest.mark.parametrize("name", sorted(IN_SEE_THROUGH_ONLY))

@@ -80,8 +80,8 @@ def test_the_prediction_from_any_neighbour_is_the_plain_one(bench, plan, predict
 
 def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
     predictor = Predictor(measured(bench, run_time))
-    state = None
-    for step in (extension(latency=[5.0]), extension(combiner_tilt=[0.3, 0.0, 0.0], latency=[5.0]), extension()):
+    state, tilted = None, extension(combiner_tilt=[0.3, 0.0, 0.0])
+    for step in (tilted, extension(latency=[5.0]), tilted.plus(hypothesis("latency"), np.array([5.0])), extension()):
         state = predictor.state(step, state)
         np.testing.assert_allclose(state.readings.seen, simulate(step.bench(bench), run_time).seen, atol=1e-11)
 

@@ -93,7 +93,7 @@ def combiner_thickened(bench: Bench, by: float, face: Literal["inner", "outer"],
     if len(steps) < 2:
         return bench
     chosen = steps[0 if face == "inner" else -1].surface
-    offset = _outward(bench, chosen) * (-by if face == "inner" else by)
+    offset = _outward(bench, chosen, along_axis) * (-by if face == "inner" else by)
 
     def thickened(surface: PlacedSurface) -> PlacedSurface:
         if surface.name != chosen.name or offset == 0.0:
@@ -109,13 +109,14 @@ def combiner_thickened(bench: Bench, by: float, face: Literal["inner", "outer"],
     return with_optics(bench, bench.optics.with_surfaces(thickened))
 
 
-def _outward(bench: Bench, surface: PlacedSurface) -> float:
-    """+1 if the surface's normal looks into the world where the eye looks through it, -1 if it looks at the eye."""
+def _outward(bench: Bench, surface: PlacedSurface, along_axis: bool) -> float:
+    """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1."""
     middle = combiner_middle(bench)
     pose = surface.surface_from_device
     local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
-    normal = surface.device_from_surface[:3, :3] @ surface.shape.normal(local)[:, 0]
-    return float(np.sign(normal @ _FORWARD)) or 1.0
+    normal = surface.shape.normal(local)[:, 0]
+    ahead = surface.device_from_surface[:3, :3] @ normal @ _FORWARD
+    return float(np.sign(ahead * normal[2] if along_axis else ahead)) or 1.0
 
 
 def plate_added(
