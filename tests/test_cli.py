@@ -15,6 +15,7 @@ from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import resource
 from wlr_render.rendering import gl
 from wlr_render.studies import alignment_demo, bench, render_sequence, sampling_study, trace_device
+from wlr_render.studies.diagnosis_trials import study
 
 VERBS = (
     "demo",
@@ -362,6 +363,14 @@ def test_bench_and_evaluate_options_reach_their_jobs(monkeypatch, capsys):
     assert (given[1].devices, given[1].experiments) == (("northstar", "freeform40"), ("position",))
     assert (given[1].seed, given[1].workers, given[1].repeats) == (8, 1, sampling_study.FULL.repeats)
     assert capsys.readouterr().out.count("A title") == 2
+
+
+def test_the_judge_of_the_diagnosis_is_a_bench_too(monkeypatch, capsys):
+    given = []
+    monkeypatch.setattr(study, "run", lambda options, progress: given.append(options) or [TABLE])
+    assert main(["bench", "diagnosis", "--trials", "3", "--seed", "4", "--workers", "1", "--out", "there"]) == 0
+    assert given == [study.Options(3, 4, 1, Path("there"))]
+    assert "A title" in capsys.readouterr().out
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
