@@ -4,10 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.fit import Fit
 
 FloatArray = NDArray[np.float64]
 
+_SANE = 20.0  # times the plausible size: beyond it another explanation is wanted
 _WHOLE_CHOICES = 5  # multiples of a whole step that are as likely as each other
 
 
@@ -61,9 +63,13 @@ def _whole_steps(found: Fit) -> tuple[NDArray[np.bool_], float]:
 
 
 def physical(found: Fit) -> bool:
-    """Whether all values are above the lowest that are physical, to three standard errors."""
-    lowest = np.array([parameter.lowest for parameter in found.extension.parameters()])
-    return bool(np.all(found.extension.vector() >= lowest - 3.0 * found.sigmas()))
+    """Whether all values can be: above the lowest that are physical, to three standard errors, and of a sane size."""
+    parameters, values = found.extension.parameters(), found.extension.vector()
+    lowest = np.array([parameter.lowest for parameter in parameters])
+    sizes = np.array([parameter.role is Role.SIZE for parameter in parameters])
+    plausible = np.array([parameter.plausible for parameter in parameters])
+    sane = np.abs(values[sizes]) <= _SANE * plausible[sizes]
+    return bool(np.all(values >= lowest - 3.0 * found.sigmas()) and np.all(sane))
 
 
 def chance(gain: float, parameters: int, tries: int) -> float:

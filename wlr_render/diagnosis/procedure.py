@@ -30,7 +30,7 @@ from wlr_render.diagnosis.found import found_cause
 from wlr_render.diagnosis.hypotheses import hypotheses
 from wlr_render.diagnosis.limits import detection_limits
 from wlr_render.diagnosis.noise import noise_floors, sigma_of, stray_readings
-from wlr_render.diagnosis.observations import PART_NAMES, Observations, observe
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations, observe
 from wlr_render.diagnosis.outliers import MovedCapture, kept, moved_captures
 from wlr_render.diagnosis.search import Progress, Round, Search, Selection
 from wlr_render.diagnosis.steadiness import unsteadiness
@@ -46,6 +46,7 @@ _UNSTEADY = 0.35
 _NOT_NOISE = 1.1  # misfit of a part above which what is left is more than noise
 _STRUCTURED = 1.0  # percent that a correction must gain on held-out captures, to count as structure
 _SIGNIFICANT = 4.0  # standard errors, likewise
+_UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,8 @@ def _unexplained(observations: Observations, found: Fit, used: BoolArray) -> Une
         gain = tried[0].gain if tried else None
         structured = gain is not None and gain.percent > _STRUCTURED and gain.significance > _SIGNIFICANT
         if structured or rms**2 > _NOT_NOISE:
-            bound_to = tried[0].bound_to if structured else "captures"
+            # What nothing smooth carries from one capture to the next comes and goes with where the camera stood.
+            bound_to = tried[0].bound_to if structured else _UNPREDICTED[int(part)]
             left.append(Unexplained(PART_NAMES[part], bound_to, rms, tuple(tried)))
     return max(left, key=lambda each: each.rms_over_noise, default=None)
 

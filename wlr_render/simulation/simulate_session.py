@@ -17,6 +17,8 @@ from wlr_render.simulation.simulate_run_time import run_time_readings
 
 FloatArray = NDArray[np.float64]
 
+_QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what is not seen is NaN, and is said to be
+
 
 @dataclass(frozen=True, eq=False)
 class Sights:
@@ -36,8 +38,11 @@ class Sights:
     @cached_property
     def tangents(self) -> FloatArray:
         """(n, 2), device frame; NaN where a dot is not seen."""
-        scene = _scene(self.bench, self.plan)
-        return scene.solved() if self.near is None else scene.followed(self.near.tangents, self.near.tangents_from_miss)
+        scene, near = _scene(self.bench, self.plan), self.near
+        tangents = scene.solved() if near is None else scene.followed(near.tangents, near.tangents_from_miss)
+        # A chain of neighbours would otherwise keep all of them.
+        object.__setattr__(self, "near", None)
+        return tangents
 
     @cached_property
     def tangents_from_miss(self) -> FloatArray:
@@ -45,6 +50,7 @@ class Sights:
         return _scene(self.bench, self.plan).tangents_from_miss(self.tangents)
 
 
+@_QUIET
 def simulate(bench: Bench, plan: SessionPlan, sights: Sights | None = None) -> Readings:
     """Predict every reading of a session.
 
@@ -62,6 +68,7 @@ def simulate(bench: Bench, plan: SessionPlan, sights: Sights | None = None) -> R
     return _with_dots(bench, plan, dots)
 
 
+@_QUIET
 def simulate_near(bench: Bench, plan: SessionPlan, sights: Sights | None) -> Readings:
     """As `simulate`, right to first order in the change from a neighbouring bench, whose sights these are."""
     dots = None
