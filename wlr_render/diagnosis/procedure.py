@@ -29,7 +29,7 @@ from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.found import found_cause
 from wlr_render.diagnosis.hypotheses import hypotheses
 from wlr_render.diagnosis.limits import detection_limits
-from wlr_render.diagnosis.noise import noise_floors, sigma_of, stray_readings
+from wlr_render.diagnosis.noise import NoiseFloor, noise_floors, sigma_of, stray_readings
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations, observe
 from wlr_render.diagnosis.outliers import MovedCapture, kept, moved_captures
 from wlr_render.diagnosis.search import Progress, Round, Search, Selection
@@ -40,6 +40,7 @@ BoolArray = NDArray[np.bool_]
 
 _MOST_CAUSES = 5
 _OUTLIER_ROUNDS = 3
+_SAME_NOISE = 0.02  # relative; noise that differs by less needs no second selection
 _CONTESTS = 3  # times that a rival may take a place before the contest ends
 _THIN = 6000  # readings for the first comparison of candidates
 _UNSTEADY = 0.35
@@ -78,13 +79,9 @@ def diagnose(
     """
     options = options or Options(CAUSES)
     progress("predicting the session with the nominal bench")
-    observations = observe(nominal, session)
-    residual = Predictor(observations).residual(Extension())
-    floors = noise_floors(observations, residual)
-    observations = observations.with_sigma(sigma_of(floors, observations.sigma_px))
-    residual = Predictor(observations).residual(Extension())
-    strays = stray_readings(observations, residual)
-    search, selection, outliers = _selected(observations, ~strays, options, progress)
+    as_stated = observe(nominal, session)
+    measured = _measured(as_stated, options, progress)
+    observations, search, selection = measured.observations, measured.search, measured.selection
     found, rounds = _contested(search, selection.fit, selection.first)
     progress("looking for structure in what is left")
     left = _unexplained(observations, found, search.used)
@@ -98,25 +95,61 @@ def diagnose(
     causes = tuple(found_cause(search, found, number, contest) for number, contest in enumerate(rounds))
     after = search.full.residual(found.extension)
     reasons = [*dropped, selection.reason]
-    if strays.any():
-        reasons.insert(0, f"{int(strays.sum())} single readings lie far from their neighbours and were left out")
+    if measured.strays:
+        reasons.insert(0, f"{measured.strays} single readings lie far from their neighbours and were left out")
+    before = search.full.residual(Extension())
     return Diagnosis(
         verdict=_verdict(causes, left),
         causes=tuple(sorted(causes, key=lambda cause: -cause.effect_over_noise)),
-        outliers=tuple(outliers),
-        floors=floors,
+        outliers=tuple(measured.outliers),
+        floors=measured.floors,
         noise=figures.of_noise(observations, search.used),
-        before=figures.of_residual(observations, residual, search.used),
+        before=figures.of_residual(observations, before, search.used),
         after=figures.of_residual(observations, after, search.used),
         unexplained=left,
         limits=() if causes or left else detection_limits(search.thin, search.thin_used, search.used, options.causes),
         reasons=tuple(reasons),
         observations=observations,
-        residual_before=residual,
+        residual_before=before,
         residual_after=after,
         used=search.used,
         extended=found.extension.bench(nominal),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """A selection, with the noise by which it was made."""
+
+    observations: Observations
+    floors: tuple[NoiseFloor, ...]
+    strays: int
+    search: Search
+    selection: Selection
+    outliers: list[MovedCapture]
+
+
+def _measured(as_stated: Observations, options: Options, progress: Progress) -> _Measured:
+    """Measure the noise and select causes; again, where what the causes leave shows another noise: it is smoother."""
+    predictor = Predictor(as_stated)
+    first = _by_noise_of(predictor, Extension(), options, progress)
+    left = predictor.residual(first.selection.fit.extension)
+    sigma = sigma_of(noise_floors(as_stated, left), as_stated.sigma_px)
+    if np.allclose(sigma, first.observations.sigma_px, rtol=_SAME_NOISE):
+        return first
+    progress("noise is smaller than it seemed: again")
+    return _by_noise_of(predictor, first.selection.fit.extension, options, progress)
+
+
+def _by_noise_of(as_stated: Predictor, extension: Extension, options: Options, progress: Progress) -> _Measured:
+    """Select causes by the noise that an extension leaves within the photographs."""
+    observations, residual = as_stated.observations, as_stated.residual(extension)
+    floors = noise_floors(observations, residual)
+    sigma = sigma_of(floors, observations.sigma_px)
+    strays = stray_readings(observations, residual * (observations.sigma_px / sigma)[observations.part][:, None])
+    measured = observations.with_sigma(sigma)
+    search, selection, outliers = _selected(measured, ~strays, options, progress)
+    return _Measured(measured, floors, int(strays.sum()), search, selection, outliers)
 
 
 def _selected(
@@ -160,7 +193,7 @@ def _contested(search: Search, found: Fit, first: Round) -> tuple[Fit, list[Roun
             candidate.fit
             for name, contest in zip(found.extension.names, rounds, strict=True)
             for candidate in contest.candidates[:1]
-            if candidate.fit.used is search.used and candidate.hypothesis.cause.name != name
+            if candidate.whole and candidate.hypothesis.cause.name != name
         ]
         best = min(rivals, key=evidence.cost, default=found)
         if evidence.cost(best) >= evidence.cost(found):

@@ -20,7 +20,8 @@ Progress = Callable[[str], None]
 
 _PROMISE = 0.3  # of the best prospect's gain: who promises less is not fitted
 _FITTED = 10  # prospects at most
-_SEEDS = 3
+_SEEDS = 2
+_SEED = 3.0  # times the best candidate's misfit, up to which a runner-up is worth starting from
 _CONTENDERS = 5
 _CLOSE = 40.0  # of the cost, scaled to the whole session: who is further behind is not fitted again
 _CHANCE = 1e-3
@@ -40,6 +41,7 @@ class Candidate:
         cost: see `evidence.cost`; lower is better.
         misfit: mean square residual over the noise's that it leaves.
         behind: by how much its cost for the whole session exceeds the best one's.
+        whole: whether all readings were fitted, and not only those that are screened.
     """
 
     hypothesis: Hypothesis
@@ -47,6 +49,7 @@ class Candidate:
     cost: float
     misfit: float
     behind: float = 0.0
+    whole: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +114,10 @@ class Search:
         first = self.round(fit(self.full, Extension(), self.used))
         best = self._grown(first, most)
         if len(best.fit.extension.hypotheses) > 2 or evidence.misfit(best.fit) > _AT_NOISE:
-            for seed in [c for c in first.candidates[1:] if c.fit.used is self.used][:_SEEDS]:
+            for seed in [c for c in first.candidates[1:] if c.misfit < _SEED * first.candidates[0].misfit][:_SEEDS]:
                 self.progress(f"again from {seed.hypothesis.cause.name}")
-                other = self._grown(self.round(seed.fit), most)
+                start = seed.fit if seed.whole else fit(self.full, seed.fit.extension, self.used)
+                other = self._grown(self.round(start), most)
                 if evidence.cost(other.fit) < evidence.cost(best.fit):
                     best = replace(other, first=first)
         return best
@@ -161,7 +165,7 @@ class Search:
         final = _ranked([fit(self.full, candidate.fit.extension, self.used) for candidate in close])
         names = {candidate.hypothesis.cause.name for candidate in final}
         rest = [c for c in _best_of_each(screened) if c.hypothesis.cause.name not in names]
-        return [replace(c, behind=c.cost - final[0].cost) for c in _best_of_each(final)] + [
+        return [replace(c, behind=c.cost - final[0].cost, whole=True) for c in _best_of_each(final)] + [
             replace(c, behind=share * (c.cost - screened[0].cost)) for c in rest
         ]
 
