@@ -174,6 +174,7 @@ class Diagnosis:
         residual_before, residual_after: (n, 2) units of sigma, of all readings, outliers too.
         used: (n,) readings that no outlier has.
         extended: the extended bench.
+        condition: of the correlations between all values found; 1 where each is known by itself.
     """
 
     verdict: str
@@ -191,3 +192,4 @@ class Diagnosis:
     residual_after: FloatArray
     used: NDArray[np.bool_]
     extended: Bench
+    condition: float = 1.0

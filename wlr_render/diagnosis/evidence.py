@@ -72,6 +72,12 @@ def physical(found: Fit) -> bool:
     return bool(np.all(values >= lowest - 3.0 * found.sigmas()) and np.all(sane))
 
 
+def condition(found: Fit) -> float:
+    """Condition number of the correlations between the fitted values: 1 where each is known by itself."""
+    sigma = np.sqrt(np.diag(found.covariance))
+    return float(np.linalg.cond(found.covariance / sigma / sigma[:, None])) if len(sigma) else 1.0
+
+
 def chance(gain: float, parameters: int, tries: int) -> float:
     """Probability that the best of `tries` causes of no effect gains so much chi-squared with so many parameters."""
     return float(min(1.0, tries * chdtrc(parameters, max(gain, 0.0))))

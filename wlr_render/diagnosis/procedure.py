@@ -114,6 +114,7 @@ def diagnose(
         residual_after=after,
         used=search.used,
         extended=found.extension.bench(nominal),
+        condition=evidence.condition(found),
     )
 
 

@@ -37,6 +37,7 @@ def _record(diagnosis: Diagnosis) -> dict[str, Any]:
         "advice": advice(diagnosis),
         "warnings": warnings(diagnosis),
         "causes": [_cause(cause) for cause in diagnosis.causes],
+        "condition": diagnosis.condition,
         "outliers": [moved.capture.capture for moved in diagnosis.outliers],
         "outlier_captures": [_outlier(moved) for moved in diagnosis.outliers],
         "before": _figures(diagnosis.before, diagnosis.noise),

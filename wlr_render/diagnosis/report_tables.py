@@ -100,7 +100,10 @@ def overlaps_table(diagnosis: Diagnosis) -> ReportTable:
         for overlap in cause.overlaps
     ]
     columns = ("cause", "looks like", "cosine", "what tells them apart")
-    note = "Cosine of the angle between the effect found and the best imitation of it by the other cause."
+    note = (
+        "Cosine of the angle between the effect found and the best imitation of it by the other cause. Condition of "
+        f"the correlations between all values found: {diagnosis.condition:.2g} (1: each is known by itself)."
+    )
     return ReportTable("Look-alikes", columns, rows, (note,))
 
 

@@ -27,6 +27,9 @@ _REMEDIES = {
 }
 """What to do about a cause, by the part of the bench that it belongs to."""
 
+_DEPENDENT = 1e4
+"""Condition of the values found from which the report warns."""
+
 FIGURES = (
     ("display", "display_rms_px", " px"),
     ("see-through", "see_through_rms_arcmin", "'"),
@@ -81,6 +84,11 @@ def warnings(diagnosis: Diagnosis) -> list[str]:
         if not noise.believable
     ]
     told += [_look_alikes(cause) for cause in diagnosis.causes if cause.overlaps]
+    if diagnosis.condition > _DEPENDENT:
+        told.append(
+            f"The values found depend on each other (condition {diagnosis.condition:.0g}): several sets of them fit "
+            "nearly as well, and each error bar holds with the others free."
+        )
     if diagnosis.outliers:
         told.append(f"Captures that moved were set aside ({len(diagnosis.outliers)}); no figure counts them.")
     return told
