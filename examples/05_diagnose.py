@@ -13,7 +13,7 @@ from wlr_render.studies.hidden_effects.captures import Plan
 from wlr_render.studies.hidden_effects.effects import draw_effect
 from wlr_render.studies.hidden_effects.session_writer import write_session
 
-# A session as a bench delivers it: bench.toml says what its makers believe; how the target was printed nobody told them.
+# A session as a bench delivers it: bench.toml says what its makers believe, and the target was not printed as they think.
 # A session of your own is such a folder too: docs/bench-session.md.
 rng = np.random.default_rng(5)
 secret = draw_effect("target_scale", rng)
@@ -22,7 +22,7 @@ write_session(Path("session"), Plan("northstar", grid=(12, 9), dots=(9, 6)), [se
 bench, session = load_session("session")
 found = diagnose(bench, session)
 print(verdict_sentence(found), *advice(found), sep="\n")
-print("hidden was:", secret.description)
+print("hidden was:", secret.name, secret.amount)
 
 write_text("diagnosis.html", report_html(found))
 save_session("extended", found.extended, found.observations.of_rows(found.used).session)

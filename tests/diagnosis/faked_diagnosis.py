@@ -135,7 +135,7 @@ def _cause(name, values, sigmas):
     cause = CAUSES[name]
     variant = next(iter(cause.variants))
     rows = zip(cause.parameters, values, sigmas, strict=True)
-    parameters = tuple(ParameterValue(p.name, float(v), float(s), p.unit) for p, v, s in rows)
+    parameters = tuple(ParameterValue(p.name, float(v), float(s), p.unit, p.plausible) for p, v, s in rows)
     rivals = (Rival(name, variant, 1.004, 0.0), Rival(RIVAL, "as a whole", 3.21, RIVAL_BEHIND))
     overlaps = (Overlap(RIVAL, 0.9876, SEPARATED_BY),)
     gain = HeldOutGain(80.87, 1.23, 14.5)

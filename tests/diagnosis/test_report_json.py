@@ -37,7 +37,12 @@ def test_the_record_has_the_keys_that_others_read(diagnosis):
     assert cause["overlaps_with"] == [fake.RIVAL]
     assert (cause["held_out_gain"], cause["gain_sigma"]) == (80.87, 1.23)
     found = diagnosis.causes[0].parameters[0]
-    assert cause["parameters"]["scale_x"] == {"value": found.value, "sigma": found.sigma, "unit": "%"}
+    assert cause["parameters"]["scale_x"] == {
+        "value": found.value,
+        "sigma": found.sigma,
+        "unit": "%",
+        "plausible": found.plausible,
+    }
     assert record["outliers"] == [3]
     (moved,) = record["outlier_captures"]
     assert (moved["part"], moved["target_pose"], moved["capture"]) == ("display", None, 3)
@@ -73,10 +78,13 @@ def test_nothing_is_null_and_limits_are_listed(diagnosis):
 
 
 def test_numbers_that_json_lacks_become_null_and_numpy_numbers_plain(diagnosis):
-    odd = (ParameterValue("scale_x", np.float64(np.inf), np.nan, "%"), ParameterValue("b", np.float32(0.5), 0.0, "1"))
+    odd = (
+        ParameterValue("a", np.float64(np.inf), np.nan, "%", 1.0),
+        ParameterValue("b", np.float32(0.5), 0.0, "1", 1.0),
+    )
     record = strict(report_json(replace(diagnosis, causes=(replace(diagnosis.causes[0], parameters=odd),))))
     parameters = record["causes"][0]["parameters"]
-    assert parameters["scale_x"] == {"value": None, "sigma": None, "unit": "%"}
+    assert parameters["a"] == {"value": None, "sigma": None, "unit": "%", "plausible": 1.0}
     assert parameters["b"]["value"] == 0.5
 
 

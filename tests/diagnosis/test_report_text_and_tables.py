@@ -56,7 +56,7 @@ def test_a_look_alike_is_warned_of_and_measured_against_only_where_the_session_d
     for each in (decided, doubtful):
         told = next(sentence for sentence in warnings(each) if fake.RIVAL in sentence)
         assert fake.SEPARATED_BY in told
-        assert ("the session decides" in told) == (each is decided)
+        assert ("The session decides" in told) == (each is decided)
     assert not any("Before acting" in sentence for sentence in advice(decided))
     assert f"tell it from {fake.RIVAL}" in advice(doubtful)[0]
     assert fake.SEPARATED_BY in advice(doubtful)[0]
@@ -80,7 +80,7 @@ def test_a_stated_noise_that_is_not_believable_and_moved_captures_are_warned_of(
     ],
 )
 def test_a_value_has_the_digits_of_its_error(value, sigma, unit, text):
-    assert value_text(ParameterValue("a", value, sigma, unit)) == text
+    assert value_text(ParameterValue("a", value, sigma, unit, 1.0)) == text
 
 
 def test_tables_tell_the_numbers_of_the_record(diagnosis):

@@ -138,7 +138,7 @@ def _add_bench(verbs: Verbs) -> None:
     parser.add_argument("what", nargs="?", choices=("speed", "diagnosis"), default="speed", help="what to measure")
     add_backend(parser.add_argument_group("speed"))
     diagnosis = parser.add_argument_group("diagnosis")
-    diagnosis.add_argument("--trials", type=count, default=20, help="for every cause; takes 4 minutes each")
+    diagnosis.add_argument("--trials", type=count, default=20, help="of every cause; one of each takes minutes")
     diagnosis.add_argument("--workers", type=count, help="processes; one per core if not given")
     add_seed(diagnosis)
 

@@ -59,6 +59,7 @@ class Cause:
         source: where the plausible sizes come from.
         separated_by: the extra measurement that tells it from its look-alikes.
         variants: ways in which it may act, by name; the first is the usual one.
+        remedy: what to do about it, where that is more than for any cause of its part; empty otherwise.
         whole_steps: its values are multiples of this in the parameters' unit, or it is something else; None for any.
     """
 
@@ -69,6 +70,7 @@ class Cause:
     source: str
     separated_by: str
     variants: Mapping[str, Perturb]
+    remedy: str = ""
     whole_steps: float | None = None
 
     def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:

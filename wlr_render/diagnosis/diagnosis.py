@@ -23,6 +23,7 @@ class ParameterValue:
     Attributes:
         name, unit: as the cause has them.
         value: in that unit.
+        plausible: standard deviation of what is met in practice, in that unit.
         sigma: one standard error; 0 for a moment, which is known to the gap between two captures.
     """
 
@@ -30,6 +31,7 @@ class ParameterValue:
     value: float
     sigma: float
     unit: str
+    plausible: float
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ class Rival:
     Attributes:
         name, variant: which cause, acting how.
         misfit: mean square residual over the noise's that it leaves; 1 is the noise floor.
-        cost_behind: by how much its cost (-2 log of the marginal likelihood) exceeds the best one's.
+        cost_behind: by how much its cost (-2 log of the marginal likelihood) exceeds the best one's; NaN where it
+            promised too little to be fitted.
     """
 
     name: str
@@ -75,6 +78,7 @@ class FoundCause:
         overlaps: causes that it could be mistaken for.
         rivals: the ranking for its place, best first, itself among them.
         effect_over_noise: rms change of the readings by it, in units of sigma.
+        remedy: what to do about it; empty where nothing but what its part asks for.
     """
 
     name: str
@@ -86,6 +90,7 @@ class FoundCause:
     overlaps: tuple[Overlap, ...]
     rivals: tuple[Rival, ...]
     effect_over_noise: float
+    remedy: str = ""
 
 
 @dataclass(frozen=True)

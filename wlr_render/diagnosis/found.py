@@ -31,7 +31,7 @@ def found_cause(search: Search, found: Fit, number: int, contest: Round) -> Foun
     sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
     values = found.extension.values[number]
     parameters = tuple(
-        ParameterValue(parameter.name, float(value), float(sigma), parameter.unit)
+        ParameterValue(parameter.name, float(value), float(sigma), parameter.unit, parameter.plausible)
         for parameter, value, sigma in zip(cause.parameters, values, sigmas, strict=True)
     )
     without = search.full.residual(found.extension.without(number))
@@ -46,6 +46,7 @@ def found_cause(search: Search, found: Fit, number: int, contest: Round) -> Foun
         _overlaps(contest, cause.name),
         _rivals(contest),
         float(np.sqrt(np.nanmean(change**2))),
+        cause.remedy,
     )
 
 
@@ -76,10 +77,8 @@ def _rivals(contest: Round) -> tuple[Rival, ...]:
     values = 2 * int(contest.screened.used.sum())
     for each in contest.prospects:
         name = each.hypothesis.cause.name
-        if name in named or not contest.candidates:
-            continue
-        named.add(name)
-        left = contest.screened.chi_squared - each.gain
-        behind = contest.share * (left - contest.candidates[0].misfit * values)
-        rivals.append(Rival(name, f"{each.hypothesis.variant}; not fitted, to first order", left / values, behind))
+        if name not in named:
+            named.add(name)
+            misfit = max(0.0, contest.screened.chi_squared - each.gain) / values
+            rivals.append(Rival(name, f"{each.hypothesis.variant}; not fitted, to first order", misfit, np.nan))
     return tuple(rivals[:_RIVALS])

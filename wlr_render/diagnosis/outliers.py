@@ -67,6 +67,8 @@ def moved_captures(predictor: Predictor, fit: Fit, good: NDArray[np.bool_]) -> l
         left = residual - jacobian @ pose
         gains[number] = (residual @ residual - left @ left) / poses.shape[-1]
         moves[number] = (pose, float(np.sqrt(np.mean(residual**2))), float(np.sqrt(np.mean(left**2))))
+    if not moves:
+        return []
     root = np.sqrt(gains)
     middle = np.nanmedian(root)
     # 1.48: a standard deviation by the median absolute deviation.

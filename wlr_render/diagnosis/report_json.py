@@ -4,7 +4,7 @@ import json
 import math
 from typing import Any
 
-from wlr_render.diagnosis.diagnosis import Diagnosis, Figures, FoundCause, Unexplained
+from wlr_render.diagnosis.diagnosis import Diagnosis, Figures, FoundCause, ParameterValue, Unexplained
 from wlr_render.diagnosis.gain import Gains, Rendered
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import PART_NAMES
@@ -52,13 +52,25 @@ def _record(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
+def _parameter(parameter: ParameterValue) -> dict[str, Any]:
+    return {
+        "value": parameter.value,
+        "sigma": parameter.sigma,
+        "unit": parameter.unit,
+        "plausible": parameter.plausible,
+    }
+
+
 def _cause(cause: FoundCause) -> dict[str, Any]:
     return {
         "name": cause.name,
         "title": cause.title,
         "part": cause.part,
         "variant": cause.variant,
-        "parameters": {p.name: {"value": p.value, "sigma": p.sigma, "unit": p.unit} for p in cause.parameters},
+        "parameters": {
+            p.name: {"value": p.value, "sigma": p.sigma, "unit": p.unit, "plausible": p.plausible}
+            for p in cause.parameters
+        },
         "held_out_gain": cause.gain.percent,
         "gain_sigma": cause.gain.sigma,
         "gain_significance": cause.gain.significance,

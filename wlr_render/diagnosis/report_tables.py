@@ -87,9 +87,11 @@ def parameters_table(diagnosis: Diagnosis) -> ReportTable:
         for parameter in cause.parameters:
             value, sigma = value_and_sigma(parameter)
             ratio = abs(parameter.value) / parameter.sigma if parameter.sigma > 0 else None
-            rows.append([cause.name, parameter.name, value, sigma, parameter.unit, ratio, cause.variant])
-    columns = ("cause", "parameter", "value", "one sigma", "unit", "value / sigma", "acting")
-    return ReportTable("Parameters", columns, rows)
+            plausible = parameter.plausible
+            rows.append([cause.name, parameter.name, value, sigma, parameter.unit, ratio, plausible, cause.variant])
+    columns = ("cause", "parameter", "value", "one sigma", "unit", "value / sigma", "usual size", "acting")
+    note = "Usual size: standard deviation of what is met in practice; a value many times that asks for a second look."
+    return ReportTable("Parameters", columns, rows, (note,))
 
 
 def overlaps_table(diagnosis: Diagnosis) -> ReportTable:

@@ -21,7 +21,7 @@ _REMEDIES = {
     "stage": "have the stage adjusted, or go on with the extended bench, which corrects its readings",
     "target": "enter the target's true form in bench.toml, or print it anew",
     "tracking": "correct the tracking camera's pose, or go on with the extended bench's",
-    "mount": "fasten the headset and let it warm up before the next session; the extended bench corrects this one",
+    "mount": "see to the mount before the next session; the extended bench corrects this one",
     "eye tracking": "calibrate the eye tracking again, or give it the extended bench's correction",
     "clock": "draw each frame for the later moment at which it is seen",
 }
@@ -29,6 +29,12 @@ _REMEDIES = {
 
 _DEPENDENT = 1e4
 """Condition of the values found from which the report warns."""
+
+_MEANWHILE = {
+    "panel pixels": "Until it is found, render with models fitted to the session (calibrate --captures): like this "
+    "function they absorb what is fixed in the headset.",
+}
+"""What to do about what is left, by what it is bound to."""
 
 FIGURES = (
     ("display", "display_rms_px", " px"),
@@ -61,14 +67,18 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict == NO_EFFECT:
         return ["Keep the bench as it is; effects below the smallest sizes listed would not have been seen."]
     told = [_before_acting(cause, rival) for cause in diagnosis.causes for rival in _open(cause)]
-    told += [f"{_capital(cause.title)}: {_REMEDIES[cause.part]}." for cause in diagnosis.causes]
+    told += [f"{_capital(cause.title)}: {cause.remedy or _REMEDIES[cause.part]}." for cause in diagnosis.causes]
     left = diagnosis.unexplained
     if left is not None:
         told.append(
             f"Look for something bound to {left.bound_to} in the {left.part} part that is not in the list of causes."
         )
-        if any(correction.gain.percent > 0 for correction in left.corrections):
-            told.append("Until it is found, a smooth correction helps as far as its held-out gain says.")
+        best = max((correction.gain.percent for correction in left.corrections), default=0.0)
+        if best > 0:
+            told.append(
+                f"A smooth function of {left.bound_to} takes away {best:.0f} % of it on held-out captures. "
+                + _MEANWHILE.get(left.bound_to, "It is no cause; calibrate when the effect is gone.")
+            )
     if diagnosis.outliers:
         names = ", ".join(str(moved.capture) for moved in diagnosis.outliers)
         told.append(f"Take again, or leave out: {names}.")
@@ -131,8 +141,9 @@ def _before_acting(cause: FoundCause, rival: Overlap) -> str:
 
 def _look_alikes(cause: FoundCause) -> str:
     names = ", ".join(f"{overlap.name} (cosine {overlap.cosine:.3f})" for overlap in cause.overlaps)
-    decided = "" if _open(cause) else ", though the session decides for it"
-    return f"{cause.name} looks much like {names}{decided}; what separates them: {cause.overlaps[0].separated_by}."
+    nearest = cause.overlaps[0]
+    decided = "The session does not decide." if _open(cause) else "The session decides for it."
+    return f"{cause.name} looks much like {names}. {decided} More certain: from {nearest.name}, {nearest.separated_by}."
 
 
 def _changes(diagnosis: Diagnosis) -> str:

@@ -28,6 +28,7 @@ _CHANCE = 1e-3
 _SIGNIFICANCE = 2.0  # standard errors of the held-out difference
 _SHARE = 0.3  # of what is above the noise: a cause must take away so much, unless it leads down to the noise
 _IDLE = 1.2  # misfit over the misfit with a cause, up to which it may be idle
+_NOTHING_MORE = "no other cause gains more than chance would"
 _AT_NOISE = 1.1  # misfit up to which residuals count as noise
 
 
@@ -59,14 +60,12 @@ class Round:
     Attributes:
         current: the fit to which it would be added.
         screened: the same fit to the readings on which prospects are compared.
-        share: readings of the whole session for each of those.
         prospects: what each hypothesis promises to first order, on the readings screened; most first.
         candidates: those that were fitted, best first, one per cause in the best of its ways.
     """
 
     current: Fit
     screened: Fit
-    share: float
     prospects: tuple[Prospect, ...]
     candidates: tuple[Candidate, ...]
 
@@ -145,7 +144,7 @@ class Search:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
                 prospects.append(prospect(self.thin, at, hypothesis))
         found = tuple(sorted((p for p in prospects if p is not None), key=lambda p: -p.gain))
-        return Round(current, at, share, found, tuple(self._fitted(at, found, share)))
+        return Round(current, at, found, tuple(self._fitted(at, found, share)))
 
     def _fitted(self, at: Fit, prospects: Sequence[Prospect], share: float) -> list[Candidate]:
         """Fits of the prospects that are worth one, best first."""
@@ -178,12 +177,14 @@ class Search:
     def _verdict(self, at: Round) -> tuple[bool, str]:
         """Whether the best candidate is worth adding, and why not."""
         if not at.candidates:
-            return False, "no other cause gains more than chance would"
+            return False, _NOTHING_MORE
         current, best = at.current, at.candidates[0]
         name = best.hypothesis.cause.name
         added = best.fit.at.free.size - current.at.free.size
         gained = (current.chi_squared - best.fit.chi_squared) / max(1.0, best.misfit)
         chance = evidence.chance(gained, max(added, 1), len(self.hypotheses))
+        if chance > 0.5:
+            return False, _NOTHING_MORE
         if chance > _CHANCE:
             return False, f"{name} comes next, but chance alone gains as much with a probability of {chance:.2g}"
         gain = self.gain(current, best.fit)

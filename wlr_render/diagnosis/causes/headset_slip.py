@@ -30,4 +30,5 @@ CAUSE = Cause(
     source="headsets on heads slip by 0.5 to 3 mm; on a mount less",
     separated_by="the first position photographed again at the end",
     variants={"once": _slipped},
+    remedy="fasten the headset before the next session; the extended bench corrects this one",
 )

@@ -29,4 +29,6 @@ CAUSE = Cause(
     source="plastic mounts: 0.07 mm per metre and kelvin, a few tens of micrometres over 50 mm and 20 K",
     separated_by="the first position photographed again at the end",
     variants={"exponential": _creeping},
+    remedy="wait three time constants before the next session; the extended bench, and models calibrated by it, are of "
+    "the cold panel, and a warm one stands off by the whole creep",
 )
