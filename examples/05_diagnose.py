@@ -13,7 +13,7 @@ from wlr_render.studies.hidden_effects.captures import Plan
 from wlr_render.studies.hidden_effects.effects import draw_effect
 from wlr_render.studies.hidden_effects.session_writer import write_session
 
-# A session as a bench delivers it: bench.toml says what its makers believe, and the target was not printed as they think.
+# A session as a bench delivers it: bench.toml says what its makers believe. The target was not printed as they think.
 # A session of your own is such a folder too: docs/bench-session.md.
 rng = np.random.default_rng(5)
 secret = draw_effect("target_scale", rng)
