@@ -162,6 +162,8 @@ class Search:
         screened = _ranked([found for found in fits if evidence.physical(found)])
         close = [c for c in screened if share * (c.cost - screened[0].cost) < _CLOSE][:_CONTENDERS]
         final = _ranked([fit(self.full, candidate.fit.extension, self.used) for candidate in close])
+        if not final:
+            return []
         names = {candidate.hypothesis.cause.name for candidate in final}
         rest = [c for c in _best_of_each(screened) if c.hypothesis.cause.name not in names]
         return [replace(c, behind=c.cost - final[0].cost, whole=True) for c in _best_of_each(final)] + [
@@ -213,10 +215,11 @@ class Search:
 
 
 def _ranked(fits: Sequence[Fit]) -> list[Candidate]:
+    """Lowest cost first; a fit that lost its readings on the way has no cost, and is no candidate."""
     candidates = [
         Candidate(each.extension.hypotheses[-1], each, evidence.cost(each), evidence.misfit(each)) for each in fits
     ]
-    return sorted(candidates, key=lambda candidate: candidate.cost)
+    return sorted((c for c in candidates if np.isfinite(c.cost)), key=lambda candidate: candidate.cost)
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
