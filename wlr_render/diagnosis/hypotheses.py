@@ -48,8 +48,8 @@ def prospect(predictor: Predictor, current: Fit, hypothesis: Hypothesis) -> Pros
         return Prospect(hypothesis, start, _gain(current, at) if at.free.size else 0.0, at.free.size)
 
     plan, roles = predictor.observations.session.plan, [parameter.role for parameter in hypothesis.cause.parameters]
-    best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain)
-    if best.parameters == 0:
+    best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
+    if best is None or best.parameters == 0:
         return None
     return _with_better_moment(of, best, roles.index(Role.MOMENT), moments(plan)) if Role.MOMENT in roles else best
 
@@ -62,6 +62,8 @@ def _with_better_moment(
     while stride >= 1:
         at = int(np.argmin(np.abs(times - best.start[moment])))
         neighbours = {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}
+        if not neighbours:
+            break
         found = max((of(_with(best.start, moment, float(times[n]))) for n in neighbours), key=lambda p: p.gain)
         stride = stride if found.gain > best.gain else stride // 2
         best = max(best, found, key=lambda each: each.gain)
@@ -90,7 +92,7 @@ def best_fit(predictor: Predictor, current: Fit, prospect: Prospect) -> Fit:
 
 
 def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
-    """Null values with every start of the parameters that have several."""
+    """Null values with every start of the parameters that have several; none where all captures have one time."""
     starts = [cause.null()]
     for number, parameter in enumerate(cause.parameters):
         if parameter.role is Role.SIZE:
