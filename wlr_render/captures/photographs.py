@@ -1,0 +1,88 @@
+"""Photographs on disk: grey values as the camera gave them, 8 to 16 bits deep."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import written_whole
+
+Photograph = NDArray[np.unsignedinteger[Any]]
+"""(h, w) grey, uint8 or uint16, as it came from the camera."""
+
+SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
+
+
+def read_photograph(path: str | Path) -> Photograph:
+    """Read one photograph as (h, w), uint8 or uint16; of a coloured one its grey value.
+
+    Raises:
+        BadInputError: there is no such file, or it is no picture of 8 or 16 bits.
+    """
+    if not Path(path).is_file():
+        raise BadInputError(f"{path}: there is no such photograph.")
+    image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise BadInputError(f"{path}: cannot be read as a picture; take it again, or leave it out of the session.")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise BadInputError(f"{path}: holds {image.dtype} values; a photograph must have 8 or 16 bits.")
+    return np.asarray(image)
+
+
+def write_photograph(path: str | Path, image: Photograph) -> Path:
+    """Write (h, w) uint8 or uint16 as .png or .tif, whole or not at all."""
+    with written_whole(path) as temporary:
+        # Noise does not compress: more effort only takes longer.
+        if not cv2.imwrite(str(temporary), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+            raise BadInputError(f"{path}: OpenCV cannot write this kind of picture; name it .png.")
+    return Path(path)
+
+
+def photographs_in(folder: str | Path) -> list[Path]:
+    """The photographs of a folder in the order of their names; numbers in names count as numbers.
+
+    Raises:
+        BadInputError: there is no such folder, or no photograph in it.
+    """
+    if not Path(folder).is_dir():
+        raise BadInputError(f"{folder}: there is no such folder of photographs.")
+    found = [path for path in Path(folder).iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
+    if not found:
+        raise BadInputError(f"{folder}: holds no photographs ({', '.join(SUFFIXES)}).")
+    return sorted(found, key=_natural)
+
+
+def read_each(paths: Sequence[Path]) -> Iterator[Photograph]:
+    """Read photographs one at a time, all of one size.
+
+    Raises:
+        BadInputError: as `read_photograph`, or a photograph is not of the size of the first.
+    """
+    yield from _of_one_size((path, read_photograph(path)) for path in paths)
+
+
+def _of_one_size(images: Iterable[tuple[Path, Photograph]]) -> Iterator[Photograph]:
+    first: tuple[Path, Photograph] | None = None
+    for path, image in images:
+        first = first or (path, image)
+        if image.shape != first[1].shape or image.dtype != first[1].dtype:
+            raise BadInputError(
+                f"{path}: is {_kind(image)}, but {first[0].name} is {_kind(first[1])}; all of a set must be alike."
+            )
+        yield image
+
+
+def _kind(image: Photograph) -> str:
+    return f"{image.shape[1]} x {image.shape[0]} pixels of {8 * image.itemsize} bits"
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Digits as numbers: 2 before 10."""
+    import re
+
+    parts = re.split(r"(\d+)", path.name)
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
