@@ -1,0 +1,78 @@
+"""A dot board before a far background, as bright as rays find it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.geometry import rays
+from wlr_render.geometry.transforms import inverse
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class FarWall:
+    """A background so far away that only the direction counts: smooth patches, lighter and darker than their mean.
+
+    Attributes:
+        brightness: its mean.
+        contrast: how far the patches are from the mean, as a part of it.
+        patch_rad: from a light patch to the next light one, roughly.
+    """
+
+    brightness: float = 0.1
+    contrast: float = 0.3
+    patch_rad: float = 0.15
+
+    def __call__(self, ray: Float32Array) -> Float32Array:
+        """See `sight.Radiance`."""
+        x, y, z = np.moveaxis(ray[..., 3:] * np.float32(2.0 * np.pi / self.patch_rad), -1, 0)
+        patches = (np.sin(x + 0.7 * z) + np.sin(y + 1.3 * z) + np.sin(0.61 * (x + y))) / 3.0
+        return np.asarray(self.brightness * (1.0 + self.contrast * patches))
+
+
+@dataclass(frozen=True, eq=False)
+class BoardLight:
+    """What `Sight.world_light` asks of a dot board and the background behind it.
+
+    Attributes:
+        board: what is printed.
+        frame_from_target: (4, 4) pose of the board in the frame of the sight; it is seen from its front only.
+        wall: the background.
+        white: brightness of its white.
+        black: brightness of its dots.
+        softness: part of a pixel's footprint by which the edges of dots are softened; of `n` rays per pixel each
+            stands for 1 / sqrt(n).
+    """
+
+    board: DotBoard
+    frame_from_target: FloatArray
+    wall: FarWall = FarWall()
+    white: float = 0.8
+    black: float = 0.05
+    softness: float = 0.25
+
+    def __call__(self, ray: Float32Array) -> Float32Array:
+        """See `sight.Radiance`."""
+        place = self._place(ray)
+        reflectance = self.board.reflectance(place, self.softness * _footprint(place)).astype(np.float32)
+        lit = self.black + (self.white - self.black) * reflectance
+        return np.where(np.isnan(lit), self.wall(ray), lit)
+
+    def _place(self, ray: Float32Array) -> Float32Array:
+        """Where rays (h, w, 6) meet the board's plane from its front: x and y (h, w, 2), board frame; else NaN."""
+        origin, direction = rays.split(rays.transformed(inverse(self.frame_from_target).astype(np.float32), ray))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = -origin[..., 2] / direction[..., 2]
+        along = np.where((along > 0.0) & (direction[..., 2] > 0.0), along, np.float32(np.nan))
+        return np.asarray(origin[..., :2] + along[..., None] * direction[..., :2])
+
+
+def _footprint(place: Float32Array) -> Float32Array:
+    """Width (h, w) of a camera pixel on the board, metres, from places (h, w, 2): the root of its area."""
+    down, right = np.gradient(place, axis=(0, 1))
+    area = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
+    return np.sqrt(np.abs(area))

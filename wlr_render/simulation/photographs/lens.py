@@ -1,0 +1,109 @@
+"""The lens of a photograph: which ray each point of the image takes through each point of the pupil.
+
+Camera frame: OpenCV's axes (x right, y down, z forward), origin in the middle of the entrance pupil, metres.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import rays
+from wlr_render.geometry.directions import normalised
+from wlr_render.geometry.lens_camera import LensCamera
+
+FloatArray = NDArray[np.float64]
+
+_CANDIDATES = 2000  # sets of samples among which the most even one is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """A camera whose entrance pupil has a size: sharp in one plane only.
+
+    Attributes:
+        camera: where the rays through the middle of the pupil land.
+        pupil_diameter_m: of the entrance pupil; 0 is a pinhole.
+        focus_m: depth of the plane that is sharp; infinite for a lens set to infinity.
+
+    Raises:
+        BadInputError: a negative pupil, or a focus that is not in front of the lens.
+    """
+
+    camera: LensCamera
+    pupil_diameter_m: float = 0.002
+    focus_m: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.pupil_diameter_m < np.inf and self.focus_m > 0.0):
+            raise BadInputError(
+                f"A lens of {self.pupil_diameter_m} m pupil diameter focused at {self.focus_m} m cannot be; give a "
+                "diameter of 0 or more and a positive focus (inf for infinity)."
+            )
+
+    def ray_of_pixel(self, pixel: FloatArray, pupil_point: FloatArray) -> FloatArray:
+        """The ray by which image points see, (..., 6), camera frame, from the pupil outwards.
+
+        All rays of an image point meet where the ray through the middle of the pupil crosses the plane in focus.
+
+        Args:
+            pixel: (..., 2).
+            pupil_point: (2,) x and y of the point in the pupil, metres.
+        """
+        tangents = self.camera.tangents_of_pixel(pixel) - np.asarray(pupil_point) / self.focus_m
+        forward = np.concatenate([tangents, np.ones((*tangents.shape[:-1], 1))], axis=-1)
+        return rays.pack(np.array([*pupil_point, 0.0]), normalised(forward))
+
+    def samples(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Where in the pixel and in the pupil rays are sent, the same for all pixels.
+
+        Both are centred exactly, so that no number of samples moves a picture.
+
+        Returns:
+            Offsets from a pixel's centre (count, 2) in pixels, and the pupil points (count, 2) in metres.
+        """
+        unit = _even_samples(count)
+        return unit[:, :2].copy(), 0.5 * self.pupil_diameter_m * _disc_of_square(2.0 * unit[:, 2:])
+
+
+@lru_cache
+def _even_samples(count: int) -> FloatArray:
+    """Points (count, 4) of the cube -0.5..0.5, symmetric about 0, every axis stratified.
+
+    Of many such Latin hypercubes the one of least centred discrepancy: F. J. Hickernell, "A generalized discrepancy
+    and quadrature error bound", Math. Comp. 67 (1998) 299.
+    """
+    if count < 1:
+        raise BadInputError(f"{count} samples per pixel make no picture; give 1 or more.")
+    rng = np.random.default_rng(0)
+    half, odd = divmod(count, 2)
+    levels = (np.arange(half) + 0.5 * (1 + odd)) / count
+    shape = (_CANDIDATES if count <= 32 else _CANDIDATES // 20, half, 4)
+    one_side = rng.permuted(np.broadcast_to(levels[:, None], shape), axis=1) * rng.choice([-1.0, 1.0], shape)
+    sets = np.concatenate([one_side, np.zeros((shape[0], odd, 4)), -one_side], axis=1)
+    return np.asarray(min(sets, key=_discrepancy))
+
+
+def _discrepancy(points: FloatArray) -> float:
+    """Squared centred L2 discrepancy of points (n, 4) in -0.5..0.5, less its constant part."""
+    from_middle = np.abs(points)
+    apart = np.abs(points[:, None] - points)
+    single = np.prod(1.0 + 0.5 * from_middle - 0.5 * from_middle**2, axis=-1)
+    pairs = np.prod(1.0 + 0.5 * (from_middle[:, None] + from_middle - apart), axis=-1)
+    return float(pairs.mean() - 2.0 * single.mean())
+
+
+def _disc_of_square(square: FloatArray) -> FloatArray:
+    """Carry points (n, 2) of the square -1..1 to the unit disc, areas in proportion.
+
+    P. Shirley and K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2 (1997) 45.
+    """
+    x, y = square.T
+    wide = np.abs(x) >= np.abs(y)
+    radius = np.where(wide, x, y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        angle = np.where(wide, np.pi / 4 * y / x, np.pi / 2 - np.pi / 4 * x / y)
+    angle = np.nan_to_num(angle)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

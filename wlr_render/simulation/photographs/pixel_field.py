@@ -1,0 +1,129 @@
+"""A quantity that is costly to know, such as a traced ray, for every pixel of a picture.
+
+It is known exactly on a grid of nodes and carried to the pixels by polynomials of degree 5 through the nearest 6 x 6
+nodes. Of each cell of the grid the middle is known exactly too: where the polynomial misses it, or the corners and
+the middle do not agree whether there is light at all (the edge of an aperture), every pixel of the cell is computed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+
+Exact = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
+"""Places in the image (n, 2) -> the quantity (n, k) and where there is light (n,). Values without light may be NaN."""
+
+_SPACING_PX = 16.0
+_STENCIL = 6
+
+
+@dataclass(frozen=True, eq=False)
+class PixelField:
+    """A quantity of k components at one place in every pixel.
+
+    Attributes:
+        exact: the quantity itself.
+        offset: (2,) from a pixel's centre to the place in it, pixels.
+        nodes: (k, rows, columns) values on the grid.
+        from_rows, from_columns: (height, rows) and (width, columns), grid -> pixels.
+        lit: (height, width) where there is light.
+        alone: (n, 2) (row, column) of pixels that are computed one by one.
+        alone_value: (n, k) their values.
+    """
+
+    exact: Exact
+    offset: FloatArray
+    nodes: Float32Array
+    from_rows: Float32Array
+    from_columns: Float32Array
+    lit: BoolArray
+    alone: NDArray[np.int64]
+    alone_value: Float32Array
+
+    @classmethod
+    def of(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelField":
+        """Find the field.
+
+        Args:
+            exact: the quantity.
+            size_px: width and height of the picture.
+            offset: (2,) from a pixel's centre, within half a pixel.
+            tolerance: (k,) by how much each component may be wrong.
+        """
+        columns, rows = (_Axis.of(size, shift) for size, shift in zip(size_px, offset, strict=True))
+        value, lit_node = _on_grid(exact, columns.node, rows.node)
+        middle, lit_middle = _on_grid(exact, columns.middle, rows.middle)
+        nodes = np.nan_to_num(value).astype(np.float32)
+        guess = rows.to_middle @ nodes @ columns.to_middle.T
+        good = (np.abs(guess - middle) <= np.reshape(tolerance, (-1, 1, 1))).all(axis=0)
+        count = lit_node[1:, 1:].astype(int) + lit_node[1:, :-1] + lit_node[:-1, 1:] + lit_node[:-1, :-1] + lit_middle
+        spread = (count == 5) & good
+        alone = np.argwhere(~(spread | (count == 0))[rows.cell[:, None], columns.cell])
+        alone_value, lit_alone = exact(alone[:, ::-1] + 0.5 + offset)
+        lit = spread[rows.cell[:, None], columns.cell]
+        lit[alone[:, 0], alone[:, 1]] = lit_alone
+        return cls(exact, offset, nodes, rows.to_pixel, columns.to_pixel, lit, alone, alone_value.astype(np.float32))
+
+    def planes(self) -> Float32Array:
+        """The quantity in all pixels, (k, height, width); what it holds outside `lit` means nothing."""
+        value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T)
+        value[:, self.alone[:, 0], self.alone[:, 1]] = self.alone_value.T
+        return value
+
+    def error(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """Value minus exact value (n, k) at random lit pixels, up to `count`, of those that are not exact anyway."""
+        known = self.lit.copy()
+        known[self.alone[:, 0], self.alone[:, 1]] = False
+        place = np.argwhere(known)
+        place = place[rng.integers(len(place), size=min(count, len(place)))] if len(place) else place
+        value, _ = self.exact(place[:, ::-1] + 0.5 + self.offset)
+        return np.asarray(self.planes()[:, place[:, 0], place[:, 1]].T - value)
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """One axis of the grid: places of its nodes and cell middles, each pixel's cell, and how values are carried."""
+
+    node: FloatArray
+    middle: FloatArray
+    cell: NDArray[np.int64]
+    to_pixel: Float32Array
+    to_middle: Float32Array
+
+    @classmethod
+    def of(cls, size_px: int, offset: float) -> "_Axis":
+        cells = max(_STENCIL - 1, int(np.ceil(size_px / _SPACING_PX)))
+        spacing = size_px / cells
+        place = (np.arange(size_px) + 0.5 + offset) / spacing
+        middle = np.arange(cells) + 0.5
+        return cls(
+            np.arange(cells + 1) * spacing,
+            middle * spacing,
+            np.minimum(place.astype(np.int64), cells - 1),
+            _lagrange(cells + 1, place),
+            _lagrange(cells + 1, middle),
+        )
+
+
+def _lagrange(nodes: int, place: FloatArray) -> Float32Array:
+    """(n, nodes): values at 0, 1, ... -> values at places (n,), by the polynomial through the nearest six."""
+    start = np.clip(place.astype(np.int64) - _STENCIL // 2 + 1, 0, nodes - _STENCIL)
+    local = place - start
+    matrix = np.zeros((len(place), nodes), dtype=np.float32)
+    for own in range(_STENCIL):
+        others = np.delete(np.arange(_STENCIL), own)
+        weight = np.prod((local[:, None] - others) / (own - others), axis=1)
+        matrix[np.arange(len(place)), start + own] = weight
+    return matrix
+
+
+def _on_grid(exact: Exact, u: FloatArray, v: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """The quantity (k, rows, columns) and where there is light (rows, columns)."""
+    place = np.stack(np.meshgrid(u, v), axis=-1)
+    value, lit = exact(place.reshape(-1, 2))
+    return np.moveaxis(value.reshape(*place.shape[:-1], -1), -1, 0), lit.reshape(place.shape[:-1])

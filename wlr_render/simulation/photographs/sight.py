@@ -1,0 +1,204 @@
+"""What a lens sees from where it stands: panel and world at once through true optics, or the world without them.
+
+Light is a part of full scale, linear. A pixel's light is the mean over a fixed set of rays spread over the pixel and
+the pupil; each ray is traced exactly, or interpolated with an error that is bounded and can be measured.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import rays
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.transforms import inverse
+from wlr_render.mappings import Panel, Status
+from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.pixel_field import BoolArray, PixelField
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+Radiance = Callable[[Float32Array], NDArray[np.floating]]
+"""Rays (h, w, 6) of some rows, away from the lens, NaN where no light comes -> how bright what they meet is, (h, w)."""
+
+PANEL_GAMMA = 2.2
+_PANEL_TOLERANCE_PX = 0.003
+_WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's plane, tangents
+_ROWS = 64  # of the picture at a time: what is computed of the world stays in the processor's cache
+_OFF_PANEL = -10.0  # a place of which the nearest pixels are all beyond the panel
+_NEAREST_M = 0.3  # at which an offset of a ray is counted as an angle
+_BLUR_STEP = 16  # of the pixels from which the blur is judged
+_NARROWEST_PX = 1e-3  # of a ramp between two panel pixels
+
+
+class InterpolationError(NamedTuple):
+    """Largest errors found: of places on the panel in its pixels; of world rays at 0.3 m and beyond in arcminutes."""
+
+    panel_px: float
+    world_arcmin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A lens in its place. Made by `through_optics` or `without_headset`.
+
+    Attributes:
+        lens: the lens.
+        frame_from_camera: (4, 4) rigid; the frame is the device's through the optics, any without the headset.
+        panel: the panel; None without the headset.
+        on_panel: per sample, the place on the panel in its pixels; empty without the headset.
+        in_world: per sample, the world's ray: x, y in the plane z = 0 of the camera, and its two tangents there.
+    """
+
+    lens: Lens
+    frame_from_camera: FloatArray
+    panel: Panel | None
+    on_panel: tuple[PixelField, ...]
+    in_world: tuple[PixelField, ...]
+
+    @classmethod
+    def through_optics(
+        cls,
+        optics: EyeOptics,
+        lens: Lens,
+        device_from_camera: FloatArray,
+        samples: int = 16,
+        wavelength_um: float = 0.55,
+    ) -> "Sight":
+        """The lens in the place of an eye; its rays are traced exactly at one vacuum wavelength in micrometres."""
+        display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
+        camera_from_device = inverse(device_from_camera)
+
+        def on_panel(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
+            origin, direction = rays.split(rays.transformed(device_from_camera, lens.ray_of_pixel(pixel, pupil_point)))
+            place, status = display.plane_pixel(direction, origin)
+            return place, np.asarray(status == Status.OK)
+
+        def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
+            origin, direction = rays.split(rays.transformed(device_from_camera, lens.ray_of_pixel(pixel, pupil_point)))
+            ray = see_through.real_ray_of_view_dir(direction, origin)
+            return _bend(rays.transformed(camera_from_device, ray.value))
+
+        panel_fields = _fields(lens, samples, on_panel, np.full(2, _PANEL_TOLERANCE_PX))
+        world_fields = _fields(lens, samples, in_world, _WORLD_TOLERANCE)
+        return cls(lens, device_from_camera, optics.panel.pixels, panel_fields, world_fields)
+
+    @classmethod
+    def without_headset(cls, lens: Lens, frame_from_camera: FloatArray, samples: int = 16) -> "Sight":
+        """The lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
+
+        def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
+            return _bend(lens.ray_of_pixel(pixel, pupil_point))
+
+        return cls(lens, frame_from_camera, None, (), _fields(lens, samples, in_world, _WORLD_TOLERANCE))
+
+    def panel_light(self, image: NDArray[np.uint8], gamma: float = PANEL_GAMMA) -> Float32Array:
+        """Light from the panel, (h, w), 1 where a white panel fills the pixel; dark without a headset.
+
+        Panel pixels are uniform squares side by side that shine by (value / 255)^gamma.
+
+        Raises:
+            BadInputError: the image is not of the panel's size.
+        """
+        width, height = self.lens.camera.size_px
+        total = np.zeros((height, width), dtype=np.float32)
+        if self.panel is None:
+            return total
+        if image.shape != (self.panel.height_px, self.panel.width_px):
+            raise BadInputError(
+                f"An image of shape {image.shape} cannot be shown on a panel of {self.panel.width_px} x "
+                f"{self.panel.height_px} pixels; give (height, width) grey values."
+            )
+        shining = ((np.arange(256) / 255.0) ** gamma).astype(np.float32)[image]
+        for u, v in self._panel_maps:
+            cv2.accumulate(cv2.remap(shining, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), total)
+        return total / np.float32(len(self.on_panel))
+
+    def world_light(self, radiance: Radiance) -> Float32Array:
+        """Light from the world, (h, w); dark where no ray comes in or `radiance` is NaN."""
+        width, height = self.lens.camera.size_px
+        total = np.zeros((height, width), dtype=np.float32)
+        for field in self.in_world:
+            bend = np.where(field.lit, field.planes(), np.float32(np.nan))
+            for first in range(0, height, _ROWS):
+                rows = slice(first, first + _ROWS)
+                total[rows] += np.nan_to_num(radiance(self._rays(bend[:, rows])))
+        return total / np.float32(len(self.in_world))
+
+    def interpolation_error(self, rng: np.random.Generator, count: int = 2000) -> InterpolationError:
+        """Measure against exact traces at `count` random pixels of every sample."""
+        panel = max((np.abs(field.error(rng, count)).max(initial=0.0) for field in self.on_panel), default=0.0)
+        world = np.concatenate([field.error(rng, count) for field in self.in_world])
+        angle = np.linalg.norm(world[:, :2], axis=-1) / _NEAREST_M + np.linalg.norm(world[:, 2:], axis=-1)
+        return InterpolationError(float(panel), float(angle.max(initial=0.0)) / ARCMIN)
+
+    def _rays(self, bend: Float32Array) -> Float32Array:
+        """Rays (h, w, 6) in the sight's frame from how they pass the camera, (4, h, w)."""
+        x, y, tx, ty = bend
+        rotation, origin = self.frame_from_camera[:3, :3].astype(np.float32), self.frame_from_camera[:3, 3]
+        scale = 1.0 / np.sqrt(1.0 + tx * tx + ty * ty)
+        ray = np.empty((*x.shape, 6), dtype=np.float32)
+        for axis, (right, down, forward) in enumerate(rotation):
+            ray[..., axis] = right * x + down * y + np.float32(origin[axis])
+            ray[..., 3 + axis] = (right * tx + down * ty + forward) * scale
+        return ray
+
+    @cached_property
+    def _panel_maps(self) -> list[Float32Array]:
+        """Per sample, (2, h, w): where to read the panel's image with `cv2.remap`, bilinearly."""
+        places = [field.planes() for field in self.on_panel]
+        blur = _panel_blur(places, [field.lit for field in self.on_panel])
+        for place, field in zip(places, self.on_panel, strict=True):
+            _sharpen(place, blur)
+            place[:, ~field.lit] = _OFF_PANEL
+        return places
+
+
+def _fields(
+    lens: Lens,
+    samples: int,
+    exact: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]],
+    tolerance: FloatArray,
+) -> tuple[PixelField, ...]:
+    return tuple(
+        PixelField.of(partial(exact, pupil_point), lens.camera.size_px, offset, tolerance)
+        for offset, pupil_point in zip(*lens.samples(samples), strict=True)
+    )
+
+
+def _bend(ray_in_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Rays (n, 6) as x, y in the plane z = 0 and their tangents there (n, 4), and which of them lead forward."""
+    forward = ray_in_camera[:, 5] > 0.0
+    ray = rays.at_z(np.where(forward[:, None], ray_in_camera, np.nan), 0.0)
+    return np.concatenate([ray[:, :2], ray[:, 3:5] / ray[:, 5:]], axis=-1), forward
+
+
+def _panel_blur(places: list[Float32Array], lit: list[BoolArray]) -> FloatArray:
+    """(2,) panel pixels in u and v that one sample of a pixel stands for: the reach of all of them over sqrt(samples).
+
+    A box of the standard deviation sigma is sqrt(12) sigma wide. One value, the median over the picture, serves all.
+    """
+    some = (slice(None, None, _BLUR_STEP), slice(None, None, _BLUR_STEP))
+    everywhere = np.logical_and.reduce([one[some] for one in lit])
+    seen = np.array([place[:, some[0], some[1]][:, everywhere] for place in places])
+    reach = np.sqrt(12.0 / len(places)) * seen.std(axis=0)
+    return np.median(reach, axis=-1) if reach.size else np.zeros(2)
+
+
+def _sharpen(place: Float32Array, blur: FloatArray) -> None:
+    """Turn places on the panel (2, h, w) into OpenCV's, moved so that a bilinear look-up shows square pixels.
+
+    Between two pixels' centres it then gives one pixel's value, the other's, and a ramp as wide as `blur`.
+    """
+    for own, width in zip(place, np.clip(blur, _NARROWEST_PX, 1.0).astype(np.float32), strict=True):
+        own -= np.float32(0.5)
+        whole = np.floor(own)
+        own[...] = whole + np.clip((own - whole - np.float32(0.5)) / width + np.float32(0.5), 0.0, 1.0)
