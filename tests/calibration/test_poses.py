@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from wlr_render.calibration.poses import ARCMIN, Pose, mean_of, motion_between, small_motion
+from wlr_render.geometry import transforms
+
+DRAWS = 20_000
+
+
+def some_covariance(rng, size=1e-3):
+    root = rng.normal(size=(6, 6)) * size
+    return root @ root.T
+
+
+def some_pose(rng):
+    return transforms.rigid(transforms.rotations_of_vectors(rng.normal(size=3)), rng.normal(size=3))
+
+
+def drawn(pose, rng, count=DRAWS):
+    return small_motion(rng.multivariate_normal(np.zeros(6), pose.covariance, count)) @ pose.b_from_a
+
+
+def assert_same_covariance(claimed, draws_of_motion):
+    """Within the scatter that a sample covariance of this many draws has."""
+    actual = np.cov(draws_of_motion.T)
+    scale = np.sqrt(np.outer(np.diag(claimed), np.diag(claimed)))
+    np.testing.assert_allclose(actual / scale, claimed / scale, atol=0.05)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
+def test_a_motion_is_what_carries_one_pose_to_the_other(shape):
+    rng = np.random.default_rng(1)
+    before, motion = some_pose(rng), rng.uniform(-1, 1, size=(*shape, 6))
+    np.testing.assert_allclose(motion_between(before, small_motion(motion) @ before), motion, atol=1e-12)
+
+
+def test_inverse_carries_its_covariance():
+    rng = np.random.default_rng(2)
+    pose = Pose(some_pose(rng), some_covariance(rng))
+    inverted = pose.inverse()
+    draws = transforms.inverse(drawn(pose, rng))
+    assert_same_covariance(inverted.covariance, motion_between(inverted.b_from_a, draws))
+
+
+def test_a_chain_of_poses_adds_up_its_covariances():
+    rng = np.random.default_rng(3)
+    first, second = (Pose(some_pose(rng), some_covariance(rng)) for _ in range(2))
+    chain = first @ second
+    draws = drawn(first, rng) @ drawn(second, rng)
+    assert_same_covariance(chain.covariance, motion_between(chain.b_from_a, draws))
+
+
+def test_sigmas_are_those_of_turning_and_of_where_the_origin_lies():
+    rng = np.random.default_rng(4)
+    pose = Pose(some_pose(rng), some_covariance(rng))
+    draws = drawn(pose, rng)
+    np.testing.assert_allclose(pose.sigma_mm, 1e3 * draws[:, :3, 3].std(axis=0), rtol=0.03)
+    turning = motion_between(pose.b_from_a, draws)[:, :3].std(axis=0)
+    np.testing.assert_allclose(pose.sigma_arcmin, turning / ARCMIN, rtol=0.03)
+
+
+def test_the_mean_scatters_as_it_says_and_less_than_any_single_one():
+    rng = np.random.default_rng(5)
+    truth = some_pose(rng)
+    covariances = [some_covariance(rng) for _ in range(3)]
+    readings = [drawn(Pose(truth, covariance), rng, 2_000) for covariance in covariances]
+    means = [
+        mean_of([Pose(b_from_a, covariance) for b_from_a, covariance in zip(case, covariances, strict=True)])
+        for case in zip(*readings, strict=True)
+    ]
+    error = motion_between(truth, np.array([mean.pose.b_from_a for mean in means]))
+    normal = np.linalg.inv(sum(np.linalg.inv(covariance) for covariance in covariances))
+    scaled = np.einsum("ni,ij,nj->n", error, np.linalg.inv(normal), error)
+    assert scaled.mean() == pytest.approx(6.0, rel=0.1)
+    assert np.mean([mean.chi_square for mean in means]) == pytest.approx(12.0, rel=0.1)
+    np.testing.assert_allclose(means[0].weights.sum(axis=0), np.eye(6), atol=1e-9)
+
+
+def test_measurements_that_contradict_each_other_make_the_mean_less_certain():
+    pose = Pose(np.eye(4), 1e-8 * np.eye(6))
+    moved = Pose(small_motion(np.array([0, 0, 0, 1e-2, 0, 0])), pose.covariance)
+    agreed, contradicted = mean_of([pose, pose]).pose, mean_of([pose, moved]).pose
+    assert contradicted.sigma_mm[0] > 20 * agreed.sigma_mm[0]
+    np.testing.assert_allclose(contradicted.b_from_a[:3, 3], [5e-3, 0, 0], atol=1e-12)

@@ -1,0 +1,175 @@
+"""A camera's lens from photographs of a board, with the poses of the board and the uncertainty of everything.
+
+OpenCV (Z. Zhang, "A flexible new technique for camera calibration", PAMI 22 (2000) 1330) finds the start; the lens and
+all poses are then adjusted together, weighted by the dots' sigmas, so that what poses inherit from the lens is known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.board_poses import misfit, too_few_dots
+from wlr_render.calibration.board_views import BoardPoses, BoardView
+from wlr_render.calibration.bundle_adjustment import Adjustment, UndeterminedError, adjusted
+from wlr_render.calibration.reprojection import robust_scale, without_strays
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+VALUES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+
+_PINHOLE = (0, 1, 2, 3)
+_RADIAL = (4, 5, 8)
+_TANGENTIAL = (6, 7)
+_WORTH = 4.0  # chi-square that a distortion term must bring to be kept: two of its sigmas
+_FEWEST_VIEWS = 3
+_START_DOTS = 80  # per view; the start need not be exact, and OpenCV's time grows with dots
+_LOOSEST = 0.02  # a focal length or centre known no better than to this part of the focal length is not known
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """A lens and what was found with it.
+
+    Attributes:
+        poses: of the board in each photograph, with the lens as `poses.camera`; their covariance includes the lens's.
+        sigma: (9,) standard deviations of `VALUES`; 0 for distortion terms that are not used.
+        terms: the distortion terms that the photographs carry; the others are zero.
+        noise: rms distance of dots from their places in units of the sigmas they came with; they are all scaled by it.
+    """
+
+    poses: BoardPoses
+    sigma: FloatArray
+    terms: tuple[str, ...]
+    noise: float
+
+    @property
+    def camera(self) -> LensCamera:
+        """The lens."""
+        return self.poses.camera
+
+
+def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> CameraCalibration:
+    """Find a camera's lens from photographs of a board.
+
+    Photographs that do not fit are set aside by name; single dots that lie far off are left out.
+
+    Raises:
+        BadInputError: fewer than three photographs fit, or they do not determine the focal length or the centre.
+    """
+    set_aside = {view.name: reason for view in views if (reason := too_few_dots(view))}
+    usable = [view for view in views if view.name not in set_aside]
+    while True:
+        _refuse_too_few(usable, set_aside)
+        fit = _fitted(usable, size_px)
+        worst, reason = _worst(fit)
+        if not reason:
+            break
+        set_aside[worst] = reason
+        usable = [view for view in usable if view.name != worst]
+    cleaned = [without_strays(view, part.residual) for view, part in zip(fit.views, fit.parts, strict=True)]
+    fit = adjusted(fit.camera, fit.camera_from_board, cleaned, fit.free)
+    free = _carried_terms(fit)
+    fit = adjusted(_with_only(fit.camera, free), fit.camera_from_board, cleaned, free)
+    sigma = np.zeros(9)
+    sigma[free] = np.sqrt(np.diag(fit.lens_covariance))
+    _refuse_loose(sigma, fit)
+    poses = BoardPoses(
+        fit.camera,
+        tuple(view.name for view in fit.views),
+        fit.camera_from_board,
+        fit.covariance,
+        fit.rms_px,
+        set_aside,
+    )
+    return CameraCalibration(poses, sigma, tuple(VALUES[i] for i in free if i > 3), fit.noise)
+
+
+def _fitted(views: Sequence[BoardView], size_px: tuple[int, int]) -> Adjustment:
+    """Lens and poses with all distortion terms."""
+    try:
+        return adjusted(*_start(views, size_px), views, np.arange(9))
+    except UndeterminedError as undetermined:
+        raise _undetermined(views) from undetermined
+
+
+def _start(views: Sequence[BoardView], size_px: tuple[int, int]) -> tuple[LensCamera, FloatArray]:
+    some = [slice(None, None, max(1, len(view) // _START_DOTS)) for view in views]
+    flat = [(view.point[part] * [1.0, 1.0, 0.0]).astype(np.float32) for view, part in zip(views, some, strict=True)]
+    seen = [(view.pixel[part] + OPENCV_PIXEL_SHIFT).astype(np.float32) for view, part in zip(views, some, strict=True)]
+    held = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    try:
+        _, matrix, distortion, rotations, translations = cv2.calibrateCamera(
+            flat, seen, size_px, None, None, flags=held
+        )
+    except cv2.error as error:
+        raise UndeterminedError from error
+    camera = LensCamera(
+        size_px, np.diag(matrix)[:2].copy(), matrix[:2, 2] - OPENCV_PIXEL_SHIFT, distortion.ravel()[:5].copy()
+    )
+    poses = [
+        transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
+        for rotation, translation in zip(rotations, translations, strict=True)
+    ]
+    return camera, np.array(poses)
+
+
+def _worst(fit: Adjustment) -> tuple[str, str]:
+    """The photograph that fits worst, and why it is no good, if it is."""
+    scales = np.array([robust_scale(part.residual) for part in fit.parts])
+    worst = int(np.argmax(scales))
+    return fit.views[worst].name, misfit(scales[worst], float(np.median(scales)))
+
+
+def _carried_terms(fit: Adjustment) -> IntArray:
+    """Indices of the values to find: of all choices of radial order and tangential terms, the one that is worth most.
+
+    What leaving terms out costs is read off the fit with all of them (A. Wald's test).
+    """
+    values = _values(fit.camera)
+    choices = []
+    for tangential in (_TANGENTIAL, ()):
+        for order in range(len(_RADIAL) + 1):
+            free = np.array(sorted({*_PINHOLE, *tangential, *_RADIAL[:order]}))
+            left_out = np.setdiff1d(np.arange(9), free)
+            block = fit.lens_covariance[np.ix_(left_out, left_out)]
+            cost = values[left_out] @ np.linalg.solve(block, values[left_out]) if len(left_out) else 0.0
+            choices.append((float(cost) + _WORTH * len(free), free))
+    return min(choices, key=lambda choice: choice[0])[1]
+
+
+def _values(camera: LensCamera) -> FloatArray:
+    return np.concatenate([camera.focal_px, camera.centre_px, camera.distortion])
+
+
+def _with_only(camera: LensCamera, free: IntArray) -> LensCamera:
+    distortion = np.where(np.isin(np.arange(4, 9), free), camera.distortion, 0.0)
+    return LensCamera(camera.size_px, camera.focal_px, camera.centre_px, distortion)
+
+
+def _refuse_too_few(views: Sequence[BoardView], set_aside: dict[str, str]) -> None:
+    if len(views) < _FEWEST_VIEWS:
+        why = "".join(f"; {name}: {reason}" for name, reason in set_aside.items())
+        raise BadInputError(
+            f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
+            f"{len(views)} can be used{why}."
+        )
+
+
+def _refuse_loose(sigma: FloatArray, fit: Adjustment) -> None:
+    if np.any(sigma[:4] > _LOOSEST * np.tile(fit.camera.focal_px, 2)):
+        raise _undetermined(fit.views)
+
+
+def _undetermined(views: Sequence[BoardView]) -> BadInputError:
+    return BadInputError(
+        f"the {len(views)} photographs {views[0].name} to {views[-1].name} do not determine the camera's focal length "
+        "and centre, because they show the board parallel to the image or always at the same tilt; add photographs of "
+        "it tilted by 20 to 40 degrees to the left, right, top and bottom."
+    )

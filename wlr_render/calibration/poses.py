@@ -1,0 +1,137 @@
+"""Rigid poses with their uncertainty, to first order.
+
+The uncertainty of `b_from_a` is that of a small motion in frame b that follows it: rotation vector (rad), then
+translation (m), so that the true pose is `small_motion(delta) @ b_from_a` with `delta` of the covariance given. See
+T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the translation first.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry import transforms
+
+FloatArray = NDArray[np.float64]
+
+ARCMIN = np.pi / 10_800
+"""One arcminute in radians."""
+
+
+def small_motion(delta: FloatArray) -> FloatArray:
+    """(..., 6) rotation vector and translation -> (..., 4, 4)."""
+    return transforms.rigid(transforms.rotations_of_vectors(delta[..., :3]), delta[..., 3:])
+
+
+def motion_between(before: FloatArray, after: FloatArray) -> FloatArray:
+    """The motion (..., 6) in frame b that turns the poses `before` into `after`, both b_from_a (..., 4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    motion = after @ transforms.inverse(before)
+    vector = Rotation.from_matrix(motion[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*motion.shape[:-2], 3)
+    return np.concatenate([vector, motion[..., :3, 3]], axis=-1)
+
+
+def adjoint(b_from_a: FloatArray) -> FloatArray:
+    """(..., 6, 6): a small motion in frame a -> the same motion seen in frame b."""
+    rotation = b_from_a[..., :3, :3]
+    result = np.zeros((*b_from_a.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotation
+    result[..., 3:, :3] = cross_matrix(b_from_a[..., :3, 3]) @ rotation
+    return result
+
+
+def cross_matrix(vector: FloatArray) -> FloatArray:
+    """(..., 3) -> (..., 3, 3), the matrix that takes w to vector x w."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid pose and its uncertainty.
+
+    Attributes:
+        b_from_a: (4, 4).
+        covariance: (6, 6) of a small motion in frame b (rad, m).
+    """
+
+    b_from_a: FloatArray
+    covariance: FloatArray
+
+    def inverse(self) -> "Pose":
+        """a_from_b."""
+        a_from_b = transforms.inverse(self.b_from_a)
+        return Pose(a_from_b, _carried(adjoint(a_from_b), self.covariance))
+
+    def __matmul__(self, a_from_o: "Pose") -> "Pose":
+        """b_from_o of this b_from_a and an a_from_o whose errors have nothing to do with its own."""
+        covariance = self.covariance + _carried(adjoint(self.b_from_a), a_from_o.covariance)
+        return Pose(self.b_from_a @ a_from_o.b_from_a, covariance)
+
+    @property
+    def sigma_arcmin(self) -> FloatArray:
+        """(3,) standard deviations of the rotation about the axes of b."""
+        return np.sqrt(np.diag(self.covariance)[:3]) / ARCMIN
+
+    @property
+    def sigma_mm(self) -> FloatArray:
+        """(3,) standard deviations of where the origin of a lies, along the axes of b."""
+        by_motion = np.concatenate([-cross_matrix(self.b_from_a[:3, 3]), np.eye(3)], axis=1)
+        return 1e3 * np.sqrt(np.diag(_carried(by_motion, self.covariance)))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMean:
+    """Several measurements of one pose, combined.
+
+    Attributes:
+        pose: their mean; its covariance is widened where they contradict each other more than they say of themselves.
+        weights: (n, 6, 6), how far a small motion of each moves the mean.
+        chi_square: sum of squared contradictions in units of their sigmas; about 6 (n - 1).
+    """
+
+    pose: Pose
+    weights: FloatArray
+    chi_square: float
+
+
+def mean_of(poses: Sequence[Pose]) -> PoseMean:
+    """Mean of one or more independent measurements b_from_a, weighted by their covariances."""
+    count = len(poses)
+    joint = np.zeros((count, 6, count, 6))
+    for i, pose in enumerate(poses):
+        joint[i, :, i] = pose.covariance
+    return mean_of_dependent(np.array([pose.b_from_a for pose in poses]), joint.reshape(6 * count, 6 * count))
+
+
+def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:
+    """Mean of measurements (n, 4, 4) whose small motions in b have the joint covariance (6 n, 6 n)."""
+    count = len(b_from_a)
+    design = np.tile(np.eye(6), (count, 1))
+    weighted = np.linalg.solve(covariance, design)
+    mean_covariance = np.linalg.inv(design.T @ weighted)
+    weights = mean_covariance @ weighted.T
+    mean = b_from_a[0]
+    for _ in range(3):  # the first mean is only as good as the motions from it are small
+        apart = motion_between(mean, b_from_a).ravel()
+        mean = small_motion(weights @ apart) @ mean
+    apart = motion_between(mean, b_from_a).ravel()
+    chi_square = float(apart @ np.linalg.solve(covariance, apart))
+    widening = max(1.0, chi_square / (6 * (count - 1))) if count > 1 else 1.0  # R. T. Birge, Phys. Rev. 40 (1932) 207
+    return PoseMean(
+        Pose(mean, _symmetric(mean_covariance) * widening),
+        np.moveaxis(weights.reshape(6, count, 6), 1, 0),
+        chi_square,
+    )
+
+
+def _carried(by: FloatArray, covariance: FloatArray) -> FloatArray:
+    return _symmetric(by @ covariance @ by.T)
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (matrix + matrix.T))
