@@ -1,0 +1,90 @@
+"""The photographs' order, their projector and camera, and folders that are not whole."""
+
+import cv2
+import numpy as np
+import pytest
+
+from wlr_render.captures.importers.procam_graycode import read_procam_graycode
+from wlr_render.errors import BadInputError
+
+CAMERA = np.array([[3000.0, 0, 600.0], [0, 3100.0, 500.0], [0, 0, 1]])
+
+
+@pytest.fixture
+def capture(tmp_path):
+    """A capture as the project writes it; only white and black are readable pictures."""
+    folder = tmp_path / "capture_0"
+    folder.mkdir()
+    for number in range(42):
+        (folder / f"graycode_{number:02d}.png").touch()
+    storage = cv2.FileStorage(str(tmp_path / "calibration_result.xml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("img_shape", np.array([[1024.0], [1280.0]]))
+    for name in ("cam", "proj"):
+        storage.write(f"{name}_int", CAMERA)
+        storage.write(f"{name}_dist", np.array([[0.1, -0.2, 0.001, 0.002, 0.3]]))
+    storage.release()
+    return folder
+
+
+@pytest.mark.parametrize("whole_set", [False, True])
+def test_white_and_black_are_moved_to_the_front(capture, whole_set):
+    found = read_procam_graycode(capture.parent if whole_set else capture)
+    assert [path.stem[-2:] for path in found.photographs] == ["40", "41", *(f"{number:02d}" for number in range(40))]
+    assert (found.panel.width_px, found.panel.height_px) == (1024, 768)
+
+
+def test_lenses_see_what_opencv_sees_with_its_numbers(capture):
+    found = read_procam_graycode(capture)
+    assert found.camera.size_px == (1280, 1024)
+    assert found.projector.size_px == (1024, 768)
+    point = np.array([[0.1, -0.05, 1.0], [-0.02, 0.07, 0.9]])
+    distortion = np.array([0.1, -0.2, 0.001, 0.002, 0.3])
+    expected = cv2.projectPoints(point, np.zeros(3), np.zeros(3), CAMERA, distortion)[0][:, 0]
+    np.testing.assert_allclose(found.camera.pixel_of_point(point), expected + 0.5, atol=1e-9)
+
+
+def test_a_missing_photograph_is_named(capture):
+    (capture / "graycode_07.png").unlink()
+    (capture / "graycode_09.png").unlink()
+    with pytest.raises(BadInputError, match=r"graycode_07 is missing \(2 of 42"):
+        read_procam_graycode(capture)
+
+
+@pytest.mark.parametrize("name", ["graycode_42.png", "graycode_07.jpg", "notes.png"])
+def test_a_photograph_too_many_is_named(capture, name):
+    (capture / name).touch()
+    with pytest.raises(BadInputError, match=r"graycode_\w+\.|notes\.png"):
+        read_procam_graycode(capture)
+
+
+def test_several_captures_are_to_be_chosen_from(capture):
+    (capture.parent / "capture_1").mkdir()
+    with pytest.raises(BadInputError, match=r"holds 2 captures; name one of them, such as .*capture_0"):
+        read_procam_graycode(capture.parent)
+
+
+def test_a_calibration_that_is_not_there_or_none_is_named(capture):
+    file = capture.parent / "calibration_result.xml"
+    file.write_text('<?xml version="1.0"?>\n<opencv_storage>\n<rms>1.</rms>\n</opencv_storage>\n')
+    with pytest.raises(BadInputError, match="holds no camera and projector"):
+        read_procam_graycode(capture)
+    file.write_text("not xml")
+    with pytest.raises(BadInputError, match="holds no camera and projector"):
+        read_procam_graycode(capture)
+    file.unlink()
+    with pytest.raises(BadInputError, match="there is no such calibration"):
+        read_procam_graycode(capture)
+
+
+def test_photographs_of_the_set_are_in_the_order_that_is_written(measured_data):
+    """White is the brightest, black the darkest; each bit and its inverse together are as bright as white and black."""
+    found = read_procam_graycode(measured_data("procam_graycode"))
+    white, black, *bits = (cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(float) for path in found.photographs)
+    lit = white - black > 40
+    assert lit.mean() > 0.5
+    for shown, inverse in zip(bits[::2], bits[1::2], strict=True):
+        assert abs(np.mean((shown + inverse - white - black)[lit])) < 0.05 * np.mean((white - black)[lit])
+    for bit, across in ((14, 1), (34, 0)):
+        stripe = (bits[bit] > bits[bit + 1]) & lit
+        changes = [np.count_nonzero(np.diff(stripe, axis=axis)) for axis in (0, 1)]
+        assert changes[across] > 2 * changes[1 - across]

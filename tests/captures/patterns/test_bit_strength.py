@@ -1,0 +1,67 @@
+"""A bit that was shown too faintly is the one that is named."""
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.patterns.bit_strength import bit_strengths
+from wlr_render.errors import BadInputError
+
+NAMES = (
+    "white",
+    "black",
+    "u bit 1",
+    "u bit 1 inverse",
+    "u bit 2",
+    "u bit 2 inverse",
+    "fringe",
+    "v bit 1",
+    "v bit 1 inverse",
+)
+
+
+class Named:
+    def names(self):
+        return NAMES
+
+
+def photographs(strength, shape=(40, 50), light=200.0, dark=10.0):
+    """Every pixel of a bit's picture is at random bright or dark, by the bit's strength of full contrast."""
+    rng, bright = np.random.default_rng(3), np.ones(shape, dtype=bool)
+    for name in NAMES:
+        bit = name.removesuffix(" inverse")
+        if name == bit:
+            bright = rng.random(shape) < 0.5
+        sign = np.where(bright, 0.5, -0.5) * (-1.0 if name.endswith("inverse") else 1.0)
+        level = {"white": 1.0, "black": 0.0}.get(name, 0.5 + sign * strength.get(bit, 1.0))
+        yield np.round(dark + (light - dark) * np.broadcast_to(level, shape)).astype(np.uint8)
+
+
+def test_the_dimmed_bit_is_named_with_its_strength():
+    found = bit_strengths(photographs({"u bit 2": 0.05, "v bit 1": 0.6}), Named())
+    assert [bit.name for bit in found] == ["u bit 1", "u bit 2", "v bit 1"]
+    assert [bit.name for bit in found if bit.weak] == ["u bit 2"]
+    np.testing.assert_allclose([bit.median for bit in found], [1.0, 0.05, 0.6], atol=0.006)
+    np.testing.assert_array_equal([bit.unsure_share for bit in found], [0.0, 1.0, 0.0])
+
+
+def test_a_bit_that_is_faint_in_a_corner_shows_in_its_percentiles_and_share():
+    images = list(photographs({}))
+    for index in (2, 3):
+        images[index][:4] = 105
+    first = bit_strengths(images, Named())[0]
+    assert first.unsure_share == pytest.approx(0.1)
+    assert first.weak
+    assert first.percentile_5 == 0.0
+    assert first.median == pytest.approx(1.0)
+
+
+def test_pixels_without_the_panels_light_do_not_count():
+    images = list(photographs({}))
+    for image in images:
+        image[20:] = 10
+    assert [bit.unsure_share for bit in bit_strengths(images, Named())] == [0.0, 0.0, 0.0]
+
+
+def test_a_photograph_too_few_is_refused():
+    with pytest.raises(BadInputError, match="'v bit 1 inverse'"):
+        bit_strengths(list(photographs({}))[:-1], Named())

@@ -1,0 +1,99 @@
+"""Reads Gray-code photographs of a projector: github.com/kamino410/procam-calibration (MIT), folder `sample_data`.
+
+One capture is a folder of 42 photographs `graycode_00.png` to `graycode_41.png`. The order is that of the project's
+`gen_graycode_imgs.py`: OpenCV's `GrayCodePattern` (bits of u from coarse to fine, each followed by its inverse, then
+those of v), white, black. The stripe width is 1, as its README has it; in the photographs decoded v ends sharply at
+767. Beside the captures lies `calibration_result.xml` with camera and projector. `camera_config.json` is not read: it
+is an example for another camera (1280 x 960).
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from wlr_render.captures.photographs import photographs_in
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.mappings import FloatArray, Panel
+
+PANEL = Panel(1024, 768)
+"""The projector of the sample data."""
+
+_COUNT = 42
+_WHITE_AND_BLACK = (40, 41)
+_CALIBRATION = "calibration_result.xml"
+
+
+@dataclass(frozen=True, eq=False)
+class ProcamCapture:
+    """Photographs of one scene, lit by a projector.
+
+    Attributes:
+        photographs: 42 paths in the order in which our Gray code is shown: white, black, bits of u, bits of v.
+        panel: of the projector.
+        camera: that took them.
+        projector: as a camera, which has the panel as its image.
+    """
+
+    photographs: tuple[Path, ...]
+    panel: Panel
+    camera: LensCamera
+    projector: LensCamera
+
+
+def read_procam_graycode(folder: str | Path) -> ProcamCapture:
+    """Read a capture, or a set that holds a single one. Photographs are only listed.
+
+    Raises:
+        BadInputError: a photograph or the calibration is missing, there are photographs too many, or several captures.
+    """
+    capture = _capture_of(Path(folder))
+    listed = photographs_in(capture)
+    found = {path.stem: path for path in listed}
+    names = [f"graycode_{number:02d}" for number in range(_COUNT)]
+    missing = [name for name in names if name not in found]
+    if missing:
+        raise BadInputError(
+            f"{capture}: {missing[0]} is missing ({len(missing)} of {_COUNT} photographs are); copy the capture again."
+        )
+    extra = [path for path in listed if path.stem not in names or found[path.stem] is not path]
+    if extra:
+        raise BadInputError(
+            f"{extra[0]}: is none of the {_COUNT} photographs of a capture, {names[0]} to {names[-1]}, or one of them "
+            "twice; move it away."
+        )
+    bits = [number for number in range(_COUNT) if number not in _WHITE_AND_BLACK]
+    camera, projector = _read_calibration(capture.parent / _CALIBRATION)
+    return ProcamCapture(tuple(found[names[number]] for number in (*_WHITE_AND_BLACK, *bits)), PANEL, camera, projector)
+
+
+def _capture_of(folder: Path) -> Path:
+    captures = sorted(path for path in folder.glob("capture_*") if path.is_dir())
+    if len(captures) > 1:
+        raise BadInputError(f"{folder}: holds {len(captures)} captures; name one of them, such as {captures[0]}.")
+    return captures[0] if captures else folder
+
+
+def _read_calibration(file: Path) -> tuple[LensCamera, LensCamera]:
+    """Camera and projector."""
+    if not file.is_file():
+        raise BadInputError(f"{file}: there is no such calibration; copy it from the set, beside its captures.")
+    try:
+        storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
+        (height, width), *values = (
+            np.asarray(storage.getNode(key).mat(), dtype=np.float64).ravel()
+            for key in ("img_shape", "cam_int", "cam_dist", "proj_int", "proj_dist")
+        )
+        camera = _lens_camera((int(width), int(height)), *values[:2])
+        return camera, _lens_camera((PANEL.width_px, PANEL.height_px), *values[2:])
+    except (cv2.error, TypeError, ValueError, SystemError) as fault:
+        raise BadInputError(f"{file}: holds no camera and projector; copy it from the set again.") from fault
+
+
+def _lens_camera(size_px: tuple[int, int], matrix: FloatArray, distortion: FloatArray) -> LensCamera:
+    """From OpenCV's matrix (9,) and coefficients (5,)."""
+    (fx, _, cx), (_, fy, cy), _ = matrix.reshape(3, 3)
+    centre = np.array([cx, cy]) - OPENCV_PIXEL_SHIFT
+    return LensCamera(size_px, np.array([fx, fy]), centre, distortion.reshape(5))

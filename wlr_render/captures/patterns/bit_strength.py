@@ -1,0 +1,67 @@
+"""How strongly each bit of a code comes through to the camera. The finest stripes fade first."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.patterns.photometry import Light, read_light
+from wlr_render.captures.patterns.shots import Grey, Shots
+from wlr_render.captures.photographs import Photograph
+
+WEAK_SHARE = 0.05
+"""A bit is weak where it cannot be read in a larger share of the lit pixels than this."""
+
+_INVERSE = " inverse"
+_USUAL = DecodeOptions()
+
+
+@dataclass(frozen=True)
+class BitStrength:
+    """|picture - inverse| / (white - black) of one bit over the lit camera pixels.
+
+    Attributes:
+        name: as the pattern calls its picture, e.g. "u bit 3".
+        median, percentile_5, percentile_1: of the strength; 1 is full contrast.
+        unsure_share: of the lit pixels, where the strength is below the confidence that decoding asks for.
+    """
+
+    name: str
+    median: float
+    percentile_5: float
+    percentile_1: float
+    unsure_share: float
+
+    @property
+    def weak(self) -> bool:
+        """Whether the bit cannot be read in more than a few pixels."""
+        return self.unsure_share > WEAK_SHARE
+
+
+def bit_strengths(
+    photographs: Iterable[Photograph], pattern: Pattern, options: DecodeOptions = _USUAL
+) -> tuple[BitStrength, ...]:
+    """Judge each bit that is shown with its inverse right after it; photographs as `pattern.decode` takes them.
+
+    Raises:
+        BadInputError: photographs are missing or left over, of different sizes, or under- or over-exposed.
+    """
+    names = pattern.names()
+    shots = Shots(photographs, names)
+    light = read_light(shots, options)
+    strengths = []
+    earlier = light.middle
+    for number, name in enumerate(names[2:], start=2):
+        image = shots.take()
+        if name == names[number - 1] + _INVERSE:
+            strengths.append(_judged(names[number - 1], np.abs(image - earlier), light, options.min_confidence))
+        earlier = image
+    shots.finish()
+    return tuple(strengths)
+
+
+def _judged(name: str, difference: Grey, light: Light, min_confidence: float) -> BitStrength:
+    strength = (difference * light.per_contrast)[light.lit]
+    first, fifth, median = (float(value) for value in np.percentile(strength, (1, 5, 50)))
+    return BitStrength(name, median, fifth, first, float(np.mean(strength < min_confidence)))

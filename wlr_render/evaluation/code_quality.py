@@ -1,0 +1,183 @@
+"""How well decoded panel positions agree with flat surfaces: a plane maps camera to panel pixels by a homography.
+
+What a homography leaves is the error of decoding, of both lenses, and of the surface's flatness. Whole codes without
+sub-pixel refinement leave 1 / sqrt(12) = 0.29 panel pixels per axis at the least, if errors are uniform.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded
+from wlr_render.evaluation.metrics import Summary, summary
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.mappings import FloatArray
+
+PixelArray = NDArray[np.floating[Any]]
+
+TOLERANCE_PX = 1.5
+"""Panel pixels from a plane's homography within which a camera pixel belongs to the plane."""
+
+_FEWEST_SHARE = 0.02  # of accepted pixels, for a plane
+_MOST_PLANES = 8
+_SAMPLE = 20_000  # rows that a homography is fitted to
+_ROUNDS = 5  # of fitting and choosing members again
+_CELL_PX = 16  # of the camera, over which the smooth part is averaged
+_FEWEST_IN_CELL = _CELL_PX**2 // 4
+
+
+@dataclass(frozen=True)
+class Lenses:
+    """Lenses whose distortion is taken away before a homography is asked for; None leaves pixels as they are."""
+
+    camera: LensCamera | None = None
+    projector: LensCamera | None = None
+
+
+NO_LENSES = Lenses()
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneFit:
+    """One flat surface.
+
+    Attributes:
+        homography: (3, 3) from undistorted camera pixels to undistorted panel pixels.
+        share: of the accepted pixels that belong to it.
+        residual: of the distance between decoded and predicted position, panel pixels.
+        rms_per_axis: of the residual, panel pixels.
+        smooth_rms_per_axis: rms of the mean residual of cells of 16 x 16 camera pixels: what does not average out.
+    """
+
+    homography: FloatArray
+    share: float
+    residual: Summary
+    rms_per_axis: float
+    smooth_rms_per_axis: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneSurvey:
+    """Flat surfaces in a decoded picture, largest first.
+
+    Attributes:
+        planes: one fit each.
+        label: (h, w) int8, the plane's number, -1 where there is none.
+        residual: (h, w, 2) float32 decoded minus predicted, panel pixels; NaN where there is no plane.
+    """
+
+    planes: tuple[PlaneFit, ...]
+    label: NDArray[np.int8]
+    residual: NDArray[np.float32]
+
+
+def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8]:
+    """Label (h, w) the accepted pixels by flat surfaces, found one after the other by RANSAC; -1 where none fits."""
+    seen, shown = _undistorted(decoded, lenses)
+    label = np.full(len(seen), -1, dtype=np.int8)
+    for number in range(_MOST_PLANES):
+        free = (label < 0) & _straight(seen, shown)
+        if np.count_nonzero(free) < max(4, _FEWEST_SHARE * len(seen)):
+            break
+        members = _members(seen, shown, free)
+        if np.count_nonzero(members) < max(4, _FEWEST_SHARE * len(seen)):
+            break
+        label[members] = number
+    picture = np.full(decoded.rejection.shape, -1, dtype=np.int8)
+    picture[decoded.accepted] = label
+    return picture
+
+
+def fit_planes(decoded: Decoded, label: NDArray[np.int8], lenses: Lenses = NO_LENSES) -> PlaneSurvey:
+    """Fit a homography to each of the labelled surfaces (h, w) by least squares, whatever it leaves."""
+    seen, shown = _undistorted(decoded, lenses)
+    own = np.where(_straight(seen, shown), label[decoded.accepted], -1)
+    residual = np.full((*label.shape, 2), np.nan, dtype=np.float32)
+    planes = []
+    for number in range(int(own.max(initial=-1)) + 1):
+        members = own == number
+        homography = _homography(seen[members], shown[members])
+        left = np.full(seen.shape, np.nan)
+        left[members] = shown[members] - _mapped(homography, seen[members])
+        of_plane = np.full_like(residual, np.nan)
+        of_plane[decoded.accepted] = left
+        planes.append(_judged(homography, float(members.mean()), of_plane))
+        residual = np.where(np.isnan(residual), of_plane, residual)
+    return PlaneSurvey(tuple(planes), label, residual)
+
+
+def _judged(homography: FloatArray, share: float, residual: NDArray[np.float32]) -> PlaneFit:
+    """From the residual (h, w, 2), NaN outside of the surface."""
+    length = np.linalg.norm(residual, axis=-1)
+    rms, smooth = (float(np.sqrt(np.nanmean(values**2))) for values in (residual, _cell_means(residual)))
+    return PlaneFit(homography, share, summary(length[np.isfinite(length)]), rms, smooth)
+
+
+def distance_to_planes(
+    planes: Sequence[PlaneFit], camera_pixel: PixelArray, panel_pixel: PixelArray, lenses: Lenses = NO_LENSES
+) -> FloatArray:
+    """Panel pixels (n,) between shown positions (n, 2) and what the nearest of the planes predicts there."""
+    seen, shown = _straightened(lenses.camera, camera_pixel), _straightened(lenses.projector, panel_pixel)
+    distances = [np.linalg.norm(shown - _mapped(plane.homography, seen), axis=1) for plane in planes]
+    return np.asarray(np.min(distances, axis=0, initial=np.inf))
+
+
+def _undistorted(decoded: Decoded, lenses: Lenses) -> tuple[FloatArray, FloatArray]:
+    """Camera and panel pixels (n, 2) of the accepted pixels as lenses without distortion would show them."""
+    row, column = np.nonzero(decoded.accepted)
+    seen = np.stack([column, row], axis=-1) + 0.5
+    return _straightened(lenses.camera, seen), _straightened(lenses.projector, decoded.pixel[decoded.accepted])
+
+
+def _straightened(lens: LensCamera | None, pixel: PixelArray) -> FloatArray:
+    exact: FloatArray = np.asarray(pixel, dtype=np.float64)
+    return exact if lens is None else lens.tangents_of_pixel(exact) * lens.focal_px + lens.centre_px
+
+
+def _straight(seen: FloatArray, shown: FloatArray) -> NDArray[np.bool_]:
+    """Rows (n,) where both lenses have an inverse."""
+    return np.asarray(np.isfinite(seen).all(axis=1) & np.isfinite(shown).all(axis=1))
+
+
+def _members(seen: FloatArray, shown: FloatArray, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The free rows (n,) that belong to the homography which most of them agree on."""
+    rows = _thinned(np.flatnonzero(free))
+    homography, _ = cv2.findHomography(seen[rows][:, None], shown[rows][:, None], cv2.RANSAC, TOLERANCE_PX)
+    members = free
+    for _ in range(_ROUNDS):
+        if homography is None:
+            return np.zeros_like(free)
+        distance = np.linalg.norm(shown - _mapped(homography, seen), axis=1)
+        members = free & (distance < TOLERANCE_PX)
+        homography = _homography(seen[members], shown[members]) if np.count_nonzero(members) >= 4 else None
+    return members
+
+
+def _homography(seen: FloatArray, shown: FloatArray) -> FloatArray:
+    """(3, 3) by least squares on the distance in the panel."""
+    rows = _thinned(np.arange(len(seen)))
+    return np.asarray(cv2.findHomography(seen[rows][:, None], shown[rows][:, None])[0])
+
+
+def _thinned(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """At most `_SAMPLE` of them, by chance but always the same."""
+    return np.random.default_rng(0).choice(rows, _SAMPLE, replace=False) if len(rows) > _SAMPLE else rows
+
+
+def _mapped(homography: FloatArray, pixel: FloatArray) -> FloatArray:
+    return np.asarray(cv2.perspectiveTransform(pixel[:, None], homography)[:, 0])
+
+
+def _cell_means(residual: NDArray[np.float32]) -> FloatArray:
+    """Mean residual (cells, 2) of the cells of a picture (h, w, 2) in which enough is not NaN; NaN if none has."""
+    inside = np.isfinite(residual[..., 0])
+    row, column = np.nonzero(inside)
+    cell = row // _CELL_PX * (inside.shape[1] // _CELL_PX + 1) + column // _CELL_PX
+    count = np.bincount(cell)
+    sums = np.stack([np.bincount(cell, residual[inside][:, axis]) for axis in (0, 1)], axis=-1)
+    filled = count >= _FEWEST_IN_CELL
+    return sums[filled] / count[filled, None] if filled.any() else np.full((1, 2), np.nan)
