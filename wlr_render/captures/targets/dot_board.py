@@ -5,11 +5,13 @@ Board frame: x right along the columns, y down along the rows, z into the board,
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+RealArray = NDArray[np.floating[Any]]
 BoolArray = NDArray[np.bool_]
 
 
@@ -61,20 +63,23 @@ class DotBoard:
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         return np.stack([column, row], axis=-1).reshape(-1, 2)
 
-    def reflectance(self, in_board: FloatArray, softness_m: FloatArray | float = 0.0) -> FloatArray:
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
         """How bright the board is at places (..., 2), x and y: 1 white, 0 dot, NaN beyond its edge.
 
         Args:
             in_board: (..., 2) metres, board frame.
             softness_m: (...) width of the ramp by which a dot's edge is blurred, e.g. a camera pixel's footprint.
         """
-        place = in_board / self.pitch_m + 0.5 * (np.array([self.columns, self.rows]) - 1)
-        last = np.array([self.columns, self.rows]) - 1
-        nearest = np.clip(np.nan_to_num(np.rint(place)), 0, last).astype(np.int64)
-        from_centre = self.pitch_m * np.linalg.norm(place - nearest, axis=-1)
-        beyond_edge = from_centre - 0.5 * self.diameter_of(nearest)
+        x, y = in_board[..., 0], in_board[..., 1]
+        column, row = x / self.pitch_m + 0.5 * (self.columns - 1), y / self.pitch_m + 0.5 * (self.rows - 1)
+        # Both turn NaN into a number, so that it can be an index.
+        nearest_column = np.fmin(np.fmax(np.rint(column), 0), self.columns - 1)
+        nearest_row = np.fmin(np.fmax(np.rint(row), 0), self.rows - 1)
+        large = self.large[nearest_row.astype(np.intp), nearest_column.astype(np.intp)]
+        from_centre = self.pitch_m * np.sqrt((column - nearest_column) ** 2 + (row - nearest_row) ** 2)
+        beyond_edge = from_centre - np.where(large, 0.5 * self.large_m, 0.5 * self.small_m).astype(x.dtype)
         with np.errstate(divide="ignore", invalid="ignore"):
             ramp = np.clip(beyond_edge / softness_m + 0.5, 0.0, 1.0)
-        white = np.where(np.asarray(softness_m) > 0, ramp, (beyond_edge > 0).astype(np.float64))
-        inside = np.all(np.abs(in_board) <= 0.5 * self.size_m, axis=-1)
-        return np.where(inside, white, np.nan)
+        white = np.where(np.asarray(softness_m) > 0, ramp, beyond_edge > 0)
+        width, height = self.size_m
+        return np.where((np.abs(x) <= 0.5 * width) & (np.abs(y) <= 0.5 * height), white, np.nan)

@@ -1,0 +1,148 @@
+"""Choose which dots of a board are large, so that any 5 x 5 of them tell where they lie and how they are turned."""
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.targets.dot_board import BoolArray, DotBoard
+from wlr_render.errors import BadInputError
+
+WINDOW = 5
+"""Any window of this many dots square differs from every other, turned or mirrored, in at least `DISTANCE` sizes."""
+DISTANCE = 3
+
+_LARGE, _SMALL, _MARGIN = 0.6, 0.38, 1.0  # usual sizes in pitches: areas 2.5 to 1, and a clear gap between large dots
+_STEPS_PER_DOT = 10  # of the search before it gives up
+_IntArray = NDArray[np.int64]
+_NOTHING: _IntArray = np.zeros(0, dtype=np.int64)
+
+
+def design_board(
+    columns: int,
+    rows: int,
+    pitch_m: float,
+    large_m: float | None = None,
+    small_m: float | None = None,
+    margin_m: float | None = None,
+    seed: int = 1,
+) -> DotBoard:
+    """A board on which every 5 x 5 window is its own: see `WINDOW`. The same arguments give the same board everywhere.
+
+    Args:
+        columns, rows: number of dots along x and y.
+        pitch_m: distance of neighbouring dots.
+        large_m, small_m: diameters; without, 0.6 and 0.38 of the pitch.
+        margin_m: white from the outermost dots' centres to the edge; without, one pitch.
+        seed: another number gives another board.
+
+    Raises:
+        BadInputError: the dots overlap or are too much alike, or the board is too small or too large for `WINDOW`.
+    """
+    large_m = _LARGE * pitch_m if large_m is None else large_m
+    small_m = _SMALL * pitch_m if small_m is None else small_m
+    margin_m = _MARGIN * pitch_m if margin_m is None else margin_m
+    check_sizes(pitch_m, large_m, small_m, margin_m)
+    if min(columns, rows) < WINDOW:
+        raise BadInputError(f"A board of {columns} x {rows} dots is too small; take at least {WINDOW} x {WINDOW}.")
+    return DotBoard(pitch_m, large_m, small_m, margin_m, _choose_sizes(columns, rows, seed))
+
+
+def check_sizes(pitch_m: float, large_m: float, small_m: float, margin_m: float) -> None:
+    """Refuse a board whose dots could not be told apart.
+
+    Raises:
+        BadInputError: the sentence has the sizes in millimetres and the remedy.
+    """
+    if not 0 < small_m < large_m:
+        raise BadInputError(f"{_mm(large_m, small_m)}: the large one must be larger, and both above zero.")
+    if large_m > 0.85 * pitch_m:
+        raise BadInputError(
+            f"Large dots of {_mm(large_m)} nearly touch at a pitch of {_mm(pitch_m)}; take at most 0.85 of the pitch."
+        )
+    if large_m < 1.25 * small_m:
+        raise BadInputError(f"Dots of {_mm(large_m, small_m)} are too much alike; take diameters 1.25 to 1 or more.")
+    if margin_m < 0.75 * large_m:
+        raise BadInputError(
+            f"A margin of {_mm(margin_m)} leaves no white around dots of {_mm(large_m)}; "
+            "take at least three quarters of the large diameter."
+        )
+
+
+def _mm(*lengths_m: float) -> str:
+    return " and ".join(f"{1e3 * length:g} mm" for length in lengths_m)
+
+
+def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
+    """Dot by dot, row by row, stepping back where both sizes would repeat a window.
+
+    Raises:
+        BadInputError: no room for so many windows.
+    """
+    large = _random_bits(columns * rows, seed).reshape(rows, columns)
+    taken = _TakenWindows()
+    flipped = np.zeros(columns * rows, dtype=bool)
+    dot, steps = 0, 0
+    while dot < large.size:
+        steps += 1
+        if dot < 0 or steps > _STEPS_PER_DOT * large.size:
+            raise BadInputError(
+                f"A board of {columns} x {rows} dots is too large for windows of {WINDOW} x {WINDOW} that differ in "
+                f"{DISTANCE} sizes; use fewer dots, or several boards."
+            )
+        if taken.take(dot, _window_ending_at(large, dot)):
+            dot += 1
+            continue
+        while dot >= 0 and flipped[dot]:
+            flipped[dot] = False
+            dot -= 1
+            taken.release(dot)
+        if dot >= 0:
+            flipped[dot] = True
+            large.flat[dot] ^= True
+    return large
+
+
+def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
+    """The window that a dot, counted row by row, is the last of; empty for a dot that completes none."""
+    row, column = divmod(dot, large.shape[1])
+    if min(row, column) < WINDOW - 1:
+        return large[:0, :0]
+    return large[row - WINDOW + 1 : row + 1, column - WINDOW + 1 : column + 1]
+
+
+def _random_bits(number: int, seed: int) -> BoolArray:
+    """(number,) bits that do not depend on any library's version."""
+    stream = hashlib.shake_256(f"two-size dot board {seed}".encode()).digest(number // 8 + 1)
+    return np.unpackbits(np.frombuffer(stream, np.uint8))[:number].astype(bool)
+
+
+class _TakenWindows:
+    """The windows on the board so far, each as number, in all 8 positions, with everything that is one dot away.
+
+    Two windows differ in `DISTANCE` = 3 sizes or more exactly if nothing is within one dot of both, so that what
+    belongs to different windows never overlaps and can be released again.
+    """
+
+    def __init__(self) -> None:
+        self._taken = np.zeros(1 << WINDOW**2, dtype=bool)
+        self._near: dict[int, _IntArray] = {}
+        self._within_one = np.concatenate([[0], 1 << np.arange(WINDOW**2)])
+        square = np.arange(WINDOW**2).reshape(WINDOW, WINDOW)
+        self._positions = np.array([np.rot90(each, q).ravel() for each in (square, square.T) for q in range(4)])
+
+    def take(self, name: int, window: BoolArray) -> bool:
+        """Take a window if nothing on the board, nor itself turned, is like it; an empty one always."""
+        if not window.size:
+            return True
+        numbers = window.ravel()[self._positions] @ (1 << np.arange(WINDOW**2))
+        near = (numbers[:, None] ^ self._within_one).ravel()
+        if self._taken[near].any() or len(np.unique(near)) < len(near):
+            return False
+        self._taken[near] = True
+        self._near[name] = near
+        return True
+
+    def release(self, name: int) -> None:
+        """Give a window free again."""
+        self._taken[self._near.pop(name, _NOTHING)] = False

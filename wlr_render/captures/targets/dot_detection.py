@@ -1,0 +1,127 @@
+"""Find dark dots on a lighter ground, of any size, in a photograph of uneven light.
+
+The ground under the dots is what a morphological closing fills them with; a dot is where the picture lies below it.
+Each level of a pyramid looks for dots of up to twice the size of the level before.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+FloatImage = NDArray[np.float32]
+
+_LEVELS = 5  # dots of up to 24 px on the finest, 380 px on the coarsest
+_KERNEL_PX = 25  # side of the closing's square, on each level
+_LEAST_AREA_PX = 12.0  # on the finest level: a dot of 6 px seen at 60 degrees
+_LEAST_AREA_BEYOND_PX = 60.0  # on the coarser ones: below, the level before sees it better
+_FULLNESS = (0.8, 1.15)  # area over that of the ellipse of the same second moments: 1 for any ellipse
+_LEAST_AXES_RATIO = 0.3
+_OVER_NOISE = 4.0  # depth of a dot over the usual difference of closing and picture
+_OVER_DEEPEST = 0.05  # depth of a dot over that of the deepest dots
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Dots as ellipses.
+
+    Attributes:
+        centre: (n, 2) pixels from the outer corner of the top-left pixel.
+        spread: (n, 2, 2) second central moments of the ellipses, pixels squared: a disc of radius r has r^2 / 4.
+    """
+
+    centre: FloatArray
+    spread: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+    def __getitem__(self, which: NDArray[np.generic]) -> "Dots":
+        return Dots(self.centre[which], self.spread[which])
+
+    @property
+    def radius(self) -> FloatArray:
+        """(n,) of the circles of equal area, pixels."""
+        return np.asarray(2.0 * np.linalg.det(self.spread) ** 0.25)
+
+
+def find_dots(image: NDArray[np.generic]) -> Dots:
+    """All dark ellipses that are closed in by lighter ground, to about half a pixel; clutter among them.
+
+    Args:
+        image: (h, w) grey, of any type.
+    """
+    level = image.astype(np.float32)
+    found, depths = [], []
+    for octave in range(_LEVELS):
+        if min(level.shape) < _KERNEL_PX:
+            break
+        dots, depth = _dots_of_level(level, _LEAST_AREA_BEYOND_PX if octave else _LEAST_AREA_PX)
+        # A pixel of the next level lies over every second one of this, centre on centre.
+        scale = 2.0**octave
+        found.append(Dots((dots.centre - 0.5) * scale + 0.5, dots.spread * scale**2))
+        depths.append(depth)
+        level = cv2.pyrDown(level)
+    if not found:
+        return Dots(np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    dots = Dots(np.concatenate([each.centre for each in found]), np.concatenate([each.spread for each in found]))
+    return dots[_deepest_of_each_place(dots, np.concatenate(depths))]
+
+
+def _dots_of_level(level: FloatImage, least_area: float) -> tuple[Dots, FloatArray]:
+    """Dots of up to the kernel's size and the mean depth of each below the ground."""
+    smooth = cv2.GaussianBlur(level, (3, 3), 0)
+    square = np.ones((_KERNEL_PX, _KERNEL_PX), np.uint8)
+    below = cv2.morphologyEx(smooth, cv2.MORPH_CLOSE, square) - smooth
+    deepest_near = cv2.dilate(below, square)
+    gate = max(_OVER_NOISE * float(np.median(below)), _OVER_DEEPEST * float(deepest_near.max()))
+    dark = (below > 0.5 * deepest_near) & (deepest_near > gate)
+
+    number, label, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=4)
+    left, top, width, height, area = stats.T
+    inside = (left > 0) & (top > 0) & (left + width < level.shape[1]) & (top + height < level.shape[0])
+    fitting = inside & (area >= least_area) & (np.maximum(width, height) <= _KERNEL_PX)
+
+    v, u = np.nonzero(dark & fitting[label])
+    return _as_ellipses(label[v, u], number, u, v, below[v, u])
+
+
+def _as_ellipses(
+    label: NDArray[np.int32], number: int, u: NDArray[np.int64], v: NDArray[np.int64], below: FloatImage
+) -> tuple[Dots, FloatArray]:
+    """Components by their moments, without those that are no ellipses."""
+
+    def total(of: NDArray[np.generic]) -> FloatArray:
+        return np.asarray(np.bincount(label, of, number), dtype=np.float64)
+
+    area = np.bincount(label, minlength=number).astype(np.float64)
+    present = area > 0
+    each = np.maximum(area, 1.0)
+    centre = np.stack([total(u) / each, total(v) / each], axis=-1)
+    du, dv = u - centre[label, 0], v - centre[label, 1]
+    uu, uv, vv = total(du * du) / each, total(du * dv) / each, total(dv * dv) / each
+    # A pixel is a square of one pixel, not a point.
+    spread = np.stack([np.stack([uu + 1 / 12, uv], -1), np.stack([uv, vv + 1 / 12], -1)], -2)
+
+    determinant, half_trace = np.linalg.det(spread), 0.5 * (spread[:, 0, 0] + spread[:, 1, 1])
+    root = np.sqrt(np.maximum(half_trace**2 - determinant, 0.0))
+    axes_ratio = np.sqrt((half_trace - root) / (half_trace + root))
+    fullness = area / (4.0 * np.pi * np.sqrt(determinant))
+    good = present & (axes_ratio >= _LEAST_AXES_RATIO) & (fullness >= _FULLNESS[0]) & (fullness <= _FULLNESS[1])
+    return Dots(centre[good] + 0.5, spread[good]), (total(below) / each)[good]
+
+
+def _deepest_of_each_place(dots: Dots, depth: FloatArray) -> NDArray[np.bool_]:
+    """(n,) of dots that lie within one another, as levels and noise give them, only the deepest."""
+    keep = np.ones(len(dots), dtype=bool)
+    if len(dots) < 2:
+        return keep
+    tree, radius = cKDTree(dots.centre), dots.radius
+    within = tree.query_ball_point(dots.centre, radius)
+    for dot in np.argsort(-depth):
+        others = [other for other in within[dot] if other != dot] if keep[dot] else []
+        keep[others] = False
+    return keep

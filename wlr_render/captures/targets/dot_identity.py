@@ -1,0 +1,101 @@
+"""Which part of a board a fragment of its lattice is: every place, turned every way, and by how much the best wins."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+
+from wlr_render.captures.targets.board_sighting import BoardNotFoundError
+from wlr_render.captures.targets.dot_board import BoolArray, FloatArray
+
+IntArray = NDArray[np.int64]
+
+_LEAD = 3  # sizes by which the best place must be better than the second best: two misread dots cannot bridge it
+_CHANCE = 1e-3  # that dots of random sizes fit the board somewhere as well
+_QUARTER = np.array([[0, 1], [-1, 0]])
+_MIRROR = np.array([[0, 1], [1, 0]])
+_WAYS = [mirror @ np.linalg.matrix_power(_QUARTER, q) for mirror in (np.eye(2, dtype=int), _MIRROR) for q in range(4)]
+_PROPER = 4  # so many of the ways are no mirror images
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A fragment laid on the board one way, at every place.
+
+    Attributes:
+        way: (2, 2) so that a dot's index times it, plus a shift, is its column and row.
+        disagreeing: (places of rows, places of columns) dots that are not as the board has them, or off the board.
+        first_shift: (2,) shift in columns and rows of the first place.
+    """
+
+    way: IntArray
+    disagreeing: IntArray
+    first_shift: IntArray
+
+    def best_index(self, index: IntArray) -> IntArray:
+        """(k, 2) column and row of each dot at the best place."""
+        row, column = np.unravel_index(int(self.disagreeing.argmin()), self.disagreeing.shape)
+        return np.asarray(index @ self.way + self.first_shift + np.array([column, row]))
+
+
+def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
+    """Column and row (k, 2) on the board of each dot of a fragment; some may lie beyond the board.
+
+    Args:
+        index: (k, 2) lattice coordinates, the second axis clockwise of the first as in a picture.
+        is_large: (k,) sizes as seen, a few of them wrong.
+        board_large: (rows, columns) as printed.
+
+    Raises:
+        BoardNotFoundError: no place fits better than chance, or two fit about as well, or only the mirror image fits.
+    """
+    placed = [_placed(index, is_large, board_large, way) for way in _WAYS]
+    best = min(range(len(placed)), key=lambda way: placed[way].disagreeing.min())
+    first, second = np.partition(np.concatenate([each.disagreeing.ravel() for each in placed]), 1)[:2]
+    seen = len(index)
+    places = len(_WAYS) * board_large.size
+    if places * _share_as_good(int(first), seen) > _CHANCE:
+        raise BoardNotFoundError(_too_few(seen, int(first), places))
+    if second - first < _LEAD:
+        raise BoardNotFoundError(
+            f"{seen} dots in a row were seen, and they fit the board in more than one place; "
+            f"more of them are needed, {seen + 10} in one piece or more."
+        )
+    if best >= _PROPER:
+        raise BoardNotFoundError("the picture is mirrored: only the mirror image of its dots is on the board.")
+    return placed[best].best_index(index)
+
+
+def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: IntArray) -> _Placed:
+    turned = index @ way
+    low = turned.min(axis=0)
+    columns, rows = turned.max(axis=0) - low + 1
+    fragment = np.zeros((rows, columns))  # +1 large, -1 small, 0 no dot
+    fragment[turned[:, 1] - low[1], turned[:, 0] - low[0]] = np.where(is_large, 1.0, -1.0)
+    board = np.where(board_large, 1.0, -1.0)
+
+    def over_all_places(of_board: FloatArray, of_fragment: FloatArray) -> IntArray:
+        return np.asarray(np.rint(correlate(of_board, of_fragment, mode="full")), dtype=np.int64)
+
+    # On the board, dots that agree less dots that do not; and how many lie on the board.
+    balance = over_all_places(board, fragment)
+    on_board = over_all_places(np.ones_like(board), np.abs(fragment))
+    disagreeing = len(index) - (balance + on_board) // 2
+    return _Placed(way, disagreeing, -low - np.array([columns - 1, rows - 1]))
+
+
+def _share_as_good(disagreeing: int, seen: int) -> float:
+    """Part of all size patterns of so many dots with as many disagreeing or fewer."""
+    return sum(math.comb(seen, wrong) for wrong in range(disagreeing + 1)) / 2.0**seen
+
+
+def _too_few(seen: int, disagreeing: int, places: int) -> str:
+    needed = next(n for n in range(1, 10_000) if places * _share_as_good(0, n) <= _CHANCE)
+    if seen < needed:
+        return f"only {seen} dots in one piece were seen; at least {needed} are needed to tell which part it is."
+    return (
+        f"{seen} dots in one piece were seen, but {disagreeing} of them have other sizes than the board has "
+        "where they fit best; is it another board?"
+    )

@@ -1,0 +1,131 @@
+"""Link dots to a square lattice as a lens, a slanted view and optics bend it: every dot gets integer coordinates.
+
+A dot's ellipse says how the board is foreshortened there, but for a rotation; with that undone its neighbours form a
+right-angled cross. From a clear cross the lattice grows, each step predicted by the steps around it.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from wlr_render.captures.targets.dot_detection import Dots
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_NEIGHBOURS = 16  # that hold the four arms of the cross up to a foreshortening of 1 to 2
+_SHAPE_NEIGHBOURS = 7
+_CROSS_TOLERANCE = 0.3  # of an arm, for the other three
+_STEP_TOLERANCE = 0.22  # of a step, between where a dot is expected and found
+_INHERITED = 1.0  # weight of the parent's steps beside what the neighbours say
+_LEAST_DOTS = 9
+_MOST_SEEDS = 60  # crosses from which growing is tried
+_AROUND = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)])
+_NEAR_FIRST = _AROUND[np.argsort(np.abs(_AROUND).max(axis=1) * 3 + np.abs(_AROUND).sum(axis=1), kind="stable")]
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Dots that lie on one lattice.
+
+    Attributes:
+        dot: (k,) which dots.
+        index: (k, 2) their integer coordinates; the second axis lies clockwise of the first, as v of u.
+    """
+
+    dot: IntArray
+    index: IntArray
+
+    def __len__(self) -> int:
+        return len(self.dot)
+
+
+def link_lattices(dots: Dots) -> list[Lattice]:
+    """All lattices of 9 dots or more, the largest first; no dot is in two."""
+    if len(dots) < _LEAST_DOTS:
+        return []
+    tree = cKDTree(dots.centre)
+    seeds, steps = _crosses(dots, tree)
+    free = np.ones(len(dots), dtype=bool)
+    found: list[Lattice] = []
+    for seed, step in zip(seeds, steps, strict=True):
+        if len(found) >= _MOST_SEEDS:
+            break
+        if not free[seed]:
+            continue
+        lattice = _grown(dots.centre, tree, int(seed), step, free)
+        free[lattice.dot] = False
+        found.append(lattice)
+    return sorted((each for each in found if len(each) >= _LEAST_DOTS), key=len, reverse=True)
+
+
+def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:
+    """Dots with four neighbours in a cross, the clearest first, and their two steps (m, 2, 2), pixels."""
+    count = min(_NEIGHBOURS + 1, len(dots))
+    near = tree.query(dots.centre, count)[1][:, 1:]
+    to_near = dots.centre[near] - dots.centre[:, None, :]
+    straightened = np.einsum("nkl,nml->nmk", _straightening(dots, near), to_near)
+
+    length = np.linalg.norm(straightened, axis=-1)
+    arm = np.take_along_axis(straightened, np.argsort(length, axis=1)[:, :4, None], axis=1)
+    quarter = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+    others = np.stack([arm, quarter, -arm, -quarter], axis=2)  # (n, arm, of the cross, 2)
+    away = np.linalg.norm(others[:, :, :, None, :] - straightened[:, None, None, :, :], axis=-1)
+    off = away.min(axis=-1).max(axis=-1) / np.maximum(np.linalg.norm(arm, axis=-1), 1e-9)
+    # The shortest cross that is one: a longer one would skip dots.
+    first = np.argmax(off < _CROSS_TOLERANCE, axis=1)
+    every = np.arange(len(dots))
+    error = off[every, first]
+    which = away[every, first].argmin(axis=-1)[:, :2]
+    steps = to_near[every[:, None], which]
+    seeds = np.argsort(error, kind="stable")
+    seeds = seeds[error[seeds] < _CROSS_TOLERANCE]
+    return seeds, steps[seeds]
+
+
+def _straightening(dots: Dots, near: IntArray) -> FloatArray:
+    """(n, 2, 2) maps of unit determinant that make the ellipses near a dot round again."""
+    flat = dots.spread / np.sqrt(np.linalg.det(dots.spread))[:, None, None]
+    usual = np.median(np.concatenate([flat[:, None], flat[near[:, : _SHAPE_NEIGHBOURS - 1]]], axis=1), axis=1)
+    squares, axes = np.linalg.eigh(usual)
+    return np.asarray(np.einsum("nik,nk,njk->nij", axes, np.maximum(squares, 1e-9) ** -0.5, axes))
+
+
+def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free: NDArray[np.bool_]) -> Lattice:
+    """All that hangs together with a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
+    at = {(0, 0): seed}
+    index_of = {seed: (0, 0)}
+    steps_of = {seed: step}
+    waiting = deque([seed])
+    while waiting:
+        dot = waiting.popleft()
+        own = np.array(index_of[dot])
+        around = [(offset, at.get((own[0] + offset[0], own[1] + offset[1]))) for offset in _NEAR_FIRST]
+        known = [(offset, other) for offset, other in around if other is not None]
+        steps_of[dot] = _local_step(centre, dot, known, steps_of[dot])
+        open_offsets = np.array([offset for offset, other in around if other is None])
+        if not len(open_offsets):
+            continue
+        reach = _STEP_TOLERANCE * min(np.linalg.norm(steps_of[dot], axis=1))
+        away, nearest = tree.query(centre[dot] + open_offsets @ steps_of[dot], distance_upper_bound=reach)
+        for offset, other in zip(open_offsets[np.isfinite(away)], nearest[np.isfinite(away)], strict=True):
+            place = (int(own[0] + offset[0]), int(own[1] + offset[1]))
+            if other in index_of or place in at or not free[other]:
+                continue
+            at[place], index_of[int(other)], steps_of[int(other)] = int(other), place, steps_of[dot]
+            waiting.append(int(other))
+    return Lattice(np.array(list(index_of)), np.array(list(index_of.values())))
+
+
+def _local_step(centre: FloatArray, dot: int, known: list[tuple[IntArray, int]], inherited: FloatArray) -> FloatArray:
+    """(2, 2) least squares of the steps to known neighbours, held to the inherited ones where they say nothing."""
+    near = [(offset, other) for offset, other in known if np.abs(offset).max() == 1]
+    if not near:
+        return inherited
+    offsets = np.array([offset for offset, _ in near], dtype=np.float64)
+    to_others = centre[[other for _, other in near]] - centre[dot]
+    normal = offsets.T @ offsets + _INHERITED * np.eye(2)
+    return np.linalg.solve(normal, offsets.T @ to_others + _INHERITED * inherited)

@@ -1,0 +1,67 @@
+"""The smooth map from lattice coordinates to pixels around each dot: where it should be, how large a cell is there, and
+how far the picture of a disc is centred beside the picture of the disc's centre.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_NEIGHBOURS = 24  # a 5 x 5 window without its middle
+_STIFFNESS = 1e-3  # keeps curvatures finite where a fragment is too narrow to show them
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeShape:
+    """Second-order maps around n dots, each fitted to its neighbours without itself.
+
+    Attributes:
+        expected: (n, 2) pixel where the neighbours say that the dot is.
+        slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
+        curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
+        neighbour: (n, k) which dots were used.
+    """
+
+    expected: FloatArray
+    slope: FloatArray
+    curvature: FloatArray
+    neighbour: IntArray
+
+    @property
+    def cell_px2(self) -> FloatArray:
+        """(n,) area of a lattice cell in the picture."""
+        return np.asarray(np.abs(np.linalg.det(self.slope)))
+
+    def centroid_shift(self, radius: FloatArray) -> FloatArray:
+        """(n, 2) centre of area of a disc's picture less the picture of its centre, pixels.
+
+        With f the map, J its slope and the disc's second moments radius^2 / 4 per axis: the integral of f |J| over the
+        integral of |J|, to second order. For a plane seen in perspective it is what J. Heikkila, "Geometric camera
+        calibration using circular control points", PAMI 22 (2000) 1066, corrects; lenses and optics are in it too.
+
+        Args:
+            radius: (n,) of the discs, lattice units.
+        """
+        growth = np.einsum("nlc,nckl->nk", np.linalg.inv(self.slope), self.curvature)  # of ln |J|
+        mean_lift = 0.5 * np.einsum("nckk->nc", self.curvature)
+        return np.asarray(0.25 * radius[:, None] ** 2 * (mean_lift + np.einsum("nck,nk->nc", self.slope, growth)))
+
+
+def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
+    """Fit the maps.
+
+    Args:
+        index: (n, 2) lattice coordinates, n >= 7.
+        pixel: (n, 2) where they are seen.
+    """
+    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
+    x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
+    basis = np.stack([np.ones_like(x), x, y, 0.5 * x * x, x * y, 0.5 * y * y], axis=-1)
+    normal = np.swapaxes(basis, 1, 2) @ basis + _STIFFNESS * np.diag([0.0, 0, 0, 1, 1, 1])
+    a = np.linalg.solve(normal, np.swapaxes(basis, 1, 2) @ (pixel[near] - pixel[:, None, :]))
+    curvature = np.stack([np.stack([a[:, 3], a[:, 4]], -1), np.stack([a[:, 4], a[:, 5]], -1)], -1)
+    return LatticeShape(pixel + a[:, 0], np.stack([a[:, 1], a[:, 2]], axis=-1), curvature, near)
