@@ -139,6 +139,13 @@ class Table:
             raise self.fail(f"'{key}' is '{value}'; it must be one of {', '.join(choices)}.")
         return value
 
+    def texts(self, key: str) -> list[str]:
+        """A list of strings, at least one."""
+        value = self._get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
+            raise self.fail(f"'{key}' must be a list of texts in quotes, not {value!r}.")
+        return value
+
     def flag(self, key: str, default: bool) -> bool:
         """A boolean."""
         value = self._get(key) if self.has(key) else default
@@ -164,6 +171,13 @@ class Table:
         value = self._get(key) if default is None or self.has(key) else list(default)
         if not isinstance(value, list) or len(value) != size:
             raise self.fail(f"'{key}' must be a list of {size} numbers, not {value!r}.")
+        return np.array([self._number(item, key) for item in value])
+
+    def numbers(self, key: str) -> NDArray[np.float64]:
+        """A list of any number of finite numbers, shape (n,)."""
+        value = self._get(key)
+        if not isinstance(value, list):
+            raise self.fail(f"'{key}' must be a list of numbers, not {value!r}.")
         return np.array([self._number(item, key) for item in value])
 
     def vectors(self, key: str, size: int, default: Sequence[Sequence[float]] | None = None) -> NDArray[np.float64]:
