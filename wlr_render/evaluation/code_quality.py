@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.mappings import FloatArray
 
 PixelArray = NDArray[np.floating[Any]]
 
-TOLERANCE_PX = 1.5
+TOLERANCE_PX = 0.75
 """Panel pixels from a plane's homography within which a camera pixel belongs to the plane."""
 
 _FEWEST_SHARE = 0.02  # of accepted pixels, for a plane
@@ -50,19 +50,21 @@ class PlaneFit:
         share: of the accepted pixels that belong to it.
         residual: of the distance between decoded and predicted position, panel pixels.
         rms_per_axis: of the residual, panel pixels.
-        smooth_rms_per_axis: rms of the mean residual of cells of 16 x 16 camera pixels: what does not average out.
+        smooth_per_axis: rms of the mean residual of cells of 16 x 16 camera pixels: lenses, and what is not flat.
+        scatter_per_axis: rms about those means: the decoder's noise.
     """
 
     homography: FloatArray
     share: float
     residual: Summary
     rms_per_axis: float
-    smooth_rms_per_axis: float
+    smooth_per_axis: float
+    scatter_per_axis: float
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneSurvey:
-    """Flat surfaces in a decoded picture, largest first.
+    """Flat surfaces in a decoded picture, in the order in which they were found.
 
     Attributes:
         planes: one fit each.
@@ -80,7 +82,7 @@ def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8
     seen, shown = _undistorted(decoded, lenses)
     label = np.full(len(seen), -1, dtype=np.int8)
     for number in range(_MOST_PLANES):
-        free = (label < 0) & _straight(seen, shown)
+        free = label < 0
         if np.count_nonzero(free) < max(4, _FEWEST_SHARE * len(seen)):
             break
         members = _members(seen, shown, free)
@@ -95,7 +97,7 @@ def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8
 def fit_planes(decoded: Decoded, label: NDArray[np.int8], lenses: Lenses = NO_LENSES) -> PlaneSurvey:
     """Fit a homography to each of the labelled surfaces (h, w) by least squares, whatever it leaves."""
     seen, shown = _undistorted(decoded, lenses)
-    own = np.where(_straight(seen, shown), label[decoded.accepted], -1)
+    own = label[decoded.accepted]
     residual = np.full((*label.shape, 2), np.nan, dtype=np.float32)
     planes = []
     for number in range(int(own.max(initial=-1)) + 1):
@@ -113,8 +115,8 @@ def fit_planes(decoded: Decoded, label: NDArray[np.int8], lenses: Lenses = NO_LE
 def _judged(homography: FloatArray, share: float, residual: NDArray[np.float32]) -> PlaneFit:
     """From the residual (h, w, 2), NaN outside of the surface."""
     length = np.linalg.norm(residual, axis=-1)
-    rms, smooth = (float(np.sqrt(np.nanmean(values**2))) for values in (residual, _cell_means(residual)))
-    return PlaneFit(homography, share, summary(length[np.isfinite(length)]), rms, smooth)
+    rms = float(np.sqrt(np.nanmean(residual**2)))
+    return PlaneFit(homography, share, summary(length[np.isfinite(length)]), rms, *_smooth_and_scatter(residual))
 
 
 def distance_to_planes(
@@ -134,13 +136,13 @@ def _undistorted(decoded: Decoded, lenses: Lenses) -> tuple[FloatArray, FloatArr
 
 
 def _straightened(lens: LensCamera | None, pixel: PixelArray) -> FloatArray:
-    exact: FloatArray = np.asarray(pixel, dtype=np.float64)
-    return exact if lens is None else lens.tangents_of_pixel(exact) * lens.focal_px + lens.centre_px
-
-
-def _straight(seen: FloatArray, shown: FloatArray) -> NDArray[np.bool_]:
-    """Rows (n,) where both lenses have an inverse."""
-    return np.asarray(np.isfinite(seen).all(axis=1) & np.isfinite(shown).all(axis=1))
+    exact = np.asarray(pixel, dtype=np.float64)
+    if lens is None:
+        return exact
+    # OpenCV's inverse agrees with `LensCamera.tangents_of_pixel` and is fast enough for every pixel of a picture.
+    matrix, of_opencv = lens.opencv_matrix, exact + OPENCV_PIXEL_SHIFT
+    undistorted = cv2.undistortPoints(of_opencv[:, None], matrix, lens.distortion, P=matrix)[:, 0]
+    return np.asarray(undistorted - OPENCV_PIXEL_SHIFT)
 
 
 def _members(seen: FloatArray, shown: FloatArray, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -172,12 +174,20 @@ def _mapped(homography: FloatArray, pixel: FloatArray) -> FloatArray:
     return np.asarray(cv2.perspectiveTransform(pixel[:, None], homography)[:, 0])
 
 
-def _cell_means(residual: NDArray[np.float32]) -> FloatArray:
-    """Mean residual (cells, 2) of the cells of a picture (h, w, 2) in which enough is not NaN; NaN if none has."""
-    inside = np.isfinite(residual[..., 0])
-    row, column = np.nonzero(inside)
-    cell = row // _CELL_PX * (inside.shape[1] // _CELL_PX + 1) + column // _CELL_PX
+def _smooth_and_scatter(residual: NDArray[np.float32]) -> tuple[float, float]:
+    """Rms per axis of the cells' means of a picture (h, w, 2), and of what it holds about them.
+
+    Cells that are mostly NaN do not count; NaN if none counts.
+    """
+    row, column = np.nonzero(np.isfinite(residual[..., 0]))
+    cell = row // _CELL_PX * (residual.shape[1] // _CELL_PX + 1) + column // _CELL_PX
     count = np.bincount(cell)
-    sums = np.stack([np.bincount(cell, residual[inside][:, axis]) for axis in (0, 1)], axis=-1)
-    filled = count >= _FEWEST_IN_CELL
-    return sums[filled] / count[filled, None] if filled.any() else np.full((1, 2), np.nan)
+    kept = count >= _FEWEST_IN_CELL
+    if not kept.any():
+        return np.nan, np.nan
+    smooth = total = 0.0
+    for values in residual[row, column].astype(np.float64).T:
+        smooth += float(np.sum(np.bincount(cell, values)[kept] ** 2 / count[kept]))
+        total += float(np.sum(np.bincount(cell, values**2)[kept]))
+    number = 2 * count[kept].sum()
+    return float(np.sqrt(smooth / number)), float(np.sqrt(max(total - smooth, 0.0) / number))

@@ -6,25 +6,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
-from wlr_render.captures.patterns.photometry import Light, read_light
+from wlr_render.captures.patterns.photometry import read_light
 from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.captures.photographs import Photograph
 
-WEAK_SHARE = 0.05
-"""A bit is weak where it cannot be read in a larger share of the lit pixels than this."""
+WEAK = 0.5
+"""A bit is weak if its median strength is below this part of full contrast."""
 
+_WELL_LIT = 0.25  # of the contrast that the brightest twentieth of the lit pixels exceeds
 _INVERSE = " inverse"
 _USUAL = DecodeOptions()
 
 
 @dataclass(frozen=True)
 class BitStrength:
-    """|picture - inverse| / (white - black) of one bit over the lit camera pixels.
+    """|picture - inverse| / (white - black) of one bit over well-lit camera pixels.
+
+    Even a faultless bit is faint in the pixels that see the border of its stripes: few of a coarse, many of a fine one.
 
     Attributes:
         name: as the pattern calls its picture, e.g. "u bit 3".
         median, percentile_5, percentile_1: of the strength; 1 is full contrast.
-        unsure_share: of the lit pixels, where the strength is below the confidence that decoding asks for.
+        unsure_share: of these pixels, where the strength is below the confidence that decoding asks for.
     """
 
     name: str
@@ -35,8 +38,8 @@ class BitStrength:
 
     @property
     def weak(self) -> bool:
-        """Whether the bit cannot be read in more than a few pixels."""
-        return self.unsure_share > WEAK_SHARE
+        """Whether the bit is blurred or dimmed where there is light enough."""
+        return self.median < WEAK
 
 
 def bit_strengths(
@@ -50,18 +53,20 @@ def bit_strengths(
     names = pattern.names()
     shots = Shots(photographs, names)
     light = read_light(shots, options)
+    well_lit = light.lit & (light.contrast >= _WELL_LIT * np.percentile(light.contrast[light.lit], 95))
+    full = light.contrast[well_lit]
     strengths = []
     earlier = light.middle
     for number, name in enumerate(names[2:], start=2):
         image = shots.take()
         if name == names[number - 1] + _INVERSE:
-            strengths.append(_judged(names[number - 1], np.abs(image - earlier), light, options.min_confidence))
+            strength = np.abs(image - earlier)[well_lit] / full
+            strengths.append(_judged(names[number - 1], strength, options.min_confidence))
         earlier = image
     shots.finish()
     return tuple(strengths)
 
 
-def _judged(name: str, difference: Grey, light: Light, min_confidence: float) -> BitStrength:
-    strength = (difference * light.per_contrast)[light.lit]
+def _judged(name: str, strength: Grey, min_confidence: float) -> BitStrength:
     first, fifth, median = (float(value) for value in np.percentile(strength, (1, 5, 50)))
     return BitStrength(name, median, fifth, first, float(np.mean(strength < min_confidence)))
