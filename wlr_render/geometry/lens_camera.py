@@ -62,7 +62,10 @@ class LensCamera:
 
         true = seen
         for _ in range(_STEPS):
-            true = true - np.linalg.solve(self._slope(true), (self._distorted(true) - seen)[..., None])[..., 0]
+            miss = self._distorted(true) - seen
+            if not np.any(np.abs(miss) > 0.1 * _TOLERANCE):
+                break
+            true = true - _solved(self._slope(true), miss)
         limit = _REACH * np.max(np.abs(np.array([[0, 0], self.size_px]) - self.centre_px) / self.focal_px)
         miss = np.abs(self._distorted(true) - seen).max(axis=-1)
         sound = (miss <= _TOLERANCE) & (np.abs(true).max(axis=-1) <= limit)
@@ -101,3 +104,11 @@ class LensCamera:
             ],
             axis=-2,
         )
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")  # what has no solution becomes NaN or far off
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """The x (n, 2) of matrix (n, 2, 2) x = right (n, 2)."""
+    (a, b), (c, d) = np.moveaxis(matrix, 0, -1)
+    first, second = right.T
+    return np.asarray(np.stack([d * first - b * second, a * second - c * first], axis=-1) / (a * d - b * c)[:, None])

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.targets.dot_board import DotBoard
-from wlr_render.geometry import rays
 from wlr_render.geometry.transforms import inverse
 
 FloatArray = NDArray[np.float64]
@@ -58,21 +57,25 @@ class BoardLight:
     def __call__(self, ray: Float32Array) -> Float32Array:
         """See `sight.Radiance`."""
         place = self._place(ray)
-        reflectance = self.board.reflectance(place, self.softness * _footprint(place)).astype(np.float32)
-        lit = self.black + (self.white - self.black) * reflectance
-        return np.where(np.isnan(lit), self.wall(ray), lit)
+        reflectance = self.board.reflectance(place, self.softness * _footprint(place))
+        light = np.asarray(self.black + (self.white - self.black) * reflectance, dtype=np.float32)
+        missed = np.isnan(light)
+        light[missed] = self.wall(ray[missed])
+        return light
 
     def _place(self, ray: Float32Array) -> Float32Array:
         """Where rays (h, w, 6) meet the board's plane from its front: x and y (h, w, 2), board frame; else NaN."""
-        origin, direction = rays.split(rays.transformed(inverse(self.frame_from_target).astype(np.float32), ray))
+        target_from_frame = inverse(self.frame_from_target).astype(np.float32)
+        rotation, shift = target_from_frame[:3, :3], target_from_frame[:3, 3]
+        origin, direction = ray[..., :3] @ rotation.T + shift, ray[..., 3:] @ rotation.T
         with np.errstate(divide="ignore", invalid="ignore"):
             along = -origin[..., 2] / direction[..., 2]
-        along = np.where((along > 0.0) & (direction[..., 2] > 0.0), along, np.float32(np.nan))
-        return np.asarray(origin[..., :2] + along[..., None] * direction[..., :2])
+        along[~((along > 0.0) & (direction[..., 2] > 0.0))] = np.nan
+        # Axis by axis: numpy is slow over a last axis of two.
+        return np.stack([origin[..., axis] + along * direction[..., axis] for axis in range(2)], axis=-1)
 
 
 def _footprint(place: Float32Array) -> Float32Array:
     """Width (h, w) of a camera pixel on the board, metres, from places (h, w, 2): the root of its area."""
-    down, right = np.gradient(place, axis=(0, 1))
-    area = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
-    return np.sqrt(np.abs(area))
+    (x_down, x_right), (y_down, y_right) = np.gradient(place[..., 0]), np.gradient(place[..., 1])
+    return np.asarray(np.sqrt(np.abs(x_right * y_down - y_right * x_down)))

@@ -71,7 +71,7 @@ class PixelField:
 
     def planes(self) -> Float32Array:
         """The quantity in all pixels, (k, height, width); what it holds outside `lit` means nothing."""
-        value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T)
+        value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T, dtype=np.float32)
         value[:, self.alone[:, 0], self.alone[:, 1]] = self.alone_value.T
         return value
 
@@ -99,10 +99,10 @@ class _Axis:
     def of(cls, size_px: int, offset: float) -> "_Axis":
         cells = max(_STENCIL - 1, int(np.ceil(size_px / _SPACING_PX)))
         spacing = size_px / cells
-        place = (np.arange(size_px) + 0.5 + offset) / spacing
-        middle = np.arange(cells) + 0.5
+        place = (np.arange(size_px, dtype=np.float64) + 0.5 + offset) / spacing
+        middle = np.arange(cells, dtype=np.float64) + 0.5
         return cls(
-            np.arange(cells + 1) * spacing,
+            np.arange(cells + 1, dtype=np.float64) * spacing,
             middle * spacing,
             np.minimum(place.astype(np.int64), cells - 1),
             _lagrange(cells + 1, place),

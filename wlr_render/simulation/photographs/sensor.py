@@ -61,7 +61,7 @@ class Sensor:
         noise_e = np.sqrt(signal * self.full_well_e + self.read_noise_e**2)
         signal += rng.standard_normal(light.shape, dtype=np.float32) * noise_e / self.full_well_e
         grey = np.clip(signal, 0.0, 1.0) ** (1.0 / self.gamma) * (2**self.bits - 1)
-        return np.rint(grey).astype(np.uint8 if self.bits <= 8 else np.uint16)
+        return np.asarray(np.rint(grey), dtype=np.uint8 if self.bits <= 8 else np.uint16)
 
     def _falloff(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
         """What is left of the light in each pixel, (h, w)."""

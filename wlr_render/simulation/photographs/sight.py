@@ -34,6 +34,7 @@ _PANEL_TOLERANCE_PX = 0.003
 _WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's plane, tangents
 _ROWS = 64  # of the picture at a time: what is computed of the world stays in the processor's cache
 _OFF_PANEL = -10.0  # a place of which the nearest pixels are all beyond the panel
+_FARTHEST = 32_000.0  # cv2.remap indexes with 16 bits
 _NEAREST_M = 0.3  # at which an offset of a ray is counted as an angle
 _BLUR_STEP = 16  # of the pixels from which the blur is judged
 _NARROWEST_PX = 1e-3  # of a ramp between two panel pixels
@@ -77,13 +78,16 @@ class Sight:
         display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
         camera_from_device = inverse(device_from_camera)
 
+        def looking(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return rays.split(rays.transformed(device_from_camera, lens.ray_of_pixel(pixel, pupil_point)))
+
         def on_panel(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
-            origin, direction = rays.split(rays.transformed(device_from_camera, lens.ray_of_pixel(pixel, pupil_point)))
+            origin, direction = looking(pupil_point, pixel)
             place, status = display.plane_pixel(direction, origin)
             return place, np.asarray(status == Status.OK)
 
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
-            origin, direction = rays.split(rays.transformed(device_from_camera, lens.ray_of_pixel(pixel, pupil_point)))
+            origin, direction = looking(pupil_point, pixel)
             ray = see_through.real_ray_of_view_dir(direction, origin)
             return _bend(rays.transformed(camera_from_device, ray.value))
 
@@ -112,10 +116,10 @@ class Sight:
         total = np.zeros((height, width), dtype=np.float32)
         if self.panel is None:
             return total
-        if image.shape != (self.panel.height_px, self.panel.width_px):
+        if image.shape != (self.panel.height_px, self.panel.width_px) or image.dtype != np.uint8:
             raise BadInputError(
-                f"An image of shape {image.shape} cannot be shown on a panel of {self.panel.width_px} x "
-                f"{self.panel.height_px} pixels; give (height, width) grey values."
+                f"An image of shape {image.shape} and type {image.dtype} cannot be shown on a panel of "
+                f"{self.panel.width_px} x {self.panel.height_px} pixels; give (height, width) grey values as uint8."
             )
         shining = ((np.arange(256) / 255.0) ** gamma).astype(np.float32)[image]
         for u, v in self._panel_maps:
@@ -127,10 +131,11 @@ class Sight:
         width, height = self.lens.camera.size_px
         total = np.zeros((height, width), dtype=np.float32)
         for field in self.in_world:
-            bend = np.where(field.lit, field.planes(), np.float32(np.nan))
+            bend = field.planes()
+            bend[:, ~field.lit] = np.nan
             for first in range(0, height, _ROWS):
                 rows = slice(first, first + _ROWS)
-                total[rows] += np.nan_to_num(radiance(self._rays(bend[:, rows])))
+                total[rows] += np.nan_to_num(radiance(self._rays(bend[:, rows]))) * field.lit[rows]
         return total / np.float32(len(self.in_world))
 
     def interpolation_error(self, rng: np.random.Generator, count: int = 2000) -> InterpolationError:
@@ -157,8 +162,9 @@ class Sight:
         places = [field.planes() for field in self.on_panel]
         blur = _panel_blur(places, [field.lit for field in self.on_panel])
         for place, field in zip(places, self.on_panel, strict=True):
-            _sharpen(place, blur)
             place[:, ~field.lit] = _OFF_PANEL
+            np.clip(place, _OFF_PANEL, _FARTHEST, out=place)
+            _sharpen(place, blur)
         return places
 
 

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from wlr_render.simulation.photographs.pixel_field import PixelField
+
+SIZE = (150, 90)
+OFFSET = np.array([0.3, -0.2])
+TOLERANCE = np.array([1e-3, 1e-3])
+
+
+def places():
+    u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    return np.stack([u, v], axis=-1) + OFFSET
+
+
+def smooth(place):
+    u, v = place[..., 0] / 100, place[..., 1] / 100
+    return np.stack([100 * np.sin(u + v), 50 * u * np.exp(v)], axis=-1), np.ones(place.shape[:-1], bool)
+
+
+def behind_a_round_hole(place):
+    """Light within a circle; far outside it there is not even a value."""
+    value, _ = smooth(place)
+    radius = np.hypot(place[..., 0] - 70, place[..., 1] - 40)
+    return np.where((radius < 60)[..., None], value, np.nan), radius < 35
+
+
+def bent_along_a_line(place):
+    value, lit = smooth(place)
+    return value + np.abs(place[..., :1] - 61.7), lit
+
+
+@pytest.mark.parametrize("exact", [smooth, behind_a_round_hole, bent_along_a_line])
+def test_every_pixel_has_its_exact_value_and_light(exact):
+    field = PixelField.of(exact, SIZE, OFFSET, TOLERANCE)
+    value, lit = exact(places())
+    np.testing.assert_array_equal(field.lit, lit)
+    error = np.abs(np.moveaxis(field.planes(), 0, -1) - value)[lit]
+    assert error.max() < 1.5e-3
+
+
+def test_few_pixels_are_computed_one_by_one_where_it_is_smooth():
+    assert len(PixelField.of(smooth, SIZE, OFFSET, TOLERANCE).alone) == 0
+    bent = PixelField.of(bent_along_a_line, (600, 40), OFFSET, TOLERANCE)
+    assert 0 < len(bent.alone) < 0.25 * 600 * 40
+
+
+def test_the_error_that_is_told_is_the_error():
+    field = PixelField.of(smooth, SIZE, OFFSET, np.array([np.inf, np.inf]))
+    true = np.moveaxis(field.planes(), 0, -1) - smooth(places())[0]
+    told = field.error(np.random.default_rng(0), 3000)
+    assert told.shape == (3000, 2)
+    np.testing.assert_allclose(np.abs(told).max(axis=0), np.abs(true).max(axis=(0, 1)), rtol=0.5)
+
+
+def test_a_picture_without_light_is_dark_everywhere():
+    field = PixelField.of(
+        lambda place: (np.full((*place.shape[:-1], 2), np.nan), np.zeros(place.shape[:-1], bool)),
+        (7, 3),
+        np.zeros(2),
+        TOLERANCE,
+    )
+    assert not field.lit.any()
+    assert field.error(np.random.default_rng(0), 10).shape == (0, 2)
