@@ -18,6 +18,7 @@ class Rejection(IntEnum):
     CONTRADICTION = 5
     OUTSIDE_PANEL = 6
     ISOLATED = 7
+    PARTLY_LIT = 8
 
     @property
     def sentence(self) -> str:
@@ -34,6 +35,7 @@ _SENTENCES = {
     Rejection.CONTRADICTION: "code and fringes contradict each other",
     Rejection.OUTSIDE_PANEL: "the decoded position lies outside the panel",
     Rejection.ISOLATED: "the decoded position does not fit those of its neighbours",
+    Rejection.PARTLY_LIT: "most of the light that its neighbour gets is missing: the pixel sees past an edge",
 }
 
 

@@ -28,6 +28,9 @@ class DecodeOptions:
     min_confidence: float = 0.1
 
 
+DEFAULT_OPTIONS = DecodeOptions()
+
+
 class Pattern(Protocol):
     """A code for a whole panel. The law: decoding its own pictures gives every panel pixel's centre."""
 
@@ -41,7 +44,7 @@ class Pattern(Protocol):
     def image(self, index: int) -> NDArray[np.uint8]:
         """(panel height, panel width) grey picture number `index`."""
 
-    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DecodeOptions()) -> Decoded:
+    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
         """Panel positions from one photograph per picture, in the order of showing.
 
         Photographs are taken one at a time and not kept, so that the iterable may read them from disk.

@@ -1,0 +1,39 @@
+"""Families of codes by name."""
+
+from dataclasses import fields
+
+from wlr_render.captures.patterns import PATTERNS
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import Panel
+
+
+def make_pattern(name: str, panel: Panel, **numbers: int) -> Pattern:
+    """A code for a panel.
+
+    Args:
+        name: one of `PATTERNS`.
+        panel: to show it on.
+        **numbers: its own numbers, those of `pattern_keys`; the others have their defaults.
+
+    Raises:
+        BadInputError: there is no such code, it has no such number, or the number makes no code.
+    """
+    keys = pattern_keys(name)
+    for key in numbers:
+        if key not in keys:
+            choice = f"it has {', '.join(keys)}" if keys else "it has none"
+            raise BadInputError(f"The code '{name}' has no number '{key}'; {choice}.")
+    pattern: Pattern = PATTERNS[name](panel, **numbers)
+    return pattern
+
+
+def pattern_keys(name: str) -> tuple[str, ...]:
+    """Which numbers a code can be given.
+
+    Raises:
+        BadInputError: there is no such code.
+    """
+    if name not in PATTERNS:
+        raise BadInputError(f"There is no code '{name}'; it must be one of {', '.join(PATTERNS)}.")
+    return tuple(field.name for field in fields(PATTERNS[name]) if field.name != "panel")

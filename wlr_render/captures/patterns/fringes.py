@@ -1,0 +1,106 @@
+"""Phase-shifted fringes of several periods, unwrapped from long to short."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded, Rejection
+from wlr_render.captures.patterns.axis_code import PanelCode
+from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
+from wlr_render.captures.patterns.phase_order import check_agreement
+from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, nearest, noise_gain, read_fringe
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.settle import AxisReading
+from wlr_render.captures.patterns.shots import Shots
+from wlr_render.captures.photographs import Photograph
+from wlr_render.mappings import Panel
+
+_LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
+_RATIO = 6.0  # of two periods at most: the phase of the longer must tell the periods of the shorter apart
+_FAR = 0.3  # of a period: where the longer fringe and this one disagree by more, they contradict each other
+
+
+@dataclass(frozen=True)
+class Fringes:
+    """Multi-frequency phase shifting: fringes from long to short, the longest covers the panel.
+
+    The hierarchy of periods is that of Huntley and Saldner, "Temporal phase-unwrapping algorithm for automated
+    interferogram analysis", Appl. Opt. 32 (1993), with periods in geometric steps. 1920 x 1080 takes 50 pictures.
+
+    Attributes:
+        panel: it is made for.
+        period_px: of the shortest fringe.
+        steps: of each fringe.
+
+    Raises:
+        BadInputError: see `check_fringe`.
+    """
+
+    panel: Panel
+    period_px: int = 16
+    steps: int = 6
+
+    def __post_init__(self) -> None:
+        check_fringe(self.period_px, self.steps)
+
+    @property
+    def _code(self) -> PanelCode:
+        return PanelCode(self.panel, self._axis("u", self.panel.width_px), self._axis("v", self.panel.height_px))
+
+    def _axis(self, axis: str, length_px: int) -> "_Hierarchy":
+        longest = max(_LONGEST * length_px, self.period_px)
+        count = math.ceil(math.log(longest / self.period_px, _RATIO))
+        periods = np.geomspace(longest, self.period_px, count + 1)
+        return _Hierarchy(tuple(FringeAxis(axis, length_px, float(period), self.steps) for period in periods))
+
+    def names(self) -> tuple[str, ...]:
+        """White, black, steps of the fringes of u from long to short, then those of v."""
+        return self._code.names()
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """(panel height, panel width) picture number `index`."""
+        return self._code.image(index)
+
+    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
+        """Panel positions from one photograph per picture; see `Pattern.decode`."""
+        return self._code.decode(photographs, options)
+
+
+@dataclass(frozen=True)
+class _Hierarchy:
+    """One axis: its fringes from long to short."""
+
+    fringes: tuple[FringeAxis, ...]
+
+    def names(self) -> list[str]:
+        return [name for fringe in self.fringes for name in fringe.names()]
+
+    def line(self, index: int) -> NDArray[np.uint8]:
+        number, step = divmod(index, self.fringes[0].steps)
+        return self.fringes[number].line(step)
+
+    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
+        longest = self.fringes[0]
+        reading = read_fringe(longest, shots, light)
+        noise.add(reading.steady, light.lit)
+        position = nearest(longest, reading, np.full(light.lit.shape, 0.5 * longest.length_px))
+        evidence, contradiction = reading.evidence, np.zeros(light.lit.shape, dtype=np.bool_)
+        for fringe in self.fringes[1:]:
+            first = shots.taken
+            reading = read_fringe(fringe, shots, light)
+            noise.add(reading.steady, light.lit)
+            about, position = position, nearest(fringe, reading, position)
+            apart = np.abs(position - about) > _FAR * fringe.period_px
+            check_agreement(apart, light.lit, shots, first)
+            contradiction |= apart
+            evidence = np.minimum(evidence, reading.evidence)
+        return AxisReading(
+            position=position,
+            noise_gain=noise_gain(self.fringes[-1], reading),
+            evidence=evidence,
+            weak=np.full(light.lit.shape, Rejection.WEAK_FRINGE, dtype=np.uint8),
+            contradiction=contradiction,
+        )

@@ -1,0 +1,70 @@
+"""Gray code with inverses: each panel pixel's number, bit by bit."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded, Rejection
+from wlr_render.captures.patterns.axis_code import PanelCode
+from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
+from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.settle import AxisReading
+from wlr_render.captures.patterns.shots import Shots
+from wlr_render.captures.photographs import Photograph
+from wlr_render.mappings import Panel
+
+
+@dataclass(frozen=True)
+class GrayCode:
+    """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 1920 x 1080 takes 46 pictures.
+
+    How much a camera pixel sees of each of two neighbouring panel pixels follows from the grey value of the bit that
+    changes between them, so that positions are finer than a panel pixel. Best where a camera pixel is one to two panel
+    pixels wide, and the camera's grey values are linear in light.
+    """
+
+    panel: Panel
+
+    @property
+    def _code(self) -> PanelCode:
+        axes = GrayAxis("u", self.panel.width_px), GrayAxis("v", self.panel.height_px)
+        return PanelCode(self.panel, *map(_GrayPixels, axes))
+
+    def names(self) -> tuple[str, ...]:
+        """White, black, bits of u from coarse to fine, each followed by its inverse, then bits of v."""
+        return self._code.names()
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """(panel height, panel width) picture number `index`: 0 or 255."""
+        return self._code.image(index)
+
+    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
+        """Panel positions from one photograph per picture; see `Pattern.decode`."""
+        return self._code.decode(photographs, options)
+
+
+@dataclass(frozen=True)
+class _GrayPixels:
+    """One axis; the cells are panel pixels."""
+
+    gray: GrayAxis
+
+    def names(self) -> list[str]:
+        return self.gray.names()
+
+    def line(self, index: int) -> NDArray[np.uint8]:
+        return self.gray.line(index)
+
+    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
+        reading = read_gray(self.gray, shots, light, noise)
+        return AxisReading(
+            position=np.asarray(reading.cell + 0.5 + reading.offset, dtype=np.float64),
+            # Half the difference of two strengths, each with the noise of a difference and that of the contrast.
+            noise_gain=0.5 + reading.offset**2,
+            evidence=reading.evidence,
+            weak=np.full(light.lit.shape, Rejection.UNSURE_BIT, dtype=np.uint8),
+            contradiction=np.zeros(light.lit.shape, dtype=np.bool_),
+        )

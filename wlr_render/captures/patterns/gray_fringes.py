@@ -1,0 +1,106 @@
+"""Phase-shifted fringes whose periods are numbered by a Gray code."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded, Rejection
+from wlr_render.captures.patterns.axis_code import PanelCode
+from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
+from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
+from wlr_render.captures.patterns.phase_order import check_agreement
+from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, nearest, noise_gain, read_fringe
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.settle import AxisReading
+from wlr_render.captures.patterns.shots import Shots
+from wlr_render.captures.photographs import Photograph
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import Panel
+
+_FAR = 0.375  # of a period from the middle of its cell, half-way between the cell's end (1/4) and ambiguity (1/2)
+
+
+@dataclass(frozen=True)
+class GrayFringes:
+    """Gray code of half periods, then fringes: 46 pictures for 1920 x 1080.
+
+    A code that is wrong by one cell at the border of two cells still names the right period, since its middle lies
+    less than half a period away. Strong where blur takes the finest stripes of a full Gray code.
+
+    Attributes:
+        panel: it is made for.
+        period_px: of the fringe, even.
+        steps: of the fringe.
+
+    Raises:
+        BadInputError: the period is odd, or see `check_fringe`.
+    """
+
+    panel: Panel
+    period_px: int = 16
+    steps: int = 6
+
+    def __post_init__(self) -> None:
+        check_fringe(self.period_px, self.steps)
+        if self.period_px % 2:
+            raise BadInputError(f"'period_px' is {self.period_px}; it must be even, as the code numbers half periods.")
+
+    @property
+    def _code(self) -> PanelCode:
+        return PanelCode(self.panel, self._axis("u", self.panel.width_px), self._axis("v", self.panel.height_px))
+
+    def _axis(self, axis: str, length_px: int) -> "_NumberedFringes":
+        cells = -(-length_px // (self.period_px // 2))
+        return _NumberedFringes(GrayAxis(axis, cells), FringeAxis(axis, length_px, self.period_px, self.steps))
+
+    def names(self) -> tuple[str, ...]:
+        """White, black, for u bits from coarse to fine, each followed by its inverse, then steps; the same for v."""
+        return self._code.names()
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """(panel height, panel width) picture number `index`."""
+        return self._code.image(index)
+
+    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
+        """Panel positions from one photograph per picture; see `Pattern.decode`."""
+        return self._code.decode(photographs, options)
+
+
+@dataclass(frozen=True)
+class _NumberedFringes:
+    """One axis; the cells are half periods."""
+
+    gray: GrayAxis
+    fringe: FringeAxis
+
+    def names(self) -> list[str]:
+        return self.gray.names() + self.fringe.names()
+
+    def line(self, index: int) -> NDArray[np.uint8]:
+        bits = len(self.gray.names())
+        if index >= bits:
+            return self.fringe.line(index - bits)
+        return np.repeat(self.gray.line(index), int(self._cell_px))[: self.fringe.length_px]
+
+    @property
+    def _cell_px(self) -> float:
+        return self.fringe.period_px / 2
+
+    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
+        code = read_gray(self.gray, shots, light, noise)
+        first = shots.taken
+        phase = read_fringe(self.fringe, shots, light)
+        middle = np.asarray((code.cell + 0.5) * self._cell_px, dtype=np.float64)
+        position = nearest(self.fringe, phase, middle)
+        apart = np.abs(position - middle) > _FAR * self.fringe.period_px
+        check_agreement(apart, light.lit, shots, first)
+        bits_are_weaker = code.evidence < phase.evidence
+        return AxisReading(
+            position=position,
+            noise_gain=noise_gain(self.fringe, phase),
+            evidence=np.minimum(code.evidence, phase.evidence),
+            weak=np.where(bits_are_weaker, Rejection.UNSURE_BIT, Rejection.WEAK_FRINGE).astype(np.uint8),
+            contradiction=apart,
+        )

@@ -1,0 +1,87 @@
+"""Whether the steps of a fringe were photographed in their order: all pixels must show one waveform, shifted."""
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.patterns.shots import Shots
+from wlr_render.errors import BadInputError
+
+FloatArray = NDArray[np.float64]
+
+_SUSPECT = 0.01  # mean square of what no waveform explains, as a part of the fringe's
+_HOPELESS = 0.3
+_TORN = 0.2  # of the lit pixels
+_BETTER = 0.6  # another order that leaves less of it is the true one
+
+
+def check_steps(values: NDArray[np.float32], shots: Shots, first: int) -> None:
+    """See that no exchange of two steps makes a clearly better fringe.
+
+    Three steps make a fringe in any order; there is nothing to see then.
+
+    Args:
+        values: (steps, n) grey values of some lit pixels.
+        shots: names the photographs.
+        first: number of the first step's.
+
+    Raises:
+        BadInputError: an exchange does, or the photographs show no fringe at all.
+    """
+    steps = len(values)
+    varying = values.astype(np.float64) - values.mean(axis=0)
+    as_read = _unexplained(varying)
+    if as_read < _SUSPECT:
+        return
+    swaps = list(combinations(range(steps), 2))
+    left = [_unexplained(varying[_swapped(steps, swap)]) for swap in swaps]
+    best = int(np.argmin(left))
+    if left[best] < _BETTER * as_read:
+        one, other = (shots.label(first + step) for step in swaps[best])
+        raise BadInputError(
+            f"{one} and {other} seem to be exchanged: the steps of the fringe fit together if they are."
+        )
+    if as_read > _HOPELESS:
+        raise BadInputError(
+            f"{shots.label(first)} to {shots.label(first + steps - 1)} show no fringe shifted step by step: one is "
+            "missing, out of order or of another exposure."
+        )
+
+
+def check_agreement(apart: NDArray[np.bool_], lit: NDArray[np.bool_], shots: Shots, first: int) -> None:
+    """See that fringes fit what was read before them.
+
+    Args:
+        apart: (h, w) where they do not.
+        lit: (h, w) which pixels to ask.
+        shots: names the photographs; the last taken is the fringe's last.
+        first: number of the fringe's first photograph.
+
+    Raises:
+        BadInputError: in too many pixels they do not.
+    """
+    share = float(np.mean(apart[lit]))
+    if share > _TORN:
+        raise BadInputError(
+            f"{shots.label(first)} to {shots.label(shots.taken - 1)} contradict those before them in {share:.0%} of "
+            "the lit pixels: the set is out of order, or the camera moved."
+        )
+
+
+def _swapped(steps: int, swap: tuple[int, int]) -> list[int]:
+    order = list(range(steps))
+    order[swap[0]], order[swap[1]] = swap[1], swap[0]
+    return order
+
+
+def _unexplained(varying: FloatArray) -> float:
+    """Part of the mean square of (steps, n) that is no fundamental with one second harmonic for all pixels."""
+    steps = len(varying)
+    angle = 2 * np.pi * np.arange(steps)[:, None] / steps
+    fundamental = 2 / steps * np.sum(varying * np.exp(1j * angle), axis=0)
+    amplitude, phase = np.abs(fundamental), np.angle(fundamental)
+    left = varying - amplitude * np.cos(phase - angle)
+    harmonic = amplitude * np.cos(2 * (phase - angle))
+    left -= np.sum(left * harmonic) / max(np.sum(harmonic**2), 1e-12) * harmonic
+    return float(np.sum(left**2) / max(np.sum(varying**2), 1e-12))

@@ -1,0 +1,116 @@
+"""Sinusoidal fringes over one axis of a panel, shifted in N equal steps, and how photographs of them are read.
+
+Phase by the synchronous detection of Bruning et al., "Digital wavefront measuring interferometer", Appl. Opt. 13
+(1974): N equal steps leave the phase untouched by constant light and by harmonics of the fringe up to the order N - 2, so that
+the gamma of panel and camera matters little from six steps on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.patterns.phase_order import check_steps
+from wlr_render.captures.patterns.photometry import Light
+from wlr_render.captures.patterns.shots import Grey, Shots
+from wlr_render.errors import BadInputError
+
+_MIN_STEPS, _MIN_PERIOD_PX = 3, 4
+_ASKED = 64  # pixels along each side of the picture that are asked whether the steps are in order
+
+
+@dataclass(frozen=True)
+class FringeAxis:
+    """The fringes of one period along one axis.
+
+    Attributes:
+        axis: "u" or "v".
+        length_px: of the panel along the axis.
+        period_px: of the fringe.
+        steps: how many pictures, each shifted by 1 / steps of the period towards larger positions.
+    """
+
+    axis: str
+    length_px: int
+    period_px: float
+    steps: int
+
+    def names(self) -> list[str]:
+        """Names of its pictures."""
+        return [f"{self.axis} fringe {self.period_px:.4g} px step {step}" for step in range(self.steps)]
+
+    def line(self, step: int) -> NDArray[np.uint8]:
+        """(length_px,) 0 to 255: what one picture shows in each panel pixel."""
+        phase = 2 * np.pi * ((np.arange(self.length_px) + 0.5) / self.period_px - step / self.steps)
+        return np.asarray(np.round(127.5 + 127.5 * np.cos(phase)), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class FringeReading:
+    """What the photographs of one fringe say, all (h, w).
+
+    Attributes:
+        turns: float64, 0 to 1: where in its period the pixel lies.
+        evidence: amplitude as a part of that of full contrast.
+        steady: grey values, what would be equal for all fringes without noise; its variance is that of a difference
+            of two photographs.
+    """
+
+    turns: NDArray[np.float64]
+    evidence: Grey
+    steady: Grey
+
+
+def check_fringe(period_px: float, steps: int) -> None:
+    """See that a fringe can be shown.
+
+    Raises:
+        BadInputError: too short a period for a panel's pixels, or too few steps for a phase.
+    """
+    if period_px < _MIN_PERIOD_PX:
+        raise BadInputError(f"'period_px' is {period_px:g}; fringes need at least {_MIN_PERIOD_PX} panel pixels.")
+    if steps < _MIN_STEPS:
+        raise BadInputError(f"'steps' is {steps}; a phase needs at least {_MIN_STEPS}, and 6 to be immune to gamma.")
+
+
+def read_fringe(axis: FringeAxis, shots: Shots, light: Light) -> FringeReading:
+    """Take the photographs of one fringe.
+
+    Args:
+        axis: the fringe.
+        shots: at its first photograph.
+        light: of the set.
+
+    Raises:
+        BadInputError: a photograph is missing, or the steps are not in order.
+    """
+    first = shots.taken
+    real, imaginary, steady = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
+    every = tuple(slice(None, None, max(1, size // _ASKED)) for size in light.contrast.shape)
+    asked = []
+    for step in range(axis.steps):
+        value = shots.take() - light.middle
+        asked.append(value[every][light.lit[every]])
+        angle = 2 * np.pi * step / axis.steps
+        real += np.float32(np.cos(angle)) * value
+        imaginary += np.float32(np.sin(angle)) * value
+        steady += value
+    check_steps(np.array(asked), shots, first)
+    turns = np.arctan2(imaginary, real).astype(np.float64) / (2 * np.pi) % 1
+    evidence = np.float32(4 / axis.steps) * np.hypot(real, imaginary) * light.per_contrast
+    return FringeReading(turns, evidence, np.float32(np.sqrt(2 / axis.steps)) * steady)
+
+
+def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
+    """(h, w) as in `AxisReading`.
+
+    The variance of an N-step phase is 2 / N of that of a photograph over the amplitude squared; the amplitude is half
+    of the contrast at full evidence, and a photograph has half the variance of a difference.
+    """
+    of_phase = 4 / axis.steps / np.maximum(reading.evidence, 1e-3) ** 2
+    return np.asarray((axis.period_px / (2 * np.pi)) ** 2 * of_phase, dtype=np.float32)
+
+
+def nearest(axis: FringeAxis, reading: FringeReading, about: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(h, w) the position with the fringe's phase that lies nearest to another, panel pixels."""
+    return about + axis.period_px * ((reading.turns - about / axis.period_px + 0.5) % 1 - 0.5)

@@ -1,0 +1,87 @@
+"""What white and black say about each camera pixel, and how large the noise of a set is."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.patterns.pattern import DecodeOptions
+from wlr_render.captures.patterns.shots import Grey, Shots
+from wlr_render.errors import BadInputError
+
+_NOISE_WINDOW = 15
+_ROUNDING = 2 / 12  # variance of the difference of two rounded values
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """The panel's light in each camera pixel; ambient light is in both references and cancels.
+
+    Attributes:
+        middle: (h, w) half of white + black.
+        contrast: (h, w) white - black.
+        lit: (h, w) where the contrast is enough and white is not at the end of the scale.
+    """
+
+    middle: Grey
+    contrast: Grey
+    lit: NDArray[np.bool_]
+
+    @property
+    def per_contrast(self) -> Grey:
+        """(h, w) 1 / contrast where lit, 0 elsewhere."""
+        return np.asarray(self.lit / np.maximum(self.contrast, 1), dtype=np.float32)
+
+
+def read_light(shots: Shots, options: DecodeOptions) -> Light:
+    """Take white and black, the first two photographs of every set.
+
+    Raises:
+        BadInputError: white is not brighter than black anywhere, black is brighter than white, or most of what is lit
+            is at the end of the scale.
+    """
+    white, black = shots.take(), shots.take()
+    contrast = white - black
+    enough = options.min_contrast * options.full_scale
+    full = white >= options.full_scale
+    bright = contrast >= enough
+    if np.count_nonzero(contrast <= -enough) > np.count_nonzero(bright):
+        raise BadInputError(f"{shots.label(0)} is darker than {shots.label(1)}: the two seem to be exchanged.")
+    if np.count_nonzero(full) > 0.5 * np.count_nonzero(bright | full):
+        raise BadInputError(
+            f"{shots.label(0)} is over-exposed: {np.mean(full):.0%} of it is at the end of the scale "
+            f"({options.full_scale}); expose less, or state the camera's true full scale."
+        )
+    if not np.any(bright):
+        raise BadInputError(
+            f"{shots.label(0)} is nowhere brighter than {shots.label(1)} by {options.min_contrast:.0%} of the scale "
+            f"({options.full_scale}): was the panel on, and the exposure long enough?"
+        )
+    return Light(0.5 * (white + black), contrast, bright & ~full)
+
+
+class NoiseMeter:
+    """Variance of photographs, from sums that would all be equal without noise; running moments only."""
+
+    def __init__(self, light: Light) -> None:
+        self._count, self._sum, self._square = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
+
+    def add(self, steady: Grey, where: NDArray[np.bool_]) -> None:
+        """One more sum, scaled so that its variance is that of a difference of two photographs; (h, w) both."""
+        value = steady * where
+        self._count += where
+        self._sum += value
+        self._square += value * value
+
+    def variance(self) -> Grey:
+        """(h, w) variance of the difference of two photographs around each pixel, grey values squared.
+
+        Never below that of two rounded values; just that where too few sums were added.
+        """
+        excess = self._square - self._sum**2 / np.maximum(self._count, 1)
+        freedom = np.maximum(self._count - 1, 0)
+        excess, freedom = (
+            cv2.boxFilter(image, -1, (_NOISE_WINDOW, _NOISE_WINDOW), normalize=False) for image in (excess, freedom)
+        )
+        return np.asarray(np.maximum(excess / np.maximum(freedom, 1), _ROUNDING), dtype=np.float32)
