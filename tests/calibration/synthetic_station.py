@@ -1,8 +1,14 @@
 """A calibration station made of numbers: what a lab's dots would be, with faults to inject."""
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
+from wlr_render.calibration.board_poses import poses_of
 from wlr_render.calibration.board_views import BoardView
+from wlr_render.calibration.poses import small_motion
+from wlr_render.calibration.station import StationPhoto, StationPhotos, find_station
+from wlr_render.calibration.sweep_checks import RepeatedView
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
@@ -52,3 +58,89 @@ CAMERA_FROM_TARGET = {0: transforms.rigid(turned(4, -6, 1), [0.01, -0.005, 0.5])
 def stage_grid(half_m=0.008, steps=5):
     x, y = np.meshgrid(np.linspace(-half_m, half_m, steps), np.linspace(-half_m, half_m, steps))
     return np.stack([x.ravel() + 0.05, y.ravel() + 0.03, np.full(x.size, 0.01)], axis=-1)
+
+
+REFERENCE = np.array([0.05, 0.03, 0.01])
+DEVICE_FROM_CAMERA = transforms.rigid(turned(1, 2, -0.5) @ transforms.OPENXR_FROM_OPENCV, [0.031, 0.002, 0.018])
+DEVICE_FROM_TRACKING = transforms.rigid(turned(-12, 3, 0) @ transforms.OPENXR_FROM_OPENCV, [0.005, 0.03, -0.06])
+SHIFT = small_motion(np.array([0.002, -0.001, 0.0, 2e-4, 5e-4, 0.0]))
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong; nothing by default. Motions are 4 x 4, in the device's frame."""
+
+    target_moved_before_tracking: dict = field(default_factory=dict)  # target pose -> motion
+    target_moved_in_sweep: dict = field(default_factory=dict)
+    headset_shifted_in_sweep: dict = field(default_factory=dict)
+    camera_moved_in_sweep: dict = field(default_factory=dict)
+    bow_m: float = 0.0
+    reading_factor: float = 1.0
+    moved_photograph: int | None = None
+    printed_scale: float = 1.0
+
+
+def device_from_camera(reading, bow_m=0.0):
+    travel = reading - REFERENCE
+    bow = bow_m * (travel[..., :1] / 0.008) ** 2 * np.array([0.0, 0.0, 1.0])
+    return DEVICE_FROM_CAMERA @ transforms.rigid(np.eye(3), travel @ STAGE_AXES.T + bow)
+
+
+def device_from_target(k):
+    distance, tilt = [0.5, 0.9, 0.65][k], [(4, -6, 1), (-5, 8, -2), (3, 5, 0)][k]
+    return DEVICE_FROM_CAMERA @ transforms.rigid(turned(*tilt), [0.01, -0.005, distance])
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All photographs of one run of the procedure."""
+
+    bare: list
+    tracking: list
+    repeated: list
+    photos: StationPhotos
+
+
+def bench(seed, faults=Faults(), bare_targets=(0, 1), targets=(0, 1), steps=4):
+    rng = np.random.default_rng(seed)
+    bare, bare_photos = [], []
+    grid = stage_grid(steps=steps)
+    for k in bare_targets:
+        for reading in grid:
+            name = f"bare/{len(bare):02d}.png"
+            camera_from_target = transforms.inverse(device_from_camera(reading, faults.bow_m)) @ device_from_target(k)
+            if faults.moved_photograph == len(bare):
+                camera_from_target = SHIFT @ camera_from_target
+            bare.append(scaled(board_view(name, EYEBALL, camera_from_target, rng, 5), faults.printed_scale))
+            bare_photos.append(StationPhoto(name, k, reading * faults.reading_factor))
+    tracking, tracking_photos, repeated = [], [], []
+    identity = np.eye(4)
+    for k in targets:
+        target = faults.target_moved_before_tracking.get(k, identity) @ device_from_target(k)
+        moved_target = faults.target_moved_in_sweep.get(k, identity) @ target
+        headset = faults.headset_shifted_in_sweep.get(k, identity)
+        for when, world_from_target, world_from_device in (("a", target, identity), ("b", moved_target, headset)):
+            name = f"tracking/{k}{when}.png"
+            tracking_from_target = transforms.inverse(world_from_device @ DEVICE_FROM_TRACKING) @ world_from_target
+            tracking.append(scaled(board_view(name, TRACKING, tracking_from_target, rng, 3), faults.printed_scale))
+            tracking_photos.append(StationPhoto(name, k, np.zeros(3)))
+        camera = device_from_camera(grid[0])
+        moved_camera = faults.camera_moved_in_sweep.get(k, identity) @ camera
+        first, last = (
+            scaled(
+                board_view(f"through/{k}{when}.png", EYEBALL, transforms.inverse(c) @ t, rng, 5), faults.printed_scale
+            )
+            for when, c, t in (("a", camera, target), ("b", moved_camera, moved_target))
+        )
+        repeated.append(RepeatedView(k, grid[0] * faults.reading_factor, first, last))
+    return Bench(bare, tracking, repeated, StationPhotos(bare_photos, tracking_photos, repeated))
+
+
+def scaled(view, factor):
+    """As a lab has it that believes in a pitch `factor` times the real one."""
+    return replace(view, point=view.point * factor)
+
+
+def station_of(made, eyeball=None):
+    seen = poses_of(EYEBALL, made.bare) if eyeball is None else eyeball
+    return find_station(made.photos, seen, poses_of(TRACKING, made.tracking), DEVICE_FROM_TRACKING)

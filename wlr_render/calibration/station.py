@@ -1,0 +1,175 @@
+"""The calibration station: where the eyeball camera is in the device frame at any stage reading, and the target.
+
+Without the headset the eyeball camera sees the target; with the headset mounted its tracking camera does. The target
+has not moved in between, so that `device_from_camera = device_from_target @ target_from_camera`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.board_views import BoardPoses
+from wlr_render.calibration.chains import Chains, chains_through, combined, tracked_targets
+from wlr_render.calibration.check import Change, Check
+from wlr_render.calibration.poses import Pose, adjoint, motion_between
+from wlr_render.calibration.stage_checks import STEP, stage_checks
+from wlr_render.calibration.stage_fit import StageFit, fit_stage
+from wlr_render.calibration.station_checks import chain_check, lens_check, set_aside_checks
+from wlr_render.calibration.sweep_checks import RepeatedView, TargetChange, sweep_check
+from wlr_render.geometry import transforms
+
+FloatArray = NDArray[np.float64]
+
+_TRACKING = "photographs by the tracking camera"
+
+
+@dataclass(frozen=True, eq=False)
+class StationPhoto:
+    """Where a photograph of the target was taken.
+
+    Attributes:
+        name: as in the poses or views that were found of it.
+        target: number of the target pose.
+        reading: (3,) of the stage, metres; of no meaning for the tracking camera.
+    """
+
+    name: str
+    target: int
+    reading: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class StationPhotos:
+    """Photographs of the target, each list in the order of taking.
+
+    Attributes:
+        bare: by the eyeball camera, without the headset.
+        tracking: by the tracking camera; the first of a target pose before its sweep, the last after it.
+        repeated: through the optics, pairs at one stage reading.
+    """
+
+    bare: Sequence[StationPhoto]
+    tracking: Sequence[StationPhoto]
+    repeated: Sequence[RepeatedView] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """Everything in the device frame.
+
+    Attributes:
+        stage: how the stage carries the camera.
+        at_reference: device_from_camera (4, 4) at the stage's reference reading.
+        covariance: (6 + 3 m, 6 + 3 m) of a small motion of `at_reference` in the device frame and of the m axes.
+        device_from_target: number of the target pose -> pose.
+        checks: all that was checked; those that are not `ok` say which step is off.
+        unchecked: what could not be checked, and what to photograph so that it can.
+    """
+
+    stage: StageFit
+    at_reference: FloatArray
+    covariance: FloatArray
+    device_from_target: Mapping[int, Pose]
+    checks: Sequence[Check] = ()
+    unchecked: Sequence[str] = ()
+
+    def device_from_camera(self, reading: FloatArray) -> FloatArray:
+        """(..., 3) stage readings -> (..., 4, 4).
+
+        Raises:
+            BadInputError: a reading of an axis that no photograph without the headset moved.
+        """
+        return np.asarray(self.at_reference @ transforms.rigid(np.eye(3), self.stage.displacement(reading)))
+
+    def pose_at(self, reading: FloatArray) -> Pose:
+        """device_from_camera at one reading (3,), with its uncertainty."""
+        device_from_camera = self.device_from_camera(reading)
+        by_axes = (np.asarray(reading) - self.stage.reference)[self.stage.moved]
+        by_all = np.zeros((6, len(self.covariance)))
+        by_all[:, :6] = np.eye(6)
+        by_all[3:, 6:] = np.concatenate([travel * self.at_reference[:3, :3] for travel in by_axes], axis=1)
+        return Pose(device_from_camera, by_all @ self.covariance @ by_all.T)
+
+    @property
+    def stage_axes_in_device(self) -> FloatArray:
+        """(3, m) true displacement per reading of each axis that moved, metres per metre."""
+        return np.asarray(self.at_reference[:3, :3] @ self.stage.axes)
+
+
+def find_station(
+    photos: StationPhotos, eyeball: BoardPoses, tracking: BoardPoses, device_from_tracking: FloatArray
+) -> Station:
+    """Put the stage, the eyeball camera and the target into the device frame, and check step against step.
+
+    Checks that fail are in the result; `check.refuse_contradictions` stops on those that are too far off.
+
+    Args:
+        photos: what was photographed where; those without a pose are left out.
+        eyeball: the board before the eyeball camera, in at least the `bare` photographs.
+        tracking: the board before the headset's tracking camera.
+        device_from_tracking: (4, 4) where the tracking camera sits.
+
+    Raises:
+        BadInputError: photographs of a step are missing, or do not determine it.
+    """
+    bare = [photo for photo in photos.bare if photo.name in eyeball.names]
+    tracked = [photo for photo in photos.tracking if photo.name in tracking.names]
+    seen = eyeball.only([photo.name for photo in bare])
+    readings = np.array([photo.reading for photo in bare], dtype=np.float64).reshape(-1, 3)
+    stage = fit_stage(seen, [photo.target for photo in bare], readings)
+    by_target: dict[int, list[str]] = {photo.target: [] for photo in tracked}
+    for photo in tracked:
+        by_target[photo.target].append(photo.name)
+    targets = tracked_targets(tracking, by_target, device_from_tracking)
+    chains = chains_through(stage, targets)
+    station = Station(stage, *combined(stage, chains), targets.poses)
+    sweeps = {
+        target: sweep_check(
+            target,
+            _target_change(tracking.only(names), device_from_tracking) if len(names) > 1 else None,
+            [view for view in photos.repeated if view.target == target],
+            eyeball.camera,
+            station.device_from_camera,
+        )
+        for target, names in by_target.items()
+    }
+    found = [
+        *set_aside_checks(eyeball),
+        *set_aside_checks(tracking),
+        lens_check(STEP, seen),
+        lens_check(_TRACKING, tracking),
+        *stage_checks(stage),
+        chain_check(chains),
+        *sweeps.values(),
+    ]
+    checks = tuple(check for check in found if check is not None)
+    return replace(station, checks=checks, unchecked=tuple(_unchecked(chains, sweeps)))
+
+
+def _target_change(tracking: BoardPoses, device_from_tracking: FloatArray) -> TargetChange:
+    """From the first to the last photograph."""
+    first, last = tracking.camera_from_board[0], tracking.camera_from_board[-1]
+    by_both = np.zeros((6, len(tracking.covariance)))
+    by_both[:, :6], by_both[:, -6:] = -adjoint(last @ transforms.inverse(first)), np.eye(6)
+    covariance = by_both @ tracking.covariance @ by_both.T
+    change = Change.of_motion(motion_between(first, last), covariance, first[:3, 3])
+    names = (tracking.names[0], tracking.names[-1])
+    return TargetChange(names, device_from_tracking @ first, device_from_tracking @ last, change)
+
+
+def _unchecked(chains: Chains, sweeps: Mapping[int, Check | None]) -> list[str]:
+    """Sentences."""
+    said = [
+        f"whether anything moved during the sweep at target pose {target} is not known: photograph the target with the "
+        "tracking camera after the sweep as well, and repeat a photograph through the optics"
+        for target, check in sweeps.items()
+        if check is None
+    ]
+    if len(chains.targets) < 2:
+        said.append(
+            "whether the target moved between its photographs without the headset and its tracking photograph is not "
+            "known: photograph it without the headset at a second target pose as well"
+        )
+    return said
