@@ -17,6 +17,8 @@ from wlr_render.files import Table, read_toml, write_text, write_toml, written_w
 
 _STRIP_MM = 12.0  # below the board, for ruler and text
 _EDGE_MM = 5.0  # from the left edge to the ruler
+_RULER_TEXT_MM = 20.0  # to the right of the ruler
+_LEAST_WIDTH_MM = 50.0  # of the sheet, for the ruler and text of a tiny board
 _TICK_MM = 3.0
 _LINE_MM = 0.2
 _TEXT_MM = 3.0
@@ -32,8 +34,8 @@ class _Sheet:
     """Where things lie on the sheet, millimetres from its top left corner.
 
     Attributes:
-        width, height: of the sheet: the board with a strip below.
-        ruler: length of the ruler: whole centimetres, or millimetres on a board under 30 mm.
+        width, height: of the sheet: the board at its top left, a strip below.
+        ruler: length of the ruler, whole centimetres.
         ruler_y: height of its line.
     """
 
@@ -160,8 +162,8 @@ def write_board_png(board: DotBoard, path: str | Path, dots_per_inch: float = 60
 
 def _sheet(board: DotBoard) -> _Sheet:
     width, height = (float(length) for length in 1e3 * board.size_m)
-    room = width - _EDGE_MM - 20.0
-    ruler = 10.0 * (room // 10.0) if room >= 10.0 else max(5.0, float(int(width / 4)))
+    width = max(width, _LEAST_WIDTH_MM)
+    ruler = 10.0 * ((width - _EDGE_MM - _RULER_TEXT_MM) // 10.0)
     return _Sheet(width, height + _STRIP_MM, ruler, height + 0.3 * _STRIP_MM)
 
 

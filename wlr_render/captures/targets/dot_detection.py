@@ -43,9 +43,15 @@ class Dots:
         return Dots(self.centre[which], self.spread[which])
 
     @property
+    def sound(self) -> NDArray[np.bool_]:
+        """(n,) which are not NaN."""
+        return np.asarray(np.isfinite(self.centre).all(axis=-1) & np.isfinite(self.spread).all(axis=(-1, -2)))
+
+    @property
     def radius(self) -> FloatArray:
         """(n,) of the circles of equal area, pixels."""
-        return np.asarray(2.0 * np.linalg.det(self.spread) ** 0.25)
+        determinant = self.spread[:, 0, 0] * self.spread[:, 1, 1] - self.spread[:, 0, 1] ** 2
+        return np.asarray(2.0 * determinant**0.25)
 
 
 def find_dots(image: NDArray[np.generic]) -> Dots:

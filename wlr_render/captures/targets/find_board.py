@@ -42,8 +42,9 @@ def find_board(image: Photograph, board: DotBoard, name: str = "photograph") -> 
     if not lattices:
         raise BoardNotFoundError(f"{name}: {_why_nothing(image, len(dots))}")
     complaint: BoardNotFoundError | None = None
-    measured = measure_dots(image, dots)
-    for lattice in lattices[:_TRIES]:
+    lattices = lattices[:_TRIES]
+    measured = measure_dots(image, dots, np.concatenate([lattice.dot for lattice in lattices]))
+    for lattice in lattices:
         try:
             return _sighting(lattice, measured, board)
         except BoardNotFoundError as error:

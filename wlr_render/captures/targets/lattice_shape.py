@@ -2,6 +2,7 @@
 how far the picture of a disc is centred beside the picture of the disc's centre.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,15 +13,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _NEIGHBOURS = 24  # a 5 x 5 window without its middle
-_STIFFNESS = 1e-3  # keeps curvatures finite where a fragment is too narrow to show them
+_STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to show them
 
 
 @dataclass(frozen=True, eq=False)
 class LatticeShape:
-    """Second-order maps around n dots, each fitted to its neighbours without itself.
+    """Smooth maps around n dots.
 
     Attributes:
-        expected: (n, 2) pixel where the neighbours say that the dot is.
+        expected: (n, 2) pixel where the neighbours, without the dot itself, say that the dot is.
         slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
         curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
         neighbour: (n, k) which dots were used.
@@ -55,13 +56,26 @@ def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
     """Fit the maps.
 
     Args:
-        index: (n, 2) lattice coordinates, n >= 7.
+        index: (n, 2) lattice coordinates, n >= 7, not all in one line.
         pixel: (n, 2) where they are seen.
     """
-    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
-    x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
-    basis = np.stack([np.ones_like(x), x, y, 0.5 * x * x, x * y, 0.5 * y * y], axis=-1)
-    normal = np.swapaxes(basis, 1, 2) @ basis + _STIFFNESS * np.diag([0.0, 0, 0, 1, 1, 1])
-    a = np.linalg.solve(normal, np.swapaxes(basis, 1, 2) @ (pixel[near] - pixel[:, None, :]))
-    curvature = np.stack([np.stack([a[:, 3], a[:, 4]], -1), np.stack([a[:, 4], a[:, 5]], -1)], -1)
-    return LatticeShape(pixel + a[:, 0], np.stack([a[:, 1], a[:, 2]], axis=-1), curvature, near)
+    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1]
+    step = (index[near] - index[:, None, :]).astype(np.float64)
+    to_near = pixel[near] - pixel[:, None, :]
+    quadratic = _fit(step[:, 1:], to_near[:, 1:], 2)
+    # At the edge of a fragment all neighbours lie on one side: without third orders, theirs would pass for curvature.
+    cubic = _fit(step, to_near, 3)
+    slope = np.stack([cubic[:, 1], cubic[:, 2]], axis=-1)
+    across = np.stack([cubic[:, 3], cubic[:, 4]], axis=-1)
+    curvature = np.stack([across, np.stack([cubic[:, 4], cubic[:, 5]], axis=-1)], axis=-1)
+    return LatticeShape(pixel + quadratic[:, 0], slope, curvature, near[:, 1:])
+
+
+def _fit(step: FloatArray, seen: FloatArray, order: int) -> FloatArray:
+    """Least squares (n, terms, 2) of `seen` (n, k, 2): 1, x, y, x^2 / 2, x y, y^2 / 2, x^3 / 6, ..., y^3 / 6."""
+    powers = [(total - j, j) for total in range(order + 1) for j in range(total + 1)]
+    x, y = step[..., 0], step[..., 1]
+    basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in powers], axis=-1)
+    held = np.diag([_STIFFNESS if i + j > 1 else 0.0 for i, j in powers])
+    transposed = np.swapaxes(basis, 1, 2)
+    return np.asarray(np.linalg.solve(transposed @ basis + held, transposed @ seen))
