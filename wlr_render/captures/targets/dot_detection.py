@@ -16,7 +16,7 @@ FloatImage = NDArray[np.float32]
 
 _LEVELS = 5  # dots of up to 24 px on the finest, 380 px on the coarsest
 _KERNEL_PX = 25  # side of the closing's square, on each level
-_LEAST_AREA_PX = 12.0  # on the finest level: a dot of 6 px seen at 60 degrees
+_LEAST_AREA_PX = 8.0  # on the finest level
 _LEAST_AREA_BEYOND_PX = 60.0  # on the coarser ones: below, the level before sees it better
 _FULLNESS = (0.8, 1.15)  # area over that of the ellipse of the same second moments: 1 for any ellipse
 _LEAST_AXES_RATIO = 0.3
