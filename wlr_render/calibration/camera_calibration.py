@@ -30,6 +30,8 @@ _TANGENTIAL = (6, 7)
 _WORTH = 4.0  # chi-square that a distortion term must bring to be kept: two of its sigmas
 _FEWEST_VIEWS = 3
 _START_DOTS = 80  # per view; the start need not be exact, and OpenCV's time grows with dots
+_MISREAD = 10.0  # times as far from a plane's image as usual
+_LENS_BENDS_PX = 2.0  # and a distance that some photographs may be off where others are not
 _LOOSEST = 0.02  # a focal length or centre known no better than to this part of the focal length is not known
 
 
@@ -64,19 +66,20 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
         BadInputError: fewer than three photographs fit, or they do not determine the focal length or the centre.
     """
     set_aside = {view.name: reason for view in views if (reason := too_few_dots(view))}
+    set_aside |= _misread([view for view in views if view.name not in set_aside])
     usable = [view for view in views if view.name not in set_aside]
     while True:
         _refuse_too_few(usable, set_aside)
-        fit = _fitted(usable, size_px)
+        fit = _adjusted(usable, np.arange(9), *_start(usable, size_px))
         worst, reason = _worst(fit)
         if not reason:
             break
         set_aside[worst] = reason
         usable = [view for view in usable if view.name != worst]
     cleaned = [without_strays(view, part.residual) for view, part in zip(fit.views, fit.parts, strict=True)]
-    fit = adjusted(fit.camera, fit.camera_from_board, cleaned, fit.free)
+    fit = _adjusted(cleaned, fit.free, fit.camera, fit.camera_from_board)
     free = _carried_terms(fit)
-    fit = adjusted(_with_only(fit.camera, free), fit.camera_from_board, cleaned, free)
+    fit = _adjusted(cleaned, free, _with_only(fit.camera, free), fit.camera_from_board)
     sigma = np.zeros(9)
     sigma[free] = np.sqrt(np.diag(fit.lens_covariance))
     _refuse_loose(sigma, fit)
@@ -91,10 +94,32 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
     return CameraCalibration(poses, sigma, tuple(VALUES[i] for i in free if i > 3), fit.noise)
 
 
-def _fitted(views: Sequence[BoardView], size_px: tuple[int, int]) -> Adjustment:
-    """Lens and poses with all distortion terms."""
+def _misread(views: Sequence[BoardView]) -> dict[str, str]:
+    """Photographs whose dots lie nowhere near a plane's image; a lens bends that of all of them alike."""
+    misses = np.array([_plane_misfit_px(view) for view in views])
+    limit = _LENS_BENDS_PX + _MISREAD * float(np.median(misses)) if views else 0.0
+    return {
+        view.name: f"its dots miss the image of a flat board by {miss:.2g} px; they are misread"
+        for view, miss in zip(views, misses, strict=True)
+        if not miss <= limit
+    }
+
+
+def _plane_misfit_px(view: BoardView) -> float:
+    """Rms distance of dots from the best image of a plane by a lens without distortion; NaN where there is none."""
+    plane = view.point[:, :2]
+    homography = cv2.findHomography(plane, view.pixel)[0]
+    if homography is None:
+        return np.nan
+    seen = cv2.perspectiveTransform(plane[:, None], homography)[:, 0]
+    return float(np.sqrt(np.mean((seen - view.pixel) ** 2)))
+
+
+def _adjusted(
+    views: Sequence[BoardView], free: IntArray, camera: LensCamera, camera_from_board: FloatArray
+) -> Adjustment:
     try:
-        return adjusted(*_start(views, size_px), views, np.arange(9))
+        return adjusted(camera, camera_from_board, views, free)
     except UndeterminedError as undetermined:
         raise _undetermined(views) from undetermined
 
@@ -109,7 +134,7 @@ def _start(views: Sequence[BoardView], size_px: tuple[int, int]) -> tuple[LensCa
             flat, seen, size_px, None, None, flags=held
         )
     except cv2.error as error:
-        raise UndeterminedError from error
+        raise _undetermined(views) from error
     camera = LensCamera(
         size_px, np.diag(matrix)[:2].copy(), matrix[:2, 2] - OPENCV_PIXEL_SHIFT, distortion.ravel()[:5].copy()
     )
