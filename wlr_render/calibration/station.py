@@ -18,6 +18,7 @@ from wlr_render.calibration.stage_checks import STEP, stage_checks
 from wlr_render.calibration.stage_fit import StageFit, fit_stage
 from wlr_render.calibration.station_checks import chain_check, lens_check, set_aside_checks
 from wlr_render.calibration.sweep_checks import RepeatedView, TargetChange, sweep_check
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 
 FloatArray = NDArray[np.float64]
@@ -119,6 +120,8 @@ def find_station(
     seen = eyeball.only([photo.name for photo in bare])
     readings = np.array([photo.reading for photo in bare], dtype=np.float64).reshape(-1, 3)
     stage = fit_stage(seen, [photo.target for photo in bare], readings)
+    if not tracked:
+        raise BadInputError("no photograph by the tracking camera shows the target; it ties all to the device.")
     by_target: dict[int, list[str]] = {photo.target: [] for photo in tracked}
     for photo in tracked:
         by_target[photo.target].append(photo.name)
