@@ -121,12 +121,19 @@ def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:
         mean = small_motion(weights @ apart) @ mean
     apart = motion_between(mean, b_from_a).ravel()
     chi_square = float(apart @ np.linalg.solve(covariance, apart))
-    widening = max(1.0, chi_square / (6 * (count - 1))) if count > 1 else 1.0  # R. T. Birge, Phys. Rev. 40 (1932) 207
+    freedom = 6 * (count - 1)
+    # R. T. Birge, Phys. Rev. 40 (1932) 207; at every chance excess it would make the mean look worse than it is.
+    widening = chi_square / freedom if beyond_chance(chi_square, freedom) else 1.0
     return PoseMean(
         Pose(mean, _symmetric(mean_covariance) * widening),
         np.moveaxis(weights.reshape(6, count, 6), 1, 0),
         chi_square,
     )
+
+
+def beyond_chance(chi_square: float, freedom: int) -> bool:
+    """Whether a sum of squares is more than three standard deviations above the one expected."""
+    return freedom > 0 and bool(chi_square > freedom + 3.0 * np.sqrt(2.0 * freedom))
 
 
 def _carried(by: FloatArray, covariance: FloatArray) -> FloatArray:

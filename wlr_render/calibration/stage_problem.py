@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.poses import adjoint, motion_between, small_motion
+from wlr_render.calibration.poses import adjoint, beyond_chance, motion_between, small_motion
 from wlr_render.geometry import transforms
 
 FloatArray = NDArray[np.float64]
@@ -122,7 +122,7 @@ def _design(problem: StageProblem, axes: FloatArray) -> FloatArray:
 def with_jitter(problem: StageProblem) -> tuple[float, StageSolution]:
     """The solution whose residuals are as large as expected, by the camera straying as much as that takes."""
     solution = solved(problem)
-    if solution.chi_square <= problem.freedom:
+    if not beyond_chance(solution.chi_square, problem.freedom):
         return 0.0, solution
     low, high = 1e-8, 1.0
     for _ in range(_HALVINGS):

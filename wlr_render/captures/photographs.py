@@ -14,23 +14,50 @@ from wlr_render.files import written_whole
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) grey, uint8 or uint16, as it came from the camera."""
 
+_BLACK = 0.01  # of full scale: where the brightest twentieth of a picture is darker, it is black
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
+
+
+class BadPhotographError(BadInputError):
+    """A photograph that nothing can be read from, whatever it was to show: the sentence names it and says why."""
 
 
 def read_photograph(path: str | Path) -> Photograph:
     """Read one photograph as (h, w), uint8 or uint16; of a coloured one its grey value.
 
     Raises:
-        BadInputError: there is no such file, or it is no picture of 8 or 16 bits.
+        BadInputError: there is no such file, or it does not have 8 or 16 bits.
+        BadPhotographError: the file is no picture, or is cut short.
     """
     if not Path(path).is_file():
         raise BadInputError(f"{path}: there is no such photograph.")
     image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise BadInputError(f"{path}: cannot be read as a picture; take it again, or leave it out of the session.")
+        raise BadPhotographError(f"{path}: cannot be read as a picture; take it again, or leave it out.")
     if image.dtype not in (np.uint8, np.uint16):
         raise BadInputError(f"{path}: holds {image.dtype} values; a photograph must have 8 or 16 bits.")
     return np.asarray(image)
+
+
+def check_photograph(image: Photograph, size_px: tuple[int, int], full_scale: int, name: str) -> None:
+    """See that a photograph can be one of its camera's, and shows anything.
+
+    Raises:
+        BadInputError: it has another size than the camera, or brighter values than the camera can give.
+        BadPhotographError: it is black or blown out.
+    """
+    height, width = image.shape
+    if (width, height) != tuple(size_px):
+        raise BadInputError(f"{name}: is {width} x {height} pixels, but its camera has {size_px[0]} x {size_px[1]}.")
+    dark, bright = np.percentile(image, [5, 95])
+    if image.max() > full_scale:
+        raise BadInputError(
+            f"{name}: has values up to {image.max()}, beyond the camera's {full_scale}; check its 'bits'."
+        )
+    if bright < _BLACK * full_scale:
+        raise BadPhotographError(f"{name}: is black; nothing can be found in it.")
+    if dark >= full_scale:
+        raise BadPhotographError(f"{name}: is blown out; nothing can be found in it.")
 
 
 def write_photograph(path: str | Path, image: Photograph) -> Path:

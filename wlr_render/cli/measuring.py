@@ -2,19 +2,27 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wlr_render.cli.options import Verbs, add_eye, add_seed, count, few, new_verb, not_negative
 
+if TYPE_CHECKING:
+    from wlr_render.studies.calibrate import FitOptions
+
 
 def _add_calibrate(verbs: Verbs) -> None:
-    parser = new_verb(verbs, "calibrate", _calibrate, "fit an eye's models to simulated or given captures")
+    text = "fit an eye's models: from a session of photographs, from captures given as numbers, or from simulated ones"
+    parser = new_verb(verbs, "calibrate", _calibrate, text)
     source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("session", metavar="SESSION", type=Path, nargs="?", help="folder of photographs, session.toml")
     source.add_argument("--simulate", metavar="DEVICE", help="simulate the captures of a device")
     source.add_argument("--captures", type=Path, metavar="PATH", help="fit a capture file (.npz) or a session's folder")
     kinds = ("planar", "volumetric", "static", "point-per-pixel")
     parser.add_argument("--kind", choices=kinds, default="planar", help="of model")
     parser.add_argument("--degree", type=few, help="of the display; chosen by held-out viewpoints if not given")
     parser.add_argument("--see-through-degree", type=few, help="likewise for see-through")
+    photographs = parser.add_argument_group("with SESSION")
+    photographs.add_argument("--workers", type=count, help="processes that read photographs; one per core if not given")
     session = parser.add_argument_group("with --captures and a session's folder")
     session.add_argument("--bench", type=Path, metavar="FILE", help="read the session by this bench, not by its own")
     simulated = parser.add_argument_group("with --simulate")
@@ -30,6 +38,9 @@ def _calibrate(args: argparse.Namespace) -> None:
     from wlr_render.terminal import print_table
 
     fit = calibrate.FitOptions(args.kind, args.degree, args.see_through_degree)
+    if args.session:
+        _calibrate_photographs(args, fit)
+        return
     if args.captures:
         result = calibrate.calibrate_from_captures(args.captures, args.out, fit, args.bench)
     else:
@@ -38,6 +49,22 @@ def _calibrate(args: argparse.Namespace) -> None:
     for table in result.tables:
         print_table(table)
     print("Written: " + ", ".join(str(path) for path in result.files))
+
+
+def _calibrate_photographs(args: argparse.Namespace, fit: "FitOptions") -> None:
+    from wlr_render.errors import BadInputError
+    from wlr_render.studies.photo_sessions import calibrate, report
+    from wlr_render.terminal import print_table, progress_bar
+
+    result = calibrate.run(args.session, args.out, fit, args.workers, progress_bar)
+    told = report.write(result, args.out)
+    for table in told.tables:
+        print_table(table)
+    print("Written: " + ", ".join(str(path) for path in told.files))
+    if result.faults:
+        raise BadInputError(
+            f"{args.session}: results are without {len(result.faults)} faulty item(s): " + "; ".join(result.faults)
+        )
 
 
 def _add_evaluate(verbs: Verbs) -> None:

@@ -9,13 +9,14 @@ Command = Callable[[argparse.Namespace], None]
 Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
-def new_verb(verbs: Verbs, name: str, command: Command, text: str) -> argparse.ArgumentParser:
-    """A verb with the options that all have."""
+def new_verb(verbs: Verbs, name: str, command: Command, text: str, out: bool = True) -> argparse.ArgumentParser:
+    """A verb with the options that all have; `--out` only if it writes elsewhere than where it is told to work."""
     parser: argparse.ArgumentParser = verbs.add_parser(
         name, help=text, description=text, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.set_defaults(command=command)
-    parser.add_argument("--out", type=Path, default=Path("out") / name, help="folder for the results")
+    if out:
+        parser.add_argument("--out", type=Path, default=Path("out") / name, help="folder for the results")
     parser.add_argument("--debug", action="store_true", help="show the traceback of a fault")
     return parser
 

@@ -95,7 +95,7 @@ def calibrate_simulated(
     captures = simulate(truth, fit.kind, simulation)
     fitted = fit_eye(captures, fit.kind, fit.display_degree, fit.see_through_degree)
     written = save_captures(files.output_folder(folder) / "captures.npz", captures)
-    tables = (*_fit_tables(fitted), _truth_table(fitted.mappings, truth, simulation.seed))
+    tables = (*fit_tables(fitted), _truth_table(fitted.mappings, truth, simulation.seed))
     context = {"device": described.name, "eye": eye, "simulation": asdict(simulation), "fit": asdict(fit)}
     return Calibration(fitted, tables, (written, *_write(folder, fitted, tables, context)))
 
@@ -116,7 +116,7 @@ def calibrate_from_captures(
     """
     measured = _measured(captures, bench)
     fitted = fit_eye(measured, fit.kind, fit.display_degree, fit.see_through_degree)
-    tables = _fit_tables(fitted)
+    tables = fit_tables(fitted)
     context = {"device": measured.display.device, "eye": measured.display.eye, "fit": asdict(fit)}
     return Calibration(fitted, tables, _write(folder, fitted, tables, context))
 
@@ -149,7 +149,8 @@ def _write(
     )
 
 
-def _fit_tables(fitted: EyeFit) -> tuple[ReportTable, ...]:
+def fit_tables(fitted: EyeFit) -> tuple[ReportTable, ...]:
+    """What the fits say of themselves: residuals, and errors at held-out camera positions."""
     return _residual_table(fitted), _held_out_table(fitted)
 
 

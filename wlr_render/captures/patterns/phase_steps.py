@@ -1,8 +1,8 @@
 """Sinusoidal fringes over one axis of a panel, shifted in N equal steps, and how photographs of them are read.
 
 Phase by the synchronous detection of Bruning et al., "Digital wavefront measuring interferometer", Appl. Opt. 13
-(1974): N equal steps leave the phase untouched by constant light and by harmonics of the fringe up to the order N - 2, so that
-the gamma of panel and camera matters little from six steps on.
+(1974): N equal steps leave the phase untouched by constant light and by harmonics of the fringe up to the order N - 2,
+so that the gamma of panel and camera matters little from six steps on.
 """
 
 from dataclasses import dataclass

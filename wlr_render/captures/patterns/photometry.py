@@ -1,5 +1,6 @@
 """What white and black say about each camera pixel, and how large the noise of a set is."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -11,6 +12,7 @@ from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.errors import BadInputError
 
 _NOISE_WINDOW = 15
+_BETWEEN = 0.02  # of a warped picture, pixels on its rim
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
 
@@ -22,11 +24,13 @@ class Light:
         middle: (h, w) half of white + black.
         contrast: (h, w) white - black.
         lit: (h, w) where the contrast is enough and white is not at the end of the scale.
+        end_of_scale: the grey value from which on a photograph may be cut off.
     """
 
     middle: Grey
     contrast: Grey
     lit: NDArray[np.bool_]
+    end_of_scale: float
 
     @property
     def per_contrast(self) -> Grey:
@@ -44,7 +48,8 @@ def read_light(shots: Shots, options: DecodeOptions) -> Light:
     white, black = shots.take(), shots.take()
     contrast = white - black
     enough = options.min_contrast * options.full_scale
-    full = white >= options.full_scale
+    end_of_scale = math.inf if _never_photographed(white, black, options) else options.full_scale
+    full = white >= end_of_scale
     bright = contrast >= enough
     if np.count_nonzero(contrast <= -enough) > np.count_nonzero(bright):
         raise BadInputError(f"{shots.label(0)} is darker than {shots.label(1)}: the two seem to be exchanged.")
@@ -58,7 +63,13 @@ def read_light(shots: Shots, options: DecodeOptions) -> Light:
             f"{shots.label(0)} is nowhere brighter than {shots.label(1)} by {options.min_contrast:.0%} of the scale "
             f"({options.full_scale}): was the panel on, and the exposure long enough?"
         )
-    return Light(0.5 * (white + black), contrast, bright & ~full)
+    return Light(0.5 * (white + black), contrast, bright & ~full, end_of_scale)
+
+
+def _never_photographed(white: Grey, black: Grey, options: DecodeOptions) -> bool:
+    """Whether these are the pictures themselves, warped perhaps: no camera gives two values only, with no noise."""
+    between = (white > 0) & (white < options.full_scale)
+    return not np.any(black) and float(np.mean(between)) < _BETWEEN
 
 
 class NoiseMeter:

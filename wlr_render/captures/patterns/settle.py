@@ -27,7 +27,7 @@ _BESIDE_EDGE = 0.3  # or it does if its darkest neighbour has less than this of 
 _OVERHANG_PX = 0.5  # noise may carry a position over the panel's edge by this much
 _STRAY_PX, _STRAY_STEPS, _STRAY_SIGMAS = 0.75, 0.5, 4.0  # a stray lies off its neighbours by more than all of these
 _VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
-_PIXEL_HARMONICS = (1, 2, 3)
+_PIXEL_HARMONICS = (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ def _rejected_alone(
     """(h, w) the first reason that applies, without asking the neighbours; `noise` as a part of the contrast."""
     u, v = readings
     reasons: tuple[tuple[Mask, Any], ...] = (
-        (peak >= options.full_scale, Rejection.SATURATED),
+        (peak >= light.end_of_scale, Rejection.SATURATED),
         (~light.lit | (_CLEAR * noise > 1), Rejection.DARK),
         (_partly_lit(light.contrast), Rejection.PARTLY_LIT),
         *((each.evidence < np.maximum(options.min_confidence, _SURE * noise), each.weak) for each in readings),

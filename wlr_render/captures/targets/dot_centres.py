@@ -28,14 +28,14 @@ class MeasuredDots:
 
     Attributes:
         dots: (n) the ellipses; their centres are centres of area, their spreads have the blur in them.
-        deficit: (n,) light that the dot takes, in pixels of ground: its area, times how black it is.
+        darkness_px2: (n,) light that the dot takes, in pixels of ground: its area, times how black it is.
         contrast: (n,) how black the middle of the dot is: 1 for black, 0 for ground.
         sigma_px: (n,) standard deviation of the centres per axis.
         blur_px: (n,) standard deviation of the blur of the edge, of pixels too.
     """
 
     dots: Dots
-    deficit: FloatArray
+    darkness_px2: FloatArray
     contrast: FloatArray
     sigma_px: FloatArray
     blur_px: FloatArray
@@ -56,13 +56,14 @@ class _Ground:
     """A plane of light fitted to each ring.
 
     Attributes:
-        below: (m, p) ground less picture.
         level: (m,) at the dot's centre.
+        deficit: (m, p) what a pixel lacks of the ground's light there, as a part of it: light that falls unevenly on
+            a dot does not shift its centre.
         covariance: (m, 3, 3) of the plane's 1, x, y for pixels of unit noise.
     """
 
-    below: FloatArray
     level: FloatArray
+    deficit: FloatArray
     covariance: FloatArray
 
 
@@ -103,12 +104,12 @@ def _measured_once(grey: FloatArray, dots: Dots, which: IntArray, band: FloatArr
     """One pass with the windows where the dots were believed to be."""
     number = len(dots)
     centre, spread = np.full((number, 2), np.nan), np.full((number, 2, 2), np.nan)
-    deficit, contrast, sigma, blur = np.full((4, number), np.nan)
+    darkness, contrast, sigma, blur = np.full((4, number), np.nan)
     reach = band + _ring_width(dots)
     for patches in patches_around(grey, dots, which, band, reach):
         of = patches.dot
-        centre[of], spread[of], deficit[of], contrast[of], sigma[of], blur[of] = _moments(patches, dots[of], band[of])
-    return MeasuredDots(Dots(centre, spread), deficit, contrast, sigma, blur)
+        centre[of], spread[of], darkness[of], contrast[of], sigma[of], blur[of] = _moments(patches, dots[of], band[of])
+    return MeasuredDots(Dots(centre, spread), darkness, contrast, sigma, blur)
 
 
 def _ring_width(dots: Dots) -> FloatArray:
@@ -116,27 +117,28 @@ def _ring_width(dots: Dots) -> FloatArray:
 
 
 def _moments(patches: Patches, dots: Dots, band: FloatArray) -> tuple[FloatArray, ...]:
-    """Centre, spread, deficit, contrast, sigma and blur of m dots; NaN where a dot is cut off or has no ground."""
+    """Centre, spread, darkness, contrast, sigma and blur of m dots; NaN where a dot is cut off or has no ground."""
     regions = _regions(patches, dots, band)
     ground = _ground(patches, regions.ring)
-    x, y, below = patches.x, patches.y, ground.below
-    depth = _mean(below, regions.middle)
+    x, y, deficit = patches.x, patches.y, ground.deficit
+    depth = _mean(deficit, regions.middle)
     whole = ~(patches.outside & (regions.edge | regions.inside)).any(axis=1)
     sound = whole & (regions.ring.sum(axis=1) >= _LEAST_GROUND_PX) & (ground.level > 0) & (depth > 0)
 
-    light = np.where(regions.edge, below, 0.0) + np.where(regions.inside, _mean(below, regions.inside)[:, None], 0.0)
-    total = light.sum(axis=1)
-    sound &= total > 0
-    total, depth, level = (np.where(sound, each, 1.0) for each in (total, depth, ground.level))
-    shift = np.stack([_dot(light, x), _dot(light, y)], axis=-1) / total[:, None]
-    second = _symmetric(*(_dot(light, product) / total for product in (x * x, x * y, y * y)))
+    taken = np.where(regions.edge, deficit, 0.0)
+    taken += np.where(regions.inside, _mean(deficit, regions.inside)[:, None], 0.0)
+    area = taken.sum(axis=1)
+    sound &= area > 0
+    area, depth, level = (np.where(sound, each, 1.0) for each in (area, depth, ground.level))
+    shift = np.stack([_dot(taken, x), _dot(taken, y)], axis=-1) / area[:, None]
+    second = _symmetric(*(_dot(taken, product) / area for product in (x * x, x * y, y * y)))
     spread = second - shift[:, :, None] * shift[:, None, :]
     sound &= (_determinant(spread) > 0) & (spread[:, 0, 0] > 0)
 
-    variance = _noise_variance(below, regions)
-    sigma = np.sqrt(variance * _lever(patches, regions.edge, ground.covariance)) / total
-    blur = _blur(below / depth[:, None], regions.edge, variance / depth**2, dots)
-    results = dots.centre + shift, spread, total / level, depth / level, np.hypot(sigma, _SAMPLING_ERROR_PX), blur
+    variance = np.maximum(_noise_variance(deficit, regions), _QUANTUM_VARIANCE / level**2)
+    sigma = np.sqrt(variance * _lever(patches, regions.edge, ground.covariance)) / area
+    blur = _blur(deficit / depth[:, None], regions.edge, variance / depth**2, dots)
+    results = dots.centre + shift, spread, area, depth, np.hypot(sigma, _SAMPLING_ERROR_PX), blur
     return tuple(np.where(sound.reshape(-1, *[1] * (each.ndim - 1)), each, np.nan) for each in results)
 
 
@@ -154,7 +156,8 @@ def _beyond_edge(patches: Patches, spread: FloatArray) -> FloatArray:
     steep_x = inverse[:, 0, 0] * patches.x + inverse[:, 0, 1] * patches.y
     steep_y = inverse[:, 1, 0] * patches.x + inverse[:, 1, 1] * patches.y
     height = np.sqrt(steep_x * patches.x + steep_y * patches.y)  # 2 on the edge
-    return np.asarray((height - 2.0) * height / np.maximum(np.hypot(steep_x, steep_y), 1e-9))
+    # A pixel right on the middle has no slope, and is far inside.
+    return np.asarray((height - 2.0) * np.maximum(height, 1e-6) / np.maximum(np.hypot(steep_x, steep_y), 1e-9))
 
 
 def _ground(patches: Patches, ring: BoolArray) -> _Ground:
@@ -163,7 +166,9 @@ def _ground(patches: Patches, ring: BoolArray) -> _Ground:
     # A ring without pixels gives a plane of zero; it is refused for that.
     covariance = np.linalg.inv(of_ring @ basis + 1e-6 * np.eye(3))
     plane = covariance @ (of_ring @ patches.grey[..., None])
-    return _Ground((basis @ plane)[..., 0] - patches.grey, plane[:, 0, 0], np.asarray(covariance))
+    light = (basis @ plane)[..., 0]
+    deficit = 1.0 - patches.grey / np.where(light > 0, light, np.inf)
+    return _Ground(plane[:, 0, 0], deficit, np.asarray(covariance))
 
 
 def _lever(patches: Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:
@@ -179,14 +184,13 @@ def _lever(patches: Patches, edge: BoolArray, covariance: FloatArray) -> FloatAr
     return np.asarray(0.5 * (xx + yy + by_ground))
 
 
-def _noise_variance(below: FloatArray, regions: _Regions) -> FloatArray:
+def _noise_variance(deficit: FloatArray, regions: _Regions) -> FloatArray:
     """(m,) of a pixel of the edge: the mean of the ground's and, where a dot has an inside, the dot's."""
     ground_px, inside_px = regions.ring.sum(axis=1), regions.inside.sum(axis=1)
-    ground = _dot(np.where(regions.ring, below, 0.0), below) / np.maximum(ground_px - 3, 1)
-    off = np.where(regions.inside, below - _mean(below, regions.inside)[:, None], 0.0)
+    ground = _dot(np.where(regions.ring, deficit, 0.0), deficit) / np.maximum(ground_px - 3, 1)
+    off = np.where(regions.inside, deficit - _mean(deficit, regions.inside)[:, None], 0.0)
     dot = _dot(off, off) / np.maximum(inside_px - 1, 1)
-    both = np.where(inside_px >= _LEAST_INSIDE_PX, 0.5 * (ground + dot), ground)
-    return np.asarray(np.maximum(both, _QUANTUM_VARIANCE))
+    return np.asarray(np.where(inside_px >= _LEAST_INSIDE_PX, 0.5 * (ground + dot), ground))
 
 
 def _blur(depth: FloatArray, edge: BoolArray, variance: FloatArray, dots: Dots) -> FloatArray:

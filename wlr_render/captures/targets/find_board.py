@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 _TRIES = 3  # lattices, the largest first, that are compared with the board
 _LEAST_DOTS = 9
 _OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
-_OUTLIER_CELLS = 0.02  # of a cell's side; less is never an outlier
+_OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
 _OUTLIER_ROUNDS = 5
 _LARGE_ARE_DARKEST = 75  # percentile of contrasts nearby: about the middle one of the large dots, blurred least
 
@@ -91,7 +91,7 @@ def _smooth_part(lattice: Lattice, measured: MeasuredDots) -> tuple[Lattice, Lat
             raise BoardNotFoundError(f"only {len(lattice)} dots in one piece were seen whole; show more of the board.")
         pixel = measured.dots.centre[lattice.dot]
         shape = lattice_shape(lattice.index, pixel)
-        off = np.linalg.norm(pixel - shape.expected, axis=-1)
+        off = np.linalg.norm(pixel - shape.expected, axis=-1) / shape.doubt
         most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
         # A stray dot makes its neighbours look stray too; only the worst of a neighbourhood goes.
         keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
@@ -104,16 +104,16 @@ def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: Do
     """(k,) which dots are large: by area over the area of a lattice cell, which no view of the board changes."""
     contrast = measured.contrast[dot]
     nearby = np.concatenate([contrast[:, None], contrast[shape.neighbour]], axis=1)
-    area: FloatArray = measured.deficit[dot] / np.percentile(nearby, _LARGE_ARE_DARKEST, axis=1)
+    area: FloatArray = measured.darkness_px2[dot] / np.percentile(nearby, _LARGE_ARE_DARKEST, axis=1)
     between = 0.25 * np.pi * board.large_m * board.small_m / board.pitch_m**2
     return np.asarray(area / shape.cell_px2 > between)
 
 
 def _why_nothing(image: Photograph, dots: int) -> str:
     low, high = np.percentile(image, [1, 99])
-    top = np.iinfo(image.dtype).max
-    if np.mean(image == image.max()) > 0.5 and high > 0.5 * top:
-        return f"most of the picture is at its brightest value, {image.max()}; expose it less."
-    if high - low < 0.02 * top or high < 0.05 * top:
-        return f"no board is in the picture, whose grey values only reach from {low:.0f} to {high:.0f}; expose it more."
-    return f"no board is in the picture: {dots} dark spots were seen, and they do not lie on a lattice."
+    if high == image.max() > 0.5 * np.iinfo(image.dtype).max and np.mean(image == high) > 0.5:
+        return f"most of the picture is at its brightest value, {high:.0f}; expose it less."
+    return (
+        f"no board is in the picture: {dots} dark spots were seen that lie on no lattice, among grey values from "
+        f"{low:.0f} to {high:.0f}; expose it more, or show the board."
+    )

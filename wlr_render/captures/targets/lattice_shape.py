@@ -13,21 +13,26 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _NEIGHBOURS = 24  # a 5 x 5 window without its middle
+_POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # of x and y: 1, x, y, x^2, x y, y^2, ...
 _STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to show them
 
 
 @dataclass(frozen=True, eq=False)
 class LatticeShape:
-    """Smooth maps around n dots.
+    """Third-order maps around n dots, each fitted to its neighbours without itself.
+
+    At the edge of a fragment all neighbours lie on one side; with second orders only, third ones would pass for them.
 
     Attributes:
-        expected: (n, 2) pixel where the neighbours, without the dot itself, say that the dot is.
+        expected: (n, 2) pixel where the neighbours say that the dot is.
+        doubt: (n,) standard deviation per axis of the dot's distance from there, for dots of unit noise.
         slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
         curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
         neighbour: (n, k) which dots were used.
     """
 
     expected: FloatArray
+    doubt: FloatArray
     slope: FloatArray
     curvature: FloatArray
     neighbour: IntArray
@@ -59,23 +64,13 @@ def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
         index: (n, 2) lattice coordinates, n >= 7, not all in one line.
         pixel: (n, 2) where they are seen.
     """
-    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1]
-    step = (index[near] - index[:, None, :]).astype(np.float64)
-    to_near = pixel[near] - pixel[:, None, :]
-    quadratic = _fit(step[:, 1:], to_near[:, 1:], 2)
-    # At the edge of a fragment all neighbours lie on one side: without third orders, theirs would pass for curvature.
-    cubic = _fit(step, to_near, 3)
-    slope = np.stack([cubic[:, 1], cubic[:, 2]], axis=-1)
-    across = np.stack([cubic[:, 3], cubic[:, 4]], axis=-1)
-    curvature = np.stack([across, np.stack([cubic[:, 4], cubic[:, 5]], axis=-1)], axis=-1)
-    return LatticeShape(pixel + quadratic[:, 0], slope, curvature, near[:, 1:])
-
-
-def _fit(step: FloatArray, seen: FloatArray, order: int) -> FloatArray:
-    """Least squares (n, terms, 2) of `seen` (n, k, 2): 1, x, y, x^2 / 2, x y, y^2 / 2, x^3 / 6, ..., y^3 / 6."""
-    powers = [(total - j, j) for total in range(order + 1) for j in range(total + 1)]
-    x, y = step[..., 0], step[..., 1]
-    basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in powers], axis=-1)
-    held = np.diag([_STIFFNESS if i + j > 1 else 0.0 for i, j in powers])
+    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
+    x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
+    basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in _POWERS], axis=-1)
+    held = np.diag([_STIFFNESS if i + j > 1 else 0.0 for i, j in _POWERS])
     transposed = np.swapaxes(basis, 1, 2)
-    return np.asarray(np.linalg.solve(transposed @ basis + held, transposed @ seen))
+    covariance = np.linalg.inv(transposed @ basis + held)
+    term = covariance @ (transposed @ (pixel[near] - pixel[:, None, :]))
+    slope = np.stack([term[:, 1], term[:, 2]], axis=-1)
+    curvature = np.stack([np.stack([term[:, 3], term[:, 4]], -1), np.stack([term[:, 4], term[:, 5]], -1)], -1)
+    return LatticeShape(pixel + term[:, 0], np.sqrt(1.0 + covariance[:, 0, 0]), slope, curvature, near)

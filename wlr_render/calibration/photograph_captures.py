@@ -1,0 +1,139 @@
+"""From what was read in photographs to captures in the device frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate
+from wlr_render.captures.decoded_samples import DecodedSamples
+from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.mappings import EyeBox, Panel
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Headset:
+    """What captures say of the headset.
+
+    Attributes:
+        device: its name.
+        eye: "left" or "right".
+        eye_box: where the pupil may be, device frame.
+    """
+
+    device: str
+    eye: str
+    eye_box: EyeBox
+
+
+@dataclass(frozen=True, eq=False)
+class PanelView:
+    """The panel as decoded from one place.
+
+    Attributes:
+        device_from_camera: (4, 4).
+        samples: what was decoded.
+    """
+
+    device_from_camera: FloatArray
+    samples: DecodedSamples
+
+
+@dataclass(frozen=True, eq=False)
+class TargetView:
+    """The target as seen through the optics from one place.
+
+    Attributes:
+        device_from_camera, device_from_target: (4, 4).
+        target_pose: index of the target's place.
+        capture: index of the camera's place.
+        sighting: the dots found.
+    """
+
+    device_from_camera: FloatArray
+    device_from_target: FloatArray
+    target_pose: int
+    capture: int
+    sighting: BoardSighting
+
+
+def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: Sequence[PanelView]) -> DisplayCaptures:
+    """Captures of the panel: every view is one camera position.
+
+    Raises:
+        BadInputError: there are no views, or a camera does not look at the optics.
+    """
+    if not views:
+        raise BadInputError("no photographs of the panel are left to fit the display to; see what was set aside.")
+    parts = []
+    for number, view in enumerate(views):
+        direction, sound = _directions(camera, view.device_from_camera, view.samples.camera_pixel)
+        # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
+        per_camera_pixel = _arcmin_per_pixel(camera) / view.samples.scale
+        parts.append(
+            DisplayCaptures(
+                headset.device,
+                headset.eye,
+                headset.eye_box,
+                panel,
+                viewpoint=np.broadcast_to(view.device_from_camera[:3, 3], (int(sound.sum()), 3)),
+                view_dir=direction[sound],
+                pixel=view.samples.panel_pixel[sound],
+                capture=np.full(int(sound.sum()), number),
+                sigma_arcmin=np.maximum(view.samples.sigma_px * per_camera_pixel, 1e-6)[sound],
+            )
+        )
+    return concatenate(parts)
+
+
+def see_through_captures(
+    headset: Headset, board: DotBoard, camera: LensCamera, views: Sequence[TargetView]
+) -> SeeThroughCaptures:
+    """Captures of the target through the optics.
+
+    Raises:
+        BadInputError: there are no views, or a target lies behind a camera.
+    """
+    if not views:
+        raise BadInputError(
+            "no photographs of the target through the optics are left to fit see-through to; see what was set aside."
+        )
+    parts = []
+    for view in views:
+        direction, sound = _directions(camera, view.device_from_camera, view.sighting.pixel)
+        count = int(sound.sum())
+        point = transforms.apply(view.device_from_target, board.point_of(view.sighting.index[sound]))
+        parts.append(
+            SeeThroughCaptures(
+                headset.device,
+                headset.eye,
+                headset.eye_box,
+                viewpoint=np.broadcast_to(view.device_from_camera[:3, 3], (count, 3)),
+                view_dir=direction[sound],
+                point=point,
+                capture=np.full(count, view.capture),
+                target_pose=np.full(count, view.target_pose),
+                sigma_arcmin=np.maximum(view.sighting.sigma_px * _arcmin_per_pixel(camera), 1e-6)[sound],
+            )
+        )
+    return concatenate(parts)
+
+
+def _directions(
+    camera: LensCamera, device_from_camera: FloatArray, pixel: FloatArray
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Directions (n, 3) in the device frame, and which of them the camera model has at all, (n,)."""
+    in_camera = camera.dir_of_pixel(pixel)
+    return transforms.rotate(device_from_camera, in_camera), np.asarray(np.isfinite(in_camera).all(axis=-1))
+
+
+def _arcmin_per_pixel(camera: LensCamera) -> float:
+    return float(1.0 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)

@@ -1,0 +1,102 @@
+"""A folder to show a code from: its pictures, and one page that puts them on a panel pixel by pixel."""
+
+import base64
+import json
+from pathlib import Path
+
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photographs import write_photograph
+from wlr_render.files import write_text
+
+PAGE = "show.html"
+
+
+def write_show_page(folder: str | Path, pattern: Pattern) -> list[Path]:
+    """Write the pictures and the page.
+
+    The page needs nothing else beside it. Opened on the panel as an external monitor, it shows picture after picture at the
+    click of a mouse or a key, or every so many seconds with `show.html?seconds=2`, one picture pixel on one panel pixel.
+
+    Args:
+        folder: is made if need be.
+        pattern: to show.
+
+    Returns:
+        The pictures in the order of showing, 000_white.png, 001_black.png, ...; numbered as `Pattern.image` is.
+    """
+    names = pattern.names()
+    paths = [
+        write_photograph(Path(folder) / f"{index:03d}_{name.replace(' ', '_')}.png", pattern.image(index))
+        for index, name in enumerate(names)
+    ]
+    pictures = [_embedded(path) for path in paths]
+    size = f"{pattern.panel.width_px} x {pattern.panel.height_px}"
+    content = {"names": names, "pictures": pictures, "width": pattern.panel.width_px, "height": pattern.panel.height_px}
+    write_text(Path(folder) / PAGE, _HTML.replace("CONTENT", json.dumps(content)).replace("SIZE", size))
+    return paths
+
+
+def _embedded(path: Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+
+
+_HTML = """<!DOCTYPE html>
+<html lang="en">
+<meta charset="utf-8">
+<title>Code for a panel of SIZE pixels</title>
+<style>
+  html, body { margin: 0; height: 100%; background: #000; overflow: hidden; cursor: none; }
+  img { position: absolute; left: 0; top: 0; image-rendering: pixelated; }
+  p { position: absolute; margin: 2em; max-width: 40em; font: 1rem/1.5 sans-serif; color: #fff; }
+</style>
+<img alt="" hidden>
+<p></p>
+<script>
+"use strict";
+const code = CONTENT;
+const picture = document.querySelector("img"), text = document.querySelector("p");
+const seconds = Number(new URLSearchParams(location.search).get("seconds") || 0);
+let index = -1, timer = null;
+
+// One picture pixel on one panel pixel, whatever zoom and scaling the system has.
+function fit() {
+  picture.style.width = code.width / devicePixelRatio + "px";
+  picture.style.height = code.height / devicePixelRatio + "px";
+}
+
+function message() {
+  const here = Math.round(innerWidth * devicePixelRatio) + " x " + Math.round(innerHeight * devicePixelRatio);
+  text.textContent = code.names.length + " pictures for a panel of SIZE pixels; this window has " + here + ". " +
+    "Click for full screen and the first picture; then click or press any key for the next, Backspace or the left " +
+    "arrow for the one before. With ?seconds=2 behind the address they change by themselves.";
+}
+
+function show(next) {
+  index = Math.max(-1, Math.min(next, code.names.length));
+  const shown = index >= 0 && index < code.names.length;
+  picture.hidden = !shown;
+  text.hidden = index >= 0;
+  if (shown) { picture.src = code.pictures[index]; document.title = index + " " + code.names[index]; }
+  if (index === code.names.length) { clearInterval(timer); timer = null; document.title = "all shown"; }
+}
+
+function start() {
+  document.documentElement.requestFullscreen?.();
+  show(0);
+  if (seconds > 0) timer = setInterval(() => show(index + 1), 1000 * seconds);
+}
+
+addEventListener("resize", () => { fit(); message(); });
+addEventListener("click", () => index < 0 ? start() : show(index + 1));
+addEventListener("keydown", event => {
+  if (["Shift", "Control", "Alt", "Meta", "Escape", "F11"].includes(event.key)) return;
+  event.preventDefault();
+  if (event.key === "Backspace" || event.key === "ArrowLeft") show(index - 1);
+  else if (index < 0) start();
+  else show(index + 1);
+});
+fit();
+message();
+</script>
+</html>
+"""

@@ -1,0 +1,52 @@
+"""How far drawn dots lie from the real ones that they should cover, from two photographs: display off, and on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.geometry.directions import arcmin_between
+from wlr_render.geometry.lens_camera import LensCamera
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PairMisalignment:
+    """Dots that both photographs show.
+
+    Attributes:
+        index: (n, 2) column and row on the board.
+        real_px: (n, 2) where the real dot is seen, camera pixels.
+        virtual_px: (n, 2) where the virtual one is.
+        arcmin: (n,) angle between the two, as seen from the camera.
+        sigma_arcmin: (n,) standard deviation of that angle along any one axis, from the noise of both photographs.
+    """
+
+    index: NDArray[np.int64]
+    real_px: FloatArray
+    virtual_px: FloatArray
+    arcmin: FloatArray
+    sigma_arcmin: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def pair_misalignment(real: BoardSighting, virtual: BoardSighting, camera: LensCamera) -> PairMisalignment:
+    """Match the dots of both photographs by what they are on the board; dots seen in one only are left out.
+
+    Args:
+        real: of the photograph with the display off.
+        virtual: with the display on, from the same place.
+        camera: that took both.
+    """
+    place = {tuple(dot): row for row, dot in enumerate(virtual.index.tolist())}
+    matched = [(row, place[tuple(dot)]) for row, dot in enumerate(real.index.tolist()) if tuple(dot) in place]
+    first, second = np.array(matched, dtype=np.int64).reshape(-1, 2).T
+    real_px, virtual_px = real.pixel[first], virtual.pixel[second]
+    sigma_px = np.hypot(real.sigma_px[first], virtual.sigma_px[second])
+    arcmin = arcmin_between(camera.dir_of_pixel(real_px), camera.dir_of_pixel(virtual_px))
+    across = arcmin_between(camera.dir_of_pixel(real_px), camera.dir_of_pixel(real_px + [1.0, 0.0]))
+    return PairMisalignment(real.index[first], real_px, virtual_px, arcmin, sigma_px * across)

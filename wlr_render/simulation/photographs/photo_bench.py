@@ -1,0 +1,200 @@
+"""A bench that takes photographs, with everything true about it that calibration must find out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.targets.board_design import design_board
+from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import dir_of_tangents, normalised
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.mappings import EyeMappings
+from wlr_render.optics.device import Device, EyeOptics
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.sensor import Sensor
+from wlr_render.simulation.viewpoints import planar
+
+FloatArray = NDArray[np.float64]
+
+_MARGIN = 1.08  # by how much the camera sees more than the display's field
+_BOARD_MARGIN = 1.15  # by how much the board is larger than that field at the farthest pose, where it can be
+_LARGEST_BOARD_M = (1.189, 0.841)  # A0, what a plotter prints
+_PITCH_PX = 24.0  # of the board at its farthest place, camera pixels
+_EXPOSURE = 0.85  # of a white panel: just below full scale
+_TRACKING_SNR = 60.0
+
+
+@dataclass(frozen=True)
+class PhotoBenchOptions:
+    """What a simulated bench is made of.
+
+    Attributes:
+        camera_px: width and height of the eyeball camera's photographs.
+        bits: of the eyeball camera.
+        pupil_mm: diameter of its entrance pupil.
+        focus_m: where it is focused, for all photographs.
+        snr: of a panel at full white: signal over noise.
+        target_depths_m: where the target stands, in front of the eye box; one pose each.
+        stage_error_um: standard deviation of the stage's own place about its reading, per axis.
+        seed: of all random numbers.
+    """
+
+    camera_px: tuple[int, int] = (1280, 1024)
+    bits: int = 8
+    pupil_mm: float = 1.0
+    focus_m: float = 1.0
+    snr: float = 50.0
+    target_depths_m: tuple[float, ...] = (0.4, 1.0)
+    stage_error_um: float = 2.0
+    seed: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoBench:
+    """What stands on the bench. Device frame, metres; cameras have OpenCV's axes.
+
+    Attributes:
+        device: the headset.
+        eye: which of its eyes.
+        board: the printed target.
+        eyeball, tracking: the lenses of the camera in the place of the eye, and of the headset's own camera.
+        eyeball_sensor, tracking_sensor: what is behind them.
+        device_from_camera: (4, 4) where the eyeball camera is when the stage reads zero.
+        stage_axes: (3, 3) its displacement in the device frame = axes @ reading.
+        device_from_tracking: (4, 4) where the headset's camera sits.
+        device_from_target: (k, 4, 4) the target's poses.
+    """
+
+    device: Device
+    eye: str
+    board: DotBoard
+    eyeball: Lens
+    eyeball_sensor: Sensor
+    tracking: Lens
+    tracking_sensor: Sensor
+    device_from_camera: FloatArray
+    stage_axes: FloatArray
+    device_from_tracking: FloatArray
+    device_from_target: FloatArray
+
+    @property
+    def optics(self) -> EyeOptics:
+        """The eye's optics."""
+        return self.device.eyes[self.eye]
+
+    def camera_at(self, stage: FloatArray) -> FloatArray:
+        """device_from_camera (4, 4) at a stage reading (3,)."""
+        return transforms.rigid(
+            self.device_from_camera[:3, :3], self.device_from_camera[:3, 3] + self.stage_axes @ stage
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Aim:
+    """How the display is seen from the eye box.
+
+    Attributes:
+        device_from_looking: (3, 3) axes x right, y down, z towards the middle of what is seen.
+        half_tangents: (2,) reach of what is seen across and along that view.
+    """
+
+    device_from_looking: FloatArray
+    half_tangents: FloatArray
+
+    @classmethod
+    def at(cls, truth: EyeMappings) -> "_Aim":
+        field = CaptureSetup(truth).field  # refuses a panel that is not seen
+        box, pixel = truth.eye_box, truth.display.panel.grid(15, 11).reshape(-1, 2)
+        seen = truth.display.view_dir_of_pixel(pixel, box.at(_CORNERS)[:, None])
+        view_dir = seen.value[seen.usable]
+        forward = dir_of_tangents(0.5 * (field.low + field.high))
+        for _ in range(3):  # the middle depends on the view, and the view on the middle
+            looking = _looking(forward)
+            tangents = (view_dir @ looking)[:, :2] / (view_dir @ looking)[:, 2:]
+            low, high = tangents.min(axis=0), tangents.max(axis=0)
+            forward = normalised(looking @ [*(0.5 * (low + high)), 1.0])
+        return cls(looking, np.maximum(np.abs(low), np.abs(high)))
+
+    @property
+    def forward(self) -> FloatArray:
+        """(3,) unit direction of the view."""
+        return np.asarray(self.device_from_looking[:, 2])
+
+
+_CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+
+
+def _looking(forward: FloatArray) -> FloatArray:
+    right = normalised(np.cross(forward, [0.0, 1.0, 0.0]))
+    return np.stack([right, np.cross(forward, right), forward], axis=-1)
+
+
+def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = PhotoBenchOptions()) -> PhotoBench:
+    """A bench on which the display's whole field is photographed, with the small errors that a real one has.
+
+    Raises:
+        BadInputError: the device has no such eye, or its panel is not seen from the eye box.
+    """
+    aim = _Aim.at(traced_eye(device, eye))
+    box = device.eyes[eye].eye_box
+    pose = transforms.rigid(aim.device_from_looking @ _turned(0.4, -0.3, 0.5), box.centre)
+    eyeball = _camera(options.camera_px, aim.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
+    tracking = _camera((1600, 1200), np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
+    return PhotoBench(
+        device=device,
+        eye=eye,
+        board=_board(aim, max(options.target_depths_m), eyeball),
+        eyeball=Lens(eyeball, 1e-3 * options.pupil_mm, options.focus_m),
+        eyeball_sensor=Sensor.with_snr(options.snr, options.bits, _EXPOSURE, vignetting=0.3),
+        tracking=Lens(tracking, 0.8e-3, 0.8),
+        tracking_sensor=Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3),
+        device_from_camera=pose,
+        stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]),
+        device_from_tracking=_tracking_pose(aim, box.centre),
+        device_from_target=np.stack([_target_pose(aim, box.centre, depth) for depth in options.target_depths_m]),
+    )
+
+
+def target_at(bench: PhotoBench, depth_m: float) -> FloatArray:
+    """device_from_target (4, 4) of the target brought before the display's field at another depth."""
+    return _target_pose(_Aim.at(traced_eye(bench.device, bench.eye)), bench.optics.eye_box.centre, depth_m)
+
+
+def stage_readings(bench: PhotoBench, count: int) -> FloatArray:
+    """Readings (count, 3) that cover the base plane, rounded to micrometres as a stage shows them."""
+    field = CaptureSetup(traced_eye(bench.device, bench.eye)).field
+    wanted = planar(bench.optics.eye_box, field.reach, count) - bench.optics.eye_box.centre
+    return np.asarray(np.round(wanted, 6))
+
+
+def _camera(size_px: tuple[int, int], half_tangents: FloatArray, distortion: list[float]) -> LensCamera:
+    focal = float(np.min(0.5 * np.array(size_px) / half_tangents))
+    centre = 0.5 * np.array(size_px) + [5.3, -3.7]
+    return LensCamera(size_px, np.array([focal, 1.0007 * focal]), centre, np.array(distortion))
+
+
+def _turned(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
+    return transforms.rotations_of_vectors(np.deg2rad([x_deg, y_deg, z_deg]))
+
+
+def _board(aim: _Aim, depth_m: float, camera: LensCamera) -> DotBoard:
+    """Large enough to fill the display's field at its farthest place, if so large a one can be printed."""
+    wanted = 2 * aim.half_tangents * depth_m * _BOARD_MARGIN
+    largest = _LARGEST_BOARD_M if wanted[0] >= wanted[1] else _LARGEST_BOARD_M[::-1]
+    pitch = 1e-3 * np.ceil(1e3 * _PITCH_PX * depth_m / float(camera.focal_px[0]))
+    columns, rows = np.maximum(np.minimum(wanted, largest) / pitch - 1, 8).astype(int)
+    return design_board(int(columns), int(rows), float(pitch))
+
+
+def _tracking_pose(aim: _Aim, eye: FloatArray) -> FloatArray:
+    """Above the eye, on the outside of the headset, looking where the display is seen."""
+    return transforms.rigid(aim.device_from_looking @ _turned(-1.5, 2.0, -1.0), eye + [-0.012, 0.045, -0.06])
+
+
+def _target_pose(aim: _Aim, eye: FloatArray, depth_m: float) -> FloatArray:
+    tilt = _turned(7.0, -9.0, 1.5)
+    return transforms.rigid(aim.device_from_looking @ tilt, eye + aim.forward * depth_m)

@@ -1,0 +1,86 @@
+"""simulation.toml: how the photographs of a simulated session were made."""
+
+import shutil
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import Table, read_toml, write_toml
+from wlr_render.optics.device_file import load_device
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
+
+FILE = "simulation.toml"
+_DEVICE_COPY = "device.toml"
+
+
+@dataclass(frozen=True)
+class Making:
+    """All that decides what a simulated session's photographs show.
+
+    Attributes:
+        device: a shipped device by name, or a device file.
+        eye: "left" or "right".
+        viewpoints: camera positions of the sweeps.
+        pattern: name of the panel's code.
+        bench: what the bench is made of.
+    """
+
+    device: str
+    eye: str = "right"
+    viewpoints: int = 25
+    pattern: str = "gray-fringes"
+    bench: PhotoBenchOptions = field(default_factory=PhotoBenchOptions)
+
+    def build(self) -> PhotoBench:
+        """The bench itself."""
+        return design_photo_bench(load_device(self.device), self.eye, self.bench)
+
+
+def save_making(folder: Path, making: Making) -> Path:
+    """Write simulation.toml; a device file of one's own is copied beside it."""
+    content = asdict(making)
+    if Path(making.device).suffix == ".toml":
+        shutil.copyfile(making.device, folder / _DEVICE_COPY)
+        content["device"] = _DEVICE_COPY
+    return write_toml(folder / FILE, content, "how these photographs were simulated; calibration does not read this")
+
+
+def load_making(folder: Path) -> Making:
+    """Read simulation.toml.
+
+    Raises:
+        BadInputError: there is none, so the session is not a simulated one, or it breaks the format.
+    """
+    if not (folder / FILE).is_file():
+        raise BadInputError(f"{folder}: has no {FILE}, so it is no simulated session; `wlr-render simulate` makes one.")
+    file = read_toml(folder / FILE)
+    table = file.table("bench")
+    bench = PhotoBenchOptions(**{each.name: _value(table, each.name) for each in fields(PhotoBenchOptions)})
+    table.finish()
+    device = file.text("device")
+    making = Making(
+        str(folder / device) if device == _DEVICE_COPY else device,
+        file.text("eye"),
+        int(file.number("viewpoints")),
+        file.text("pattern"),
+        bench,
+    )
+    file.finish()
+    return making
+
+
+def same_making(first: Making, second: Making) -> bool:
+    """Whether two make the same photographs, wherever their device file lies."""
+    if Path(first.device).suffix != ".toml":
+        return first == second
+    one, other = (asdict(making) | {"device": None} for making in (first, second))
+    text = [Path(making.device).read_text(encoding="utf-8") for making in (first, second)]
+    return one == other and text[0] == text[1]
+
+
+def _value(table: Table, name: str) -> Any:
+    default = getattr(PhotoBenchOptions, name)
+    if isinstance(default, tuple):
+        return tuple(type(default[0])(value) for value in table.numbers(name))
+    return type(default)(table.number(name))

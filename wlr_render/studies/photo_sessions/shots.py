@@ -1,0 +1,117 @@
+"""Taking simulated photographs: everything that one lens sees without being moved, whatever is not there yet."""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.photographs import write_photograph
+from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.optics.device import EyeOptics
+from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
+from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.sensor import Sensor
+from wlr_render.simulation.photographs.sight import Sight
+
+FloatArray = NDArray[np.float64]
+
+_DARK_ROOM = FarWall(brightness=0.03)  # while the panel is photographed
+
+
+@dataclass(frozen=True, eq=False)
+class BoardShot:
+    """A photograph of the board.
+
+    Attributes:
+        path: where it is written.
+        frame_from_board: (4, 4) in the frame of its place.
+    """
+
+    path: Path
+    frame_from_board: FloatArray
+
+
+class Pictures(Protocol):
+    """Pictures that a panel shows one after the other: a `Pattern`, or any others."""
+
+    def names(self) -> tuple[str, ...]:
+        """What they show, in the order of showing."""
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """(panel height, panel width) grey picture number `index`."""
+
+
+@dataclass(frozen=True, eq=False)
+class PanelShots:
+    """Photographs of the panel, one for each picture shown.
+
+    Attributes:
+        folder: where they are written.
+        pictures: what is shown.
+    """
+
+    folder: Path
+    pictures: Pictures
+
+    def paths(self) -> list[Path]:
+        """In the order of showing."""
+        names = [name.replace(" ", "_") for name in self.pictures.names()]
+        return [self.folder / f"{number:03d}_{name}.png" for number, name in enumerate(names)]
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A lens in its place, and what it photographs from there.
+
+    Attributes:
+        lens, sensor: the camera.
+        frame_from_camera: (4, 4); the frame is the device's if `optics` are given.
+        optics: what it looks through; None without the headset.
+        board: the target.
+        boards, panels: the photographs.
+        seed: of the noise.
+    """
+
+    lens: Lens
+    sensor: Sensor
+    frame_from_camera: FloatArray
+    optics: EyeOptics | None
+    board: DotBoard
+    boards: Sequence[BoardShot] = field(default_factory=tuple)
+    panels: Sequence[PanelShots] = field(default_factory=tuple)
+    seed: int = 1
+
+    def paths(self) -> list[Path]:
+        """Of all photographs."""
+        return [shot.path for shot in self.boards] + [path for shots in self.panels for path in shots.paths()]
+
+
+def take(place: Place) -> int:
+    """Take the photographs that are not there yet; returns how many."""
+    missing = {path for path in place.paths() if not path.is_file()}
+    if not missing:
+        return 0
+    if place.optics is None:
+        sight = Sight.without_headset(place.lens, place.frame_from_camera)
+    else:
+        sight = Sight.through_optics(place.optics, place.lens, place.frame_from_camera)
+    for shot in place.boards:
+        if shot.path in missing:
+            light = sight.world_light(BoardLight(place.board, shot.frame_from_board))
+            write_photograph(shot.path, place.sensor.expose(light, _noise(place, shot.path)))
+    for shots in place.panels:
+        dark = sight.world_light(_DARK_ROOM)
+        for number, path in enumerate(shots.paths()):
+            if path in missing:
+                light = sight.panel_light(shots.pictures.image(number)) + dark
+                write_photograph(path, place.sensor.expose(light, _noise(place, path)))
+    return len(missing)
+
+
+def _noise(place: Place, path: Path) -> np.random.Generator:
+    """The same for a photograph whenever and in whatever order it is taken."""
+    return np.random.default_rng([place.seed, zlib.crc32("/".join(path.parts[-2:]).encode())])

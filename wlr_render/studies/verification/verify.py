@@ -1,0 +1,91 @@
+"""The on-device experiment from its photographs: options in, tables and pictures out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.calibration.station_file import load_station
+from wlr_render.evaluation.report import ReportTable, tables_as_json
+from wlr_render.files import output_folder, write_text
+from wlr_render.models.model_file import load_eye_model
+from wlr_render.simulation.viewpoints import random_in_eye_box
+from wlr_render.studies.photo_sessions.making import load_making
+from wlr_render.studies.progress import Progress, silent
+from wlr_render.studies.verification import pictures, procedure
+from wlr_render.studies.verification.tables import misalignment_tables
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to verify.
+
+    Attributes:
+        session: a simulated session; its bench is used again, with everything true about it.
+        calibration: folder of what `calibrate` made of that session: model.json and station.json.
+        out: for photographs, tables and pictures.
+        viewpoints: places of the camera in the eye box; the first is its middle.
+        depths_m: where the target stands, one after the other.
+        seed: of the places and of the noise.
+        backend: who rasterises.
+    """
+
+    session: Path
+    calibration: Path = Path("out/calibrate")
+    out: Path = Path("out/verify")
+    viewpoints: int = 5
+    depths_m: tuple[float, ...] = (0.5, 0.8)
+    seed: int = 1
+    backend: str = "auto"
+
+
+@dataclass(frozen=True)
+class Result:
+    """Tables in the order of telling, and the files written."""
+
+    tables: tuple[ReportTable, ...]
+    files: tuple[Path, ...]
+
+
+def run(options: Options, workers: int | None = None, progress: Progress = silent) -> Result:
+    """Draw, photograph, match; writes verification.md, verification.json and pictures.
+
+    Raises:
+        BadInputError: the session is not a simulated one, the calibration is missing or of another session, or the
+            target is not seen where it stands.
+    """
+    bench = load_making(options.session).build()
+    models = load_eye_model(options.calibration / "model.json").mappings
+    station = load_station(options.calibration / "station.json")
+    folder = output_folder(options.out)
+    photographs = folder / "photographs"
+    box = bench.optics.eye_box
+    rng = np.random.default_rng([options.seed, 2])
+    others = random_in_eye_box(box, options.viewpoints, rng)[1:] - box.centre
+    stage = np.round(np.concatenate([np.zeros((1, 3)), others]), 6)
+    viewpoints = np.stack([station.device_from_camera(reading)[:3, 3] for reading in stage])
+    targets = procedure.track_targets(bench, station, options.depths_m, photographs)
+    total = len(targets) * len(stage)
+    drawn = progress(
+        (frames for pose in targets for frames in procedure.draw(models, bench, pose, viewpoints, options.backend)),
+        total,
+        "frames",
+    )
+    flat = list(drawn)
+    frames = [flat[len(stage) * k : len(stage) * (k + 1)] for k in range(len(targets))]
+    procedure.photograph(bench, stage, options.depths_m, frames, photographs, options.seed, progress, workers)
+    judged = [
+        one
+        for depth in options.depths_m
+        for number in range(len(stage))
+        for one in procedure.judge(bench, station, depth, number, photographs)
+    ]
+    tables = misalignment_tables(judged, models.name)
+    context = {"session": str(options.session), "models": models.name, "seed": options.seed}
+    files = [
+        write_text(folder / "verification.md", "\n".join(table.markdown() for table in tables)),
+        write_text(folder / "verification.json", tables_as_json(tables, **context)),
+        pictures.draw_misalignment(folder / "misalignment.png", judged),
+        pictures.draw_close_up(folder / "close_up.png", judged),
+    ]
+    return Result(tables, tuple(files))
