@@ -13,7 +13,7 @@ from wlr_render.captures.targets.dot_board import BoolArray, FloatArray
 IntArray = NDArray[np.int64]
 
 _LEAD = 3  # sizes by which the best place must be better than the second best: two misread dots cannot bridge it
-_CHANCE = 1e-3  # that dots of random sizes fit the board somewhere as well
+_CHANCE = 2e-3  # that dots of random sizes fit the board somewhere as well
 _QUARTER = np.array([[0, 1], [-1, 0]])
 _MIRROR = np.array([[0, 1], [1, 0]])
 _WAYS = [mirror @ np.linalg.matrix_power(_QUARTER, q) for mirror in (np.eye(2, dtype=int), _MIRROR) for q in range(4)]
@@ -60,7 +60,7 @@ def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> In
         raise BoardNotFoundError(_too_few(seen, int(first), places))
     if second - first < _LEAD:
         raise BoardNotFoundError(
-            f"{seen} dots in a row were seen, and they fit the board in more than one place; "
+            f"{seen} dots in one piece were seen, and they fit the board in more than one place; "
             f"more of them are needed, {seen + 10} in one piece or more."
         )
     if best >= _PROPER:
