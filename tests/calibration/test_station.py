@@ -21,7 +21,7 @@ from synthetic_station import (
 from wlr_render.calibration.board_poses import poses_of
 from wlr_render.calibration.camera_calibration import calibrate_camera
 from wlr_render.calibration.poses import motion_between
-from wlr_render.calibration.station import StationPhotos, find_station
+from wlr_render.calibration.station import StationPhoto, StationPhotos, find_station, repeated_views
 from wlr_render.errors import BadInputError
 
 CORNER = stage_grid()[0] + [-0.002, 0.001, 0.0]
@@ -139,3 +139,21 @@ def test_a_fault_leaves_the_sound_photographs_their_precision():
     clean, faulty = station_of(bench(1)), station_of(bench(1, Faults(moved_photograph=7)))
     np.testing.assert_allclose(faulty.pose_at(CORNER).sigma_mm, clean.pose_at(CORNER).sigma_mm, rtol=0.3)
     assert in_sigmas(faulty.pose_at(CORNER), device_from_camera(CORNER)) < 4
+
+
+def test_repeated_photographs_are_found_by_target_and_reading():
+    made = bench(1)
+    views = {view.name: view for view in made.bare}
+    photos = [
+        StationPhoto(name, target, np.array([x, 0.0, 0.0]))
+        for name, target, x in [
+            ("bare/00.png", 0, 0.0),
+            ("bare/01.png", 0, 0.001),
+            ("bare/02.png", 1, 0.0),
+            ("bare/03.png", 0, 0.0),
+            ("unreadable.png", 0, 0.001),
+            ("bare/05.png", 0, 0.0),
+        ]
+    ]
+    (found,) = repeated_views(photos, views)
+    assert (found.target, found.first.name, found.last.name) == (0, "bare/00.png", "bare/05.png")

@@ -36,6 +36,7 @@ class StageFit:
 
     Attributes:
         reference: (3,) the reading that poses are given at, the middle of all readings.
+        travel: the largest range of the readings of an axis.
         moved: (m,) indices of the axes whose readings changed.
         axes: (3, m) camera frame: true displacement per reading of each moved axis, metres per metre.
         camera_from_target: target pose number -> (4, 4) at the reference.
@@ -50,6 +51,7 @@ class StageFit:
     """
 
     reference: FloatArray
+    travel: float
     moved: IntArray
     axes: FloatArray
     camera_from_target: dict[int, FloatArray]
@@ -68,9 +70,9 @@ class StageFit:
         """
         apart = np.asarray(reading, dtype=np.float64) - self.reference
         held = np.setdiff1d(np.arange(3), self.moved)
-        travel = np.abs(apart).max(initial=0.0)
-        if np.any(np.abs(apart[..., held]) > STILL * travel):
-            axis = "xyz"[held[np.argmax(np.abs(apart[..., held]).reshape(-1, len(held)).max(axis=0))]]
+        off = np.abs(apart[..., held]).reshape(-1, len(held))
+        if np.any(off > STILL * self.travel):
+            axis = "xyz"[held[np.argmax(off.max(axis=0))]]
             raise BadInputError(
                 f"stage readings move axis {axis}, along which no photograph without the headset was taken; take some."
             )
@@ -122,6 +124,7 @@ def fit_stage(seen: BoardPoses, target: Sequence[int], reading: FloatArray) -> S
     jitter_m, solution = with_jitter(problem)
     return StageFit(
         reference,
+        float(np.ptp(reading, axis=0).max()),
         moved,
         solution.axes,
         dict(zip(numbers.tolist(), solution.poses, strict=True)),

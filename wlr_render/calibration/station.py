@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.board_views import BoardPoses
+from wlr_render.calibration.board_views import BoardPoses, BoardView
 from wlr_render.calibration.chains import Chains, chains_through, combined, tracked_targets
 from wlr_render.calibration.check import Change, Check
 from wlr_render.calibration.poses import Pose, adjoint, motion_between
@@ -54,6 +54,24 @@ class StationPhotos:
     bare: Sequence[StationPhoto]
     tracking: Sequence[StationPhoto]
     repeated: Sequence[RepeatedView] = ()
+
+
+def repeated_views(photos: Sequence[StationPhoto], views: Mapping[str, BoardView]) -> tuple[RepeatedView, ...]:
+    """The first and the last of photographs through the optics at one target pose and stage reading, where repeated.
+
+    Args:
+        photos: through the optics, in the order of taking.
+        views: name of a photograph -> what was found of the board in it; photographs that are not here are left out.
+    """
+    places: dict[tuple[float, ...], list[StationPhoto]] = {}
+    for photo in photos:
+        if photo.name in views:
+            places.setdefault((photo.target, *np.asarray(photo.reading).tolist()), []).append(photo)
+    return tuple(
+        RepeatedView(taken[0].target, taken[0].reading, views[taken[0].name], views[taken[-1].name])
+        for taken in places.values()
+        if len(taken) > 1
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,39 +134,50 @@ def find_station(
         BadInputError: photographs of a step are missing, or do not determine it.
     """
     bare = [photo for photo in photos.bare if photo.name in eyeball.names]
-    tracked = [photo for photo in photos.tracking if photo.name in tracking.names]
     seen = eyeball.only([photo.name for photo in bare])
     readings = np.array([photo.reading for photo in bare], dtype=np.float64).reshape(-1, 3)
     stage = fit_stage(seen, [photo.target for photo in bare], readings)
-    if not tracked:
-        raise BadInputError("no photograph by the tracking camera shows the target; it ties all to the device.")
-    by_target: dict[int, list[str]] = {photo.target: [] for photo in tracked}
-    for photo in tracked:
-        by_target[photo.target].append(photo.name)
+    by_target = _tracked(photos.tracking, tracking)
     targets = tracked_targets(tracking, by_target, device_from_tracking)
     chains = chains_through(stage, targets)
     station = Station(stage, *combined(stage, chains), targets.poses)
+    changes = {
+        target: _target_change(tracking.only(names), device_from_tracking)
+        for target, names in by_target.items()
+        if len(names) > 1
+    }
     sweeps = {
         target: sweep_check(
             target,
-            _target_change(tracking.only(names), device_from_tracking) if len(names) > 1 else None,
+            changes.get(target),
             [view for view in photos.repeated if view.target == target],
             eyeball.camera,
             station.device_from_camera,
         )
-        for target, names in by_target.items()
+        for target in sorted({*by_target, *(view.target for view in photos.repeated)})
     }
     found = [
         *set_aside_checks(eyeball),
         *set_aside_checks(tracking),
         lens_check(STEP, seen),
-        lens_check(_TRACKING, tracking),
+        lens_check(_TRACKING, tracking.only([name for names in by_target.values() for name in names])),
         *stage_checks(stage),
         chain_check(chains),
         *sweeps.values(),
     ]
     checks = tuple(check for check in found if check is not None)
     return replace(station, checks=checks, unchecked=tuple(_unchecked(chains, sweeps)))
+
+
+def _tracked(photos: Sequence[StationPhoto], tracking: BoardPoses) -> dict[int, list[str]]:
+    """Number of each target pose -> the photographs by the tracking camera that show it."""
+    by_target: dict[int, list[str]] = {}
+    for photo in photos:
+        if photo.name in tracking.names:
+            by_target.setdefault(photo.target, []).append(photo.name)
+    if not by_target:
+        raise BadInputError("no photograph by the tracking camera shows the target; it ties all to the device.")
+    return by_target
 
 
 def _target_change(tracking: BoardPoses, device_from_tracking: FloatArray) -> TargetChange:
