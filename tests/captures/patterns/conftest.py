@@ -23,7 +23,7 @@ class ToyCamera:
     """
 
     panel: Panel
-    size_px: tuple[int, int] = (240, 200)
+    size_px: tuple[int, int] = (160, 128)
     scale: float = 1.5
     turn: float = 0.02
     perspective: float = 0.05
@@ -32,7 +32,7 @@ class ToyCamera:
     noise: float = 0.0
     panel_gamma: float = 1.0
     camera_gamma: float = 1.0
-    samples: int = 8
+    samples: int = 6
 
     def position(self, x, y):
         """Panel positions of places in the picture."""
@@ -91,7 +91,7 @@ def toy_camera():
 
 @pytest.fixture(scope="session")
 def errors_of():
-    """Errors (n,) of accepted pixels along the worse axis, and which part of the pixels wholly on the panel they are."""
+    """Errors (n,) of accepted pixels along the worse axis, and the accepted part of the pixels on the panel."""
 
     def errors(camera, decoded):
         off = np.abs(decoded.pixel - camera.truth()).max(axis=-1)

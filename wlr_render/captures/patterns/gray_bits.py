@@ -6,6 +6,7 @@ two whatever that bit says. At odd-numbered borders it is the finest bit that ch
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +16,7 @@ from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.errors import BadInputError
 
 _UNMIXED = 0.8  # a stripe that fills the pixel this much adds up with its inverse to white + black at any gamma
+_AROUND = 7  # camera pixels
 _ODD_SUM = 0.8  # of the contrast: positive + inverse is off by one contrast where one of the two is another bit's
 _ODD_SHARE = 0.2  # of the lit pixels
 
@@ -53,7 +55,8 @@ class GrayReading:
 
     Attributes:
         cell: int32, from 0; may lie beyond the last cell where bits were misread.
-        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than one.
+        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than one, and the finest
+            bit in the mean over the pixels around.
         even_border, odd_border: 0 to 1 but for noise, strength of the bit that changes at the cell's even-numbered and
             at its odd-numbered border: how far the pixel stays clear of that border.
     """
@@ -97,7 +100,15 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
         odd = strength
         cell = 2 * cell + (one ^ (cell & 1)).astype(np.int32)
     check_bits(cell, light.lit, axis.bits, axis.cells, shots)
-    return GrayReading(cell, evidence, even, odd)
+    return GrayReading(cell, np.minimum(evidence, _around(odd, light.lit)), even, odd)
+
+
+def _around(strength: Grey, lit: NDArray[np.bool_]) -> Grey:
+    """(h, w) mean over the lit pixels around each: the finest bit fades at its borders, but not everywhere."""
+    window = (_AROUND, _AROUND)
+    total = cv2.boxFilter(strength * lit, -1, window, normalize=False)
+    number = cv2.boxFilter(lit.astype(np.float32), -1, window, normalize=False)
+    return np.asarray(total / np.maximum(number, 1), dtype=np.float32)
 
 
 def _check_pair(steady: Grey, light: Light, shots: Shots) -> None:

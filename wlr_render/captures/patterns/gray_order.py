@@ -1,7 +1,7 @@
 """Whether the bits of a Gray code were photographed in order: a panel seen through any optics is a smooth picture.
 
 If a bit and its inverse were exchanged, or two bits, each pair of photographs is still as it should be, but the decoded
-picture is torn. The order under which neighbouring pixels differ least in sum is the true one.
+picture is torn. The order under which neighbouring pixels differ least in square is the true one.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from wlr_render.captures.patterns.shots import Shots
 from wlr_render.errors import BadInputError
 
 _LINES = 128  # of neighbours that are compared along each axis of the picture
-_TORN = 0.8  # another order that leaves less of the sum of differences is the better one
+_TORN = 0.9  # another order that leaves less of the sum of squared steps is the better one
 
 Codes = NDArray[np.int64]
 
@@ -76,7 +76,7 @@ def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
 
 
 def _tearing(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
-    """Sum of the steps between neighbours; a cell beyond the last counts as a step over the whole panel.
+    """Sum of the squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
 
     Args:
         gray: (2**bits,) true Gray code of each that was read.
@@ -90,5 +90,5 @@ def _tearing(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) ->
         cell ^= cell >> shift
         shift *= 2
     sides = cell[pairs]
-    steps = np.abs(sides[:, 0] - sides[:, 1])
-    return float(np.sum(count * np.where(np.any(sides >= cells, axis=-1), cells, steps)))
+    steps = (sides[:, 0] - sides[:, 1]) ** 2
+    return float(np.sum(count * np.where(np.any(sides >= cells, axis=-1), cells**2, steps)))

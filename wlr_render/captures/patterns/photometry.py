@@ -11,6 +11,7 @@ from wlr_render.captures.patterns.pattern import DecodeOptions
 from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.errors import BadInputError
 
+_CLEAR = 4.0  # contrast over its noise, below which a pixel is not lit
 _NOISE_WINDOW = 15
 _BETWEEN = 0.02  # of a warped picture, pixels on its rim
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
@@ -50,8 +51,8 @@ def read_light(shots: Shots, options: DecodeOptions) -> Light:
     enough = options.min_contrast * options.full_scale
     end_of_scale = math.inf if _never_photographed(white, black, options) else options.full_scale
     full = white >= end_of_scale
-    bright = contrast >= enough
-    if np.count_nonzero(contrast <= -enough) > np.count_nonzero(bright):
+    bright = contrast >= max(enough, _CLEAR * _noise_of_dark(contrast))
+    if np.count_nonzero(contrast <= -enough) > 2 * np.count_nonzero(contrast >= enough):
         raise BadInputError(f"{shots.label(0)} is darker than {shots.label(1)}: the two seem to be exchanged.")
     if np.count_nonzero(full) > 0.5 * np.count_nonzero(bright | full):
         raise BadInputError(
@@ -64,6 +65,12 @@ def read_light(shots: Shots, options: DecodeOptions) -> Light:
             f"({options.full_scale}): was the panel on, and the exposure long enough?"
         )
     return Light(0.5 * (white + black), contrast, bright & ~full, end_of_scale)
+
+
+def _noise_of_dark(contrast: Grey) -> float:
+    """Standard deviation of what the panel does not light: only noise makes it negative."""
+    negative = contrast[contrast < 0]
+    return float(np.sqrt(np.mean(negative**2))) if negative.size else 0.0
 
 
 def _never_photographed(white: Grey, black: Grey, options: DecodeOptions) -> bool:

@@ -14,8 +14,8 @@ PAGE = "show.html"
 def write_show_page(folder: str | Path, pattern: Pattern) -> list[Path]:
     """Write the pictures and the page.
 
-    The page needs nothing else beside it. Opened on the panel as an external monitor, it shows picture after picture at the
-    click of a mouse or a key, or every so many seconds with `show.html?seconds=2`, one picture pixel on one panel pixel.
+    The page needs nothing else beside it. Opened on the panel as an external monitor, it shows picture after picture,
+    one picture pixel on one panel pixel: at a click or a key, or every two seconds as `show.html?seconds=2`.
 
     Args:
         folder: is made if need be.

@@ -1,0 +1,133 @@
+"""Sets that cannot be right are refused with a sentence that names the photograph."""
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.patterns import PATTERNS
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import Panel
+
+PANEL = Panel(200, 170)
+FAMILIES = pytest.mark.parametrize("name", PATTERNS)
+
+
+@pytest.fixture(scope="module")
+def sets(toy_camera):
+    camera = toy_camera(PANEL, size_px=(150, 120), noise=4.0)
+    patterns = {name: make_pattern(name, PANEL) for name in PATTERNS}
+    return {name: (pattern, list(camera.photographs(pattern))) for name, pattern in patterns.items()}
+
+
+def exchanged(photographs, *places):
+    result = list(photographs)
+    for one, other in places:
+        result[one], result[other] = result[other], result[one]
+    return result
+
+
+def refusal(pattern, photographs, options=DEFAULT_OPTIONS):
+    with pytest.raises(BadInputError) as caught:
+        pattern.decode(photographs, options)
+    return str(caught.value)
+
+
+@FAMILIES
+def test_a_set_in_order_passes(sets, name):
+    pattern, shown = sets[name]
+    assert pattern.decode(shown).accepted.mean() > 0.8
+
+
+@FAMILIES
+def test_one_too_few_and_one_too_many(sets, name):
+    pattern, shown = sets[name]
+    last = len(shown) - 1
+    assert f"photograph {last} ('{pattern.names()[last]}') is missing" in refusal(pattern, shown[:-1])
+    assert "more photographs" in refusal(pattern, shown + shown[-1:])
+    assert "photograph 0 ('white') is missing" in refusal(pattern, [])
+
+
+def test_another_size_or_depth(sets):
+    pattern, shown = sets["gray"]
+    small = [*shown[:5], shown[5][:-1], *shown[6:]]
+    assert refusal(pattern, small).startswith("photograph 5 ('u bit 6 inverse') is 150 x 119 pixels of 8 bits")
+    deep = [*shown[:5], shown[5].astype(np.uint16), *shown[6:]]
+    assert "16 bits" in refusal(pattern, deep)
+    assert "photograph 0" in refusal(pattern, [np.zeros((4, 4, 3), dtype=np.uint8)])
+
+
+def test_panel_off_or_exchanged_references(sets):
+    pattern, shown = sets["gray"]
+    assert "was the panel on" in refusal(pattern, [shown[1]] * len(shown))
+    assert "exchanged" in refusal(pattern, exchanged(shown, (0, 1)))
+
+
+def test_an_over_exposed_set(sets):
+    pattern, shown = sets["gray"]
+    blown = [np.clip(image.astype(int) * 4, 0, 255).astype(np.uint8) for image in shown]
+    assert "photograph 0 ('white') is over-exposed" in refusal(pattern, blown)
+    deep = [image.astype(np.uint16) * 256 for image in shown]
+    assert "(255)" in refusal(pattern, deep)
+    pattern.decode(deep, DecodeOptions(full_scale=65535))
+
+
+def test_a_photograph_that_is_missing_in_the_middle_is_near_the_pair_that_is_named(sets):
+    pattern, shown = sets["gray"]
+    sentence = refusal(pattern, [*shown[:7], *shown[8:]])
+    assert sentence.startswith("photograph 6 ('u bit 5') and photograph 7 ('u bit 5 inverse') do not add up")
+
+
+@pytest.mark.parametrize("name", ["gray", "gray-fringes"])
+def test_a_bit_exchanged_with_its_inverse_is_named(sets, name):
+    pattern, shown = sets[name]
+    # A picture that is exchanged in its coarsest bit would be a mirrored one, but for codes beyond the panel.
+    for place in (place for place, label in enumerate(pattern.names()) if label.endswith("inverse")):
+        sentence = refusal(pattern, exchanged(shown, (place - 1, place)))
+        assert f"photograph {place - 1} " in sentence
+        assert f"photograph {place} " in sentence
+        assert "exchanged" in sentence
+
+
+@pytest.mark.parametrize("name", ["gray", "gray-fringes"])
+def test_two_bits_of_an_axis_exchanged_are_named(sets, name):
+    pattern, shown = sets[name]
+    sentence = refusal(pattern, exchanged(shown, (2, 6), (3, 7)))
+    assert "photograph 2 " in sentence
+    assert "photograph 6 " in sentence
+
+
+def test_bits_of_different_axes_exchanged_are_refused(sets):
+    pattern, shown = sets["gray"]
+    of_v = pattern.names().index("v bit 5")
+    refusal(pattern, exchanged(shown, (4, of_v), (5, of_v + 1)))
+
+
+@pytest.mark.parametrize("name", ["fringes", "gray-fringes"])
+@pytest.mark.parametrize("steps", [(0, 1), (2, 3), (1, 4), (0, 5)])
+def test_exchanged_steps_are_named(sets, name, steps):
+    pattern, shown = sets[name]
+    first = len(shown) - 6
+    one, other = first + steps[0], first + steps[1]
+    sentence = refusal(pattern, exchanged(shown, (one, other)))
+    assert sentence.startswith(f"photograph {one} ('{pattern.names()[one]}') and photograph {other} ")
+
+
+def test_exchanged_fringes_of_two_periods_are_refused(sets):
+    pattern, shown = sets["fringes"]
+    sentence = refusal(pattern, exchanged(shown, *((8 + step, 14 + step) for step in range(6))))
+    assert "contradict" in sentence
+
+
+def test_fringes_of_another_axis_are_refused(sets):
+    pattern, shown = sets["gray-fringes"]
+    of_u = pattern.names().index("u fringe 16 px step 0")
+    sentence = refusal(pattern, exchanged(shown, *((of_u + step, len(shown) - 6 + step) for step in range(6))))
+    assert f"photograph {of_u} " in sentence
+
+
+def test_a_picture_of_something_else_among_the_steps(sets):
+    pattern, shown = sets["fringes"]
+    shown = list(shown)
+    shown[10] = np.full_like(shown[10], 20)
+    refusal(pattern, shown)
