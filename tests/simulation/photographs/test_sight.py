@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_about
+from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs import exact
 from wlr_render.simulation.photographs.lens import Lens
@@ -94,6 +97,41 @@ def test_the_mirrored_panel_stands_on_its_place():
     np.testing.assert_allclose(light[:, 41:], 0.0, atol=1e-5)
 
 
+def test_the_edge_of_a_mirror_cuts_the_panel_off():
+    def narrowed(surface):
+        high = np.array([0.005, *surface.aperture.high[1:]])
+        return replace(surface, aperture=ClearAperture(surface.aperture.low, high))
+
+    lens = Lens(camera((140, 61), 400.0), 0.0)
+    one = Sight.through_optics(optics("flat_mirror").with_surfaces(narrowed), lens, LOOKING_AHEAD)
+    middle = one.panel_light(uniform(255, (1080, 1920)))[30]
+    # 5 mm at the mirror's 40 mm are 50 pixels right of the middle, well within the panel's picture.
+    np.testing.assert_allclose(middle[:119], 1.0, atol=1e-5)
+    np.testing.assert_allclose(middle[121:], 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["no_optics", "freeform40", "birdbath28"])
+def test_spots_on_the_panel_land_where_exact_rays_say(name):
+    eye = optics(name)
+    lens = Lens(camera((240, 180), 1200.0, BROWN), 0.0)
+    spots = np.floor(eye.panel.pixels.grid(24, 18)).astype(int).reshape(-1, 2)
+    picture = np.zeros((eye.panel.pixels.height_px, eye.panel.pixels.width_px), np.uint8)
+    for u, v in spots:
+        picture[v - 5 : v + 5, u - 5 : u + 5] = 255
+    light = sight(name, lens).panel_light(picture)
+    expected = exact.pixel_of_panel_position(eye, lens.camera, LOOKING_AHEAD, spots.astype(float))
+    inside = np.all((expected > 12) & (expected < np.array([228, 168])), axis=-1)
+    assert inside.sum() >= 12
+    at = pixel_centres((240, 180))
+    error = []
+    for pixel in expected[inside]:
+        weight = np.where(np.abs(at - pixel).max(axis=-1) < 9, light, 0.0)
+        error.append(np.average(at.reshape(-1, 2), axis=0, weights=weight.ravel()) - pixel)
+    # Curvature of the mapping and the 16 samples leave some hundredths of a pixel, but no common shift.
+    np.testing.assert_allclose(error, 0.0, atol=0.04)
+    np.testing.assert_allclose(np.mean(error, axis=0), 0.0, atol=0.005)
+
+
 def test_the_world_through_a_plate_is_shifted_by_the_closed_form():
     lens = Lens(camera((60, 40), 150.0, BROWN), 0.0)
     one = sight("plane_plate", lens, samples=1)
@@ -115,6 +153,8 @@ def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it
     for axis, radiance in enumerate(place_at_depth(1.0)):
         # Second order in the pixel: the mean over a pixel is not quite its middle.
         np.testing.assert_allclose(one.world_light(radiance), expected[..., axis], atol=2e-5)
+    length = one.world_light(lambda ray: np.linalg.norm(ray[..., 3:], axis=-1))
+    np.testing.assert_allclose(length, 1.0, atol=1e-6)
 
 
 def test_a_uniform_world_gives_uniform_light_wherever_a_ray_comes_in():
