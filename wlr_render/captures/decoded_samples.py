@@ -13,6 +13,7 @@ from wlr_render.captures.decoded import Decoded
 FloatArray = NDArray[np.float64]
 
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
+_ROUNDS = 5  # strays bend the plane that they are judged by: the worst go first
 _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
@@ -56,10 +57,13 @@ def sample(decoded: Decoded, count: int = 1500, reach_px: int = 4, filled: float
     good = np.asarray(np.isfinite(panel).all(axis=-1))
     enough = np.asarray(good.mean(axis=1) >= filled)
     u, v, panel, good = u[enough], v[enough], panel[enough], good[enough]
-    planes, residual = _planes(panel, good, du, dv)
-    scatter = _MAD * _median(np.abs(residual).max(axis=-1), good)
-    kept = good & (np.abs(residual).max(axis=-1) <= _CLIP * np.maximum(scatter, 1e-9)[:, None])
+    kept = good
     planes, residual = _planes(panel, kept, du, dv)
+    for _ in range(_ROUNDS):
+        away = np.abs(residual).max(axis=-1)
+        scatter = _MAD * np.nanmedian(np.where(kept, away, np.nan), axis=1)
+        kept = good & (away <= _CLIP * np.maximum(scatter, 1e-9)[:, None])
+        planes, residual = _planes(panel, kept, du, dv)
     number = kept.sum(axis=1)
     variance = np.sum(np.where(kept[..., None], residual, 0.0) ** 2, axis=(1, 2)) / (2 * (number - 3))
     return DecodedSamples(
@@ -80,7 +84,3 @@ def _planes(
     normal = np.einsum("nm,mi,mj->nij", weight, basis, basis)
     planes = np.linalg.solve(normal, np.einsum("mi,nmk->nik", basis, values))
     return planes, panel - basis @ planes
-
-
-def _median(values: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
-    return np.asarray(np.nanmedian(np.where(kept, values, np.nan), axis=1))

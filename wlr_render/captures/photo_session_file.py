@@ -87,11 +87,18 @@ def _pattern(file: Table) -> tuple[Pattern, dict[str, float]]:
     size.finish()
     table = file.table("code")
     name = table.text("pattern")
-    numbers = {key: _count(table, key) for key in pattern_keys(name) if table.has(key)}
+    numbers = {key: _count(table, key) for key in _known(table, name) if table.has(key)}
     decoding = {key: table.number(key) for key in ("min_contrast", "min_confidence") if table.has(key)}
     table.finish()
     try:
         return make_pattern(name, panel, **numbers), decoding
+    except BadInputError as error:
+        raise table.fail(str(error)) from error
+
+
+def _known(table: Table, name: str) -> tuple[str, ...]:
+    try:
+        return pattern_keys(name)
     except BadInputError as error:
         raise table.fail(str(error)) from error
 

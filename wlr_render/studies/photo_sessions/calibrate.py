@@ -1,6 +1,6 @@
 """Calibrate one eye from a session of photographs: read them, find the station, bring all into one frame, fit."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,8 @@ from wlr_render.calibration.photograph_captures import (
     display_captures,
     see_through_captures,
 )
-from wlr_render.calibration.station import Station, StationPhoto, StationPhotos, find_station
+from wlr_render.calibration.station import Station, StationPhoto, StationPhotos, find_station, repeated_views
 from wlr_render.calibration.station_file import save_station
-from wlr_render.calibration.sweep_checks import RepeatedView
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
@@ -121,8 +120,12 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
     bare, tracked = reading.seen(session.bare), reading.seen(session.tracking)
     eyeball = _lens(session, session.eyeball_camera, "eyeball_camera", bare, reading)
     tracking = _lens(session, session.tracking_camera, "tracking_camera", tracked, reading)
+    through = reading.seen(session.see_through)
+    views = {session.name_of(each.path): _view(session, each.path, sighting) for each, sighting in through}
     photos = StationPhotos(
-        _station_photos(session, bare), _station_photos(session, tracked), tuple(_repeated(session, reading))
+        _station_photos(session, bare),
+        _station_photos(session, tracked),
+        repeated_views(_station_photos(session, through), views),
     )
     station = find_station(photos, eyeball.poses, tracking.poses, session.device_from_tracking)
     save_station(into / "station.json", station, eyeball.camera, tracking.camera, session.device_from_tracking)
@@ -153,17 +156,6 @@ def _view(session: PhotoSession, path: Path, sighting: BoardSighting) -> BoardVi
 
 def _station_photos(session: PhotoSession, seen: Seen) -> list[StationPhoto]:
     return [StationPhoto(session.name_of(each.path), each.target_pose, each.stage) for each, _ in seen]
-
-
-def _repeated(session: PhotoSession, reading: Reading) -> Iterator[RepeatedView]:
-    """Photographs of one target pose through the optics at one stage reading: the first and the last of them."""
-    by_place: dict[tuple[int, bytes], list[tuple[BoardPhotograph, BoardSighting]]] = {}
-    for each, sighting in reading.seen(session.see_through):
-        by_place.setdefault((each.target_pose, each.stage.tobytes()), []).append((each, sighting))
-    for (pose, _), seen in by_place.items():
-        if len(seen) > 1:
-            first, last = (_view(session, each.path, sighting) for each, sighting in (seen[0], seen[-1]))
-            yield RepeatedView(pose, seen[0][0].stage, first, last)
 
 
 def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, station: Station) -> EyeCaptures:

@@ -39,7 +39,8 @@ def draw_coverage(path: Path, found: SessionCalibration) -> Path:
     places.set(xlabel="x (mm)", ylabel="y (mm)", title="camera places", aspect="equal")
     places.legend(fontsize=7)
     size = found.session.pattern.panel.size_px
-    counts, _, _ = np.histogram2d(*display.pixel.T, bins=[48, 27], range=[[0, size[0]], [0, size[1]]])
+    u, v = display.pixel.T
+    counts, _, _ = np.histogram2d(u, v, bins=(48, 27), range=[(0.0, float(size[0])), (0.0, float(size[1]))])
     drawn = panel.imshow(counts.T, extent=(0, size[0], size[1], 0), cmap="viridis")
     figure.colorbar(drawn, ax=panel, shrink=0.7, label="samples")
     panel.set(xlabel="u (px)", ylabel="v (px)", title="panel positions decoded, all places together")

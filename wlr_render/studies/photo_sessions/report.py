@@ -44,7 +44,7 @@ def write(found: SessionCalibration, out: str | Path) -> Told:
 def _page(found: SessionCalibration, tables: Sequence[ReportTable], drawn: Sequence[tuple[Path, str]]) -> str:
     body = [f"<h1>{html.escape(found.fit.mappings.name)}</h1>", f"<p>{html.escape(headline(found))}</p>"]
     body += [
-        f'<figure><img src="{path.name}" alt="{html.escape(title)}"><figcaption>{html.escape(title)}</figcaption></figure>'
+        f'<figure><img src="{path.name}" alt=""><figcaption>{html.escape(title)}</figcaption></figure>'
         for path, title in drawn
     ]
     body += [_table(table) for table in tables]

@@ -1,0 +1,61 @@
+"""What was read in photographs, carried into the device frame."""
+
+import numpy as np
+import pytest
+
+from wlr_render.calibration.photograph_captures import (
+    Headset,
+    PanelView,
+    TargetView,
+    display_captures,
+    see_through_captures,
+)
+from wlr_render.captures.decoded_samples import DecodedSamples
+from wlr_render.captures.targets.board_design import design_board
+from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.mappings import EyeBox, Panel
+
+CAMERA = LensCamera((640, 480), np.array([700.0, 700.0]), np.array([320.0, 240.0]), np.array([-0.1, 0, 0, 0, 0]))
+HEADSET = Headset("headset", "right", EyeBox(np.zeros(3), np.full(3, 0.01)))
+POSE = transforms.rigid(
+    transforms.rotation_about("y", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.002, 0.001, 0.03])
+)
+
+
+def test_a_target_seen_without_optics_lies_where_it_is_seen():
+    board = design_board(8, 6, 0.03)
+    target = POSE @ transforms.rigid(transforms.rotation_about("x", 0.3), np.array([0.02, -0.01, 0.5]))
+    index = board.indices()
+    point = transforms.apply(target, board.point_of(index))
+    pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
+    sighting = BoardSighting(index, pixel, np.full(len(index), 0.07))
+    captures = see_through_captures(HEADSET, board, CAMERA, [TargetView(POSE, target, 3, 5, sighting)])
+    straight = normalised(captures.point - captures.viewpoint)
+    assert np.max(arcmin_between(captures.view_dir, straight)) < 1e-6
+    assert set(captures.target_pose) == {3}
+    assert set(captures.capture) == {5}
+    assert captures.sigma_arcmin == pytest.approx(0.07 / 700 / ARCMIN)
+    assert np.allclose(captures.viewpoint, [0.002, 0.001, 0.03])
+
+
+def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():
+    pixel = np.array([[100.5, 100.5], [320.0, 240.0]])
+    samples = DecodedSamples(pixel, np.array([[5.0, 6.0], [7.0, 8.0]]), np.array([0.1, 0.2]), np.array([2.0, 2.0]))
+    views = [PanelView(POSE, samples), PanelView(POSE, samples)]
+    captures = display_captures(HEADSET, Panel(20, 10), CAMERA, views)
+    # 0.1 panel pixels at 2 panel pixels a camera pixel are 0.05 camera pixels.
+    assert captures.sigma_arcmin[:2] == pytest.approx(np.array([0.05, 0.1]) / 700 / ARCMIN)
+    assert captures.capture.tolist() == [0, 0, 1, 1]
+    assert np.allclose(captures.view_dir[1], POSE[:3, 2])  # the middle of the picture is the optical axis
+    assert captures.pixel.tolist() == [[5, 6], [7, 8], [5, 6], [7, 8]]
+
+
+def test_no_views_are_refused():
+    with pytest.raises(BadInputError, match="no photographs of the panel are left"):
+        display_captures(HEADSET, Panel(20, 10), CAMERA, [])
+    with pytest.raises(BadInputError, match="no photographs of the target through the optics are left"):
+        see_through_captures(HEADSET, design_board(8, 6, 0.03), CAMERA, [])

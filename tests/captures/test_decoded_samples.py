@@ -1,0 +1,56 @@
+"""Windows of a decoded picture: planes are kept exactly, noise is averaged, strays are left out."""
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.decoded import Decoded, Rejection
+from wlr_render.captures.decoded_samples import sample
+
+
+def decoded_plane(noise_px=0.0, seed=1, size=(200, 160)):
+    """A picture whose panel position is affine in the camera pixel, all accepted."""
+    width, height = size
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    panel = np.stack([30 + 1.5 * u + 0.1 * v, 20 - 0.05 * u + 1.3 * v], axis=-1)
+    panel = panel + np.random.default_rng(seed).normal(0, noise_px, panel.shape)
+    ones = np.ones((height, width), np.float32)
+    return Decoded(panel.astype(np.float32), noise_px * ones, ones, np.zeros((height, width), np.uint8))
+
+
+def truth(camera_pixel):
+    u, v = camera_pixel.T
+    return np.stack([30 + 1.5 * u + 0.1 * v, 20 - 0.05 * u + 1.3 * v], axis=-1)
+
+
+def test_a_plane_is_kept_at_camera_pixel_centres():
+    samples = sample(decoded_plane(), count=300)
+    assert 150 < len(samples) < 600
+    assert np.allclose(samples.panel_pixel, truth(samples.camera_pixel), atol=1e-4)
+    assert np.allclose(samples.camera_pixel % 1.0, 0.5)
+    assert np.allclose(samples.scale, np.sqrt(1.5 * 1.3 + 0.1 * 0.05), rtol=1e-4)
+
+
+def test_noise_is_averaged_and_its_size_told():
+    samples = sample(decoded_plane(0.1), count=100)
+    error = samples.panel_pixel - truth(samples.camera_pixel)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(0.1 / 9, rel=0.25)
+    assert np.sqrt(np.mean((error / samples.sigma_px[:, None]) ** 2)) == pytest.approx(1.0, abs=0.25)
+
+
+def test_strays_and_rejected_pixels_do_not_move_a_sample():
+    clean = decoded_plane(0.05)
+    rng = np.random.default_rng(3)
+    stray, gone = rng.random((2, *clean.rejection.shape)) < 0.05
+    pixel = np.where(stray[..., None], clean.pixel + 200.0, clean.pixel)
+    pixel[gone] = np.nan
+    rejection = np.where(gone, Rejection.UNSURE_BIT, 0).astype(np.uint8)
+    samples = sample(Decoded(pixel, clean.sigma_px, clean.confidence, rejection), count=300)
+    error = samples.panel_pixel - truth(samples.camera_pixel)
+    assert np.abs(error).max() < 0.05
+
+
+def test_a_picture_without_accepted_pixels_gives_no_samples():
+    empty = decoded_plane()
+    rejection = np.full_like(empty.rejection, Rejection.DARK)
+    pixel = np.full_like(empty.pixel, np.nan)
+    assert len(sample(Decoded(pixel, empty.sigma_px, empty.confidence, rejection))) == 0

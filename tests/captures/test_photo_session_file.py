@@ -1,0 +1,128 @@
+"""session.toml: written and read back the same; each fault is one sentence that names the key."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns.pattern import DecodeOptions
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
+from wlr_render.captures.photographs import write_photograph
+from wlr_render.captures.targets.board_design import design_board
+from wlr_render.captures.targets.board_file import save_board
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.mappings import EyeBox, Panel
+
+
+@pytest.fixture
+def session(tmp_path):
+    board = design_board(8, 7, 0.02)
+    save_board(board, tmp_path / "board.toml")
+    for number in range(3):
+        write_photograph(tmp_path / "lens" / f"{number}.png", np.zeros((4, 4), np.uint8))
+    lens = LensCamera((640, 480), np.array([700.0, 701.0]), np.array([321.0, 239.5]), np.array([0.1, 0.0, 0.0, 0, 0]))
+    pattern = make_pattern("gray-fringes", Panel(320, 200))
+    made = PhotoSession(
+        folder=tmp_path,
+        device="a headset",
+        eye="left",
+        eye_box=EyeBox(np.array([0.001, -0.002, 0.003]), np.array([0.01, 0.008, 0.006])),
+        pattern=pattern,
+        decoding=DecodeOptions(full_scale=4095),
+        board=board,
+        eyeball_camera=SessionCamera((640, 512), 12, tuple(tmp_path / "lens" / f"{number}.png" for number in range(3))),
+        tracking_camera=SessionCamera((640, 480), 8, known=lens),
+        device_from_tracking=transforms.rigid(
+            transforms.rotation_about("x", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.01, 0.04, -0.05])
+        ),
+        bare=(BoardPhotograph(tmp_path / "bare" / "0.png", 0, np.array([0.001, 0.002, -0.003])),),
+        tracking=(BoardPhotograph(tmp_path / "t.png", 0, np.zeros(3)),),
+        see_through=(BoardPhotograph(tmp_path / "s.png", 0, np.array([0.004, 0.0, 0.0])),),
+        display=(CodeSet(tmp_path / "d0", np.zeros(3)), CodeSet(tmp_path / "d1", np.array([0.004, 0.001, 0.0]))),
+    )
+    save_photo_session(made, {"pattern": "gray-fringes"}, "board.toml")
+    return made
+
+
+def edited(session, pattern, text):
+    path = session.folder / FILE
+    old = path.read_text()
+    new = re.sub(pattern, text, old, count=1, flags=re.MULTILINE)
+    assert new != old, "the edit must hit something"
+    path.write_text(new)
+    return session.folder
+
+
+def test_what_is_written_is_read_back(session):
+    again = load_photo_session(session.folder)
+    assert (again.device, again.eye, again.pattern) == ("a headset", "left", session.pattern)
+    assert again.decoding == session.decoding
+    assert np.allclose(again.eye_box.centre, session.eye_box.centre, atol=1e-12)
+    assert np.allclose(again.eye_box.size, session.eye_box.size, atol=1e-12)
+    assert np.allclose(again.device_from_tracking, session.device_from_tracking, atol=1e-12)
+    assert again.eyeball_camera.intrinsics == session.eyeball_camera.intrinsics
+    assert np.allclose(again.tracking_camera.known.centre_px, [321.0, 239.5])
+    assert np.allclose(again.tracking_camera.known.distortion, [0.1, 0, 0, 0, 0])
+    for ours, theirs in zip(again.bare + again.see_through, session.bare + session.see_through, strict=True):
+        assert ours.path == theirs.path
+        assert np.allclose(ours.stage, theirs.stage, atol=1e-12)
+    assert [each.folder for each in again.display] == [each.folder for each in session.display]
+    assert np.array_equal(again.board.large, session.board.large)
+
+
+def test_axes_of_the_file_are_turned_into_the_device_frame(session):
+    folder = edited(session, "centre_mm = .*", "centre_mm = [1.0, 2.0, 3.0]")
+    assert np.allclose(load_photo_session(folder).eye_box.centre, [0.001, -0.002, -0.003])
+    edited(session, 'frame = "opencv"', 'frame = "openxr"')
+    assert np.allclose(load_photo_session(folder).eye_box.centre, [0.001, 0.002, 0.003])
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "complaint"),
+    [
+        ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a session is in millimetres"),
+        ("size_mm = .*", "size_mm = [0.010, 0.008, 0.006]", r"'size_mm' should be between 0.5 and 100 mm"),
+        ("stage_mm = .4.0, -1.0", "stage_mm = [0.004, -0.001", r"travel of \[\[display\]\].*another unit"),
+        ("translation_mm = .*", "translation_mm = [0.01, 0.04, 0.05]", "'translation_mm' should be between"),
+        ("stage_mm", "stage_um", "key 'stage_mm' is missing"),
+        ("stage_mm = .*", "stage_mm = [1.0, 2.0]", "must be a list of 3 numbers"),
+        ("bits = 12", "bits = 7", "'bits' is 7; it must be 8 to 16"),
+        ('eye = "left"', 'eye = "middle"', "must be one of left, right"),
+        ('pattern = "gray-fringes"', 'pattern = "grey"', "There is no code 'grey'"),
+        ("target_pose = 0", "target_pose = 3", r"\[\[bare\]\] number 1 is of target pose 3, of which there is no"),
+        ("device = ", "devise = ", "'device' is missing"),
+        ("focal_px = .*", "focal_px = [-1.0, 5.0]", "both must be above 0"),
+        ('intrinsics = "lens"', 'intrinsics = "lenses"', "there is no such folder"),
+        ("rotation = .*", "rotation = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]", "must be a rotation matrix"),
+        ("version = 1", "version = 2", "this program reads version 1"),
+    ],
+)
+def test_each_fault_is_named(session, pattern, text, complaint):
+    folder = edited(session, pattern, text)
+    with pytest.raises(BadInputError, match=complaint) as caught:
+        load_photo_session(folder)
+    assert "\n" not in str(caught.value)
+    assert str(session.folder) in str(caught.value)
+
+
+def test_a_folder_without_a_session_says_so(tmp_path):
+    with pytest.raises(BadInputError, match=r"has no session\.toml"):
+        load_photo_session(tmp_path)
+
+
+def test_an_unknown_key_is_refused(session):
+    with (session.folder / FILE).open("a") as file:
+        file.write("\n[camera]\nwidth = 3\n")
+    with pytest.raises(BadInputError, match="unknown key 'camera'"):
+        load_photo_session(session.folder)
+
+
+def test_photographs_outside_the_folder_keep_their_path(session, tmp_path):
+    elsewhere = tmp_path.parent / "x.png"
+    assert replace(session, bare=()).name_of(elsewhere) == str(elsewhere)
+    assert session.name_of(session.bare[0].path) == "bare/0.png"
