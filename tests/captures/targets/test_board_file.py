@@ -56,25 +56,25 @@ def test_circles_of_the_svg_lie_where_the_board_has_its_dots(tmp_path):
     assert [circle.get("class") == "large" for circle in circles] == BOARD.large.ravel().tolist()
 
 
-@pytest.mark.parametrize("board", [BOARD, design_board(5, 5, 0.002)], ids=["usual", "tiny"])
-def test_the_ruler_is_as_long_as_is_written_beside_it(tmp_path, board):
+@pytest.mark.parametrize(("board", "dpi"), [(BOARD, 300), (design_board(5, 5, 0.002), 1200)], ids=["usual", "tiny"])
+def test_the_ruler_is_as_long_as_is_written_beside_it(tmp_path, board, dpi):
     root = ET.parse(write_board_svg(board, tmp_path / "board.svg")).getroot()
     line = re.match(r"M (\S+) (\S+) h (\S+)", root.find(f"{SVG}path").get("d"))
     left, y, length = (float(number) for number in line.groups())
     assert root.findall(f"{SVG}text")[0].text == f"{length:g} mm"
     assert left + length < float(root.get("width").removesuffix("mm"))
 
-    pixels_per_mm = 1200 / 25.4
-    picture = np.array(Image.open(write_board_png(board, tmp_path / "board.png", 1200)))
+    pixels_per_mm = dpi / 25.4
+    picture = np.array(Image.open(write_board_png(board, tmp_path / "board.png", dpi)))
     dark = np.nonzero(picture[round(y * pixels_per_mm), : round((left + length + 1) * pixels_per_mm)] < 128)[0]
     # From the middle of one end's line, 0.2 mm wide, to that of the other's.
-    assert (dark[-1] - dark[0]) / pixels_per_mm - 0.2 == pytest.approx(length, abs=0.05)
+    assert (dark[-1] - dark[0] + 1) / pixels_per_mm - 0.2 == pytest.approx(length, abs=1.5 / pixels_per_mm)
 
 
 def test_dots_of_the_png_have_the_pitch_of_its_resolution(tmp_path):
     path = write_board_png(BOARD, tmp_path / "board.png", 150)
     with Image.open(path) as picture:
-        assert picture.info["dpi"] == pytest.approx((150, 150), abs=0.01)
+        assert picture.info["dpi"] == pytest.approx((150, 150), rel=1e-4)  # whole pixels per metre
     found = find_board(read_photograph(path), BOARD)
     assert len(found) == BOARD.large.size
     in_board = BOARD.point_of(found.index)[:, :2] + 0.5 * BOARD.size_m
@@ -82,6 +82,6 @@ def test_dots_of_the_png_have_the_pitch_of_its_resolution(tmp_path):
 
 
 def test_a_png_too_coarse_for_its_dots_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match="small dots 6.0 pixels wide; choose another resolution"):
+    with pytest.raises(BadInputError, match=r"small dots 6\.0 pixels wide; choose another resolution"):
         write_board_png(BOARD, tmp_path / "board.png", 40)
     assert not list(tmp_path.iterdir())

@@ -12,18 +12,20 @@ FINE = 8  # rays per pixel and axis
 
 def drawn(centres, half_axes, turn_rad, size=(240, 320), dot=0.1):
     """(h, w) light of ellipses on white 1."""
-    v, u = ((np.arange(FINE * length) + 0.5) / FINE for length in size)
-    light = np.ones((len(v), len(u)))
+    light = np.ones((FINE * size[0], FINE * size[1]))
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     for (x, y), (a, b) in zip(centres, half_axes, strict=True):
-        du, dv = u[None, :] - x, v[:, None] - y
-        light[((c * du + s * dv) / a) ** 2 + ((c * dv - s * du) / b) ** 2 < 1] = dot
+        low = np.maximum(np.array([y, x]) - max(a, b) - 1, 0).astype(int) * FINE
+        part = light[low[0] : low[0] + int(2 * max(a, b) + 3) * FINE, low[1] : low[1] + int(2 * max(a, b) + 3) * FINE]
+        dv, du = ((np.arange(n) + 0.5 + start) / FINE for n, start in zip(part.shape, low, strict=True))
+        du, dv = du[None, :] - x, dv[:, None] - y
+        part[((c * du + s * dv) / a) ** 2 + ((c * dv - s * du) / b) ** 2 < 1] = dot
     return light.reshape(size[0], FINE, size[1], FINE).mean(axis=(1, 3))
 
 
 def scattered(diameter, seed=1):
     """Centres on a loose grid, off by parts of a pixel."""
-    pitch = max(16.0, 2.5 * diameter)
+    pitch = max(16.0, min(2.5 * diameter, 90.0))
     u, v = np.meshgrid(np.arange(pitch, 320 - 0.7 * pitch, pitch), np.arange(pitch, 240 - 0.7 * pitch, pitch))
     grid = np.stack([u, v], axis=-1).reshape(-1, 2)
     return grid + np.random.default_rng(seed).uniform(-0.5, 0.5, grid.shape)

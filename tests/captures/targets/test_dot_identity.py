@@ -76,7 +76,7 @@ def test_dots_beyond_the_board_are_placed_beyond_it():
 
 def test_too_few_dots_say_how_many_are_needed():
     true = window(2, 2, 4, 3)
-    with pytest.raises(BoardNotFoundError, match="only 12 dots .* at least 20 are needed"):
+    with pytest.raises(BoardNotFoundError, match=r"only 12 dots .* at least 20 are needed"):
         identify(true, sizes_at(true), BOARD.large)
 
 

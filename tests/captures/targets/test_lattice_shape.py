@@ -24,7 +24,7 @@ def test_the_bias_of_a_perspective_view_is_that_of_the_ellipse():
     lifted = np.concatenate([GRID, np.ones((len(GRID), 1))], axis=1) @ PERSPECTIVE.T
     bias = seen - lifted[:, :2] / lifted[:, 2:]
     assert np.abs(bias).max() > 0.03, "nothing to be corrected"
-    assert np.abs(lattice_shape(GRID, seen).centroid_shift(radius) - bias).max() < 0.05 * np.abs(bias).max()
+    assert np.abs(lattice_shape(GRID, seen).centroid_shift(radius) - bias).max() < 0.1 * np.abs(bias).max()
 
 
 def test_a_map_of_third_order_is_expected_as_it_is():

@@ -13,7 +13,7 @@ WINDOW = 5
 DISTANCE = 3
 
 _LARGE, _SMALL, _MARGIN = 0.6, 0.38, 1.0  # usual sizes in pitches: areas 2.5 to 1, and a clear gap between large dots
-_STEPS_PER_DOT = 10  # of the search before it gives up
+_MOST_STEPS = 10_000  # of the search beyond one per dot, before it gives up
 _IntArray = NDArray[np.int64]
 _NOTHING: _IntArray = np.zeros(0, dtype=np.int64)
 
@@ -85,7 +85,7 @@ def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
     dot, steps = 0, 0
     while dot < large.size:
         steps += 1
-        if dot < 0 or steps > _STEPS_PER_DOT * large.size:
+        if dot < 0 or steps > large.size + _MOST_STEPS:
             raise BadInputError(
                 f"A board of {columns} x {rows} dots is too large for windows of {WINDOW} x {WINDOW} that differ in "
                 f"{DISTANCE} sizes; use fewer dots, or several boards."
