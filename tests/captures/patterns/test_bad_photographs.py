@@ -1,5 +1,7 @@
 """Sets that cannot be right are refused with a sentence that names the photograph."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -104,13 +106,14 @@ def test_bits_of_different_axes_exchanged_are_refused(sets):
 
 
 @pytest.mark.parametrize("name", ["fringes", "gray-fringes"])
-@pytest.mark.parametrize("steps", [(0, 1), (2, 3), (1, 4), (0, 5)])
+@pytest.mark.parametrize("steps", [(0, 1), (2, 3), (1, 4), (0, 5), (1, 3)])
 def test_exchanged_steps_are_named(sets, name, steps):
     pattern, shown = sets[name]
     first = len(shown) - 6
     one, other = first + steps[0], first + steps[1]
     sentence = refusal(pattern, exchanged(shown, (one, other)))
-    assert sentence.startswith(f"photograph {one} ('{pattern.names()[one]}') and photograph {other} ")
+    assert f"photograph {one} ('{pattern.names()[one]}') and photograph {other} " in sentence
+    assert "seem to be exchanged" in sentence
 
 
 def test_exchanged_fringes_of_two_periods_are_refused(sets):
@@ -130,4 +133,21 @@ def test_a_picture_of_something_else_among_the_steps(sets):
     pattern, shown = sets["fringes"]
     shown = list(shown)
     shown[10] = np.full_like(shown[10], 20)
-    refusal(pattern, shown)
+    assert refusal(pattern, shown).startswith("photograph 10 ('u fringe 59.33 px step 2') does not belong")
+
+
+@FAMILIES
+@pytest.mark.parametrize("reference", [0, 1])
+@pytest.mark.parametrize("place", [2, 4, -1])
+def test_a_reference_exchanged_with_a_picture_is_refused(sets, name, reference, place):
+    pattern, shown = sets[name]
+    assert "photograph 0 ('white')" in refusal(pattern, exchanged(shown, (reference, place)))
+
+
+@FAMILIES
+def test_any_photograph_missing_is_noticed_before_the_next_bit_or_fringe_is_over(sets, name):
+    pattern, shown = sets[name]
+    for missing in range(2, len(shown)):
+        sentence = refusal(pattern, shown[:missing] + shown[missing + 1 :])
+        named = max(int(number) for number in re.findall(r"photograph (\d+)", sentence))
+        assert missing - 6 < named < missing + 14 or "is missing" in sentence

@@ -1,7 +1,7 @@
 """OpenCV's structured-light module against ours; it is only in the contrib build of OpenCV.
 
-What differs: OpenCV keeps white and black apart from the pictures of the bits, and its `getProjPixel` returns the number of
-the panel pixel, where ours is a position with the pixel's centre at +0.5. Order and polarity of the bits are the same.
+What differs: OpenCV keeps white and black apart from the pictures of the bits, and its `getProjPixel` returns the
+number of the panel pixel, where ours is a position with the pixel's centre at +0.5. Order and polarity are the same.
 """
 
 import cv2

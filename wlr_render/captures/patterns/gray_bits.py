@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.patterns.gray_order import check_bits
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter, check_range
 from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.errors import BadInputError
 
@@ -86,7 +86,10 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
     cell = np.zeros(light.contrast.shape, dtype=np.int32)
     evidence, even, odd = (np.ones(light.contrast.shape, dtype=np.float32) for _ in range(3))
     for _ in range(axis.bits):
-        positive, inverse = shots.take(), shots.take()
+        positive = shots.take()
+        check_range(positive, light, shots)
+        inverse = shots.take()
+        check_range(inverse, light, shots)
         steady = positive + inverse - 2 * light.middle
         _check_pair(steady, light, shots)
         signed = (positive - inverse) * per_contrast

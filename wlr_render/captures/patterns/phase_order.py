@@ -10,8 +10,9 @@ from wlr_render.errors import BadInputError
 
 FloatArray = NDArray[np.float64]
 
-_SUSPECT = 0.01  # mean square of what no waveform explains, as a part of the fringe's
+_SUSPECT = 0.02  # mean square of what no waveform explains, as a part of the fringe's
 _HOPELESS = 0.3
+_FOREIGN = 2.0  # times the mean of all steps; noise leaves the same in each
 _TORN = 0.2  # of the lit pixels
 _BETTER = 0.6  # another order that leaves less of it is the true one
 
@@ -27,20 +28,26 @@ def check_steps(values: NDArray[np.float32], shots: Shots, first: int) -> None:
         first: number of the first step's.
 
     Raises:
-        BadInputError: an exchange does, or the photographs show no fringe at all.
+        BadInputError: an exchange does, one does not belong to the others, or they show no fringe at all.
     """
     steps = len(values)
     varying = values.astype(np.float64) - values.mean(axis=0)
-    as_read = _unexplained(varying)
+    by_step = _unexplained(varying)
+    as_read = float(np.sum(by_step))
     if as_read < _SUSPECT:
         return
     swaps = list(combinations(range(steps), 2))
-    left = [_unexplained(varying[_swapped(steps, swap)]) for swap in swaps]
-    best = int(np.argmin(left))
-    if left[best] < _BETTER * as_read:
-        one, other = (shots.label(first + step) for step in swaps[best])
+    left = [float(np.sum(_unexplained(varying[_swapped(steps, swap)]))) for swap in swaps]
+    if min(left) < _BETTER * as_read:
+        # An exchange at two steps' distance has a twin that makes the fringe run backwards, and just as well.
+        likely = [swap for swap, rest in zip(swaps, left, strict=True) if rest < 1.2 * min(left) + _SUSPECT]
+        named = ", or ".join(" and ".join(shots.label(first + step) for step in swap) for swap in likely)
+        raise BadInputError(f"{named} seem to be exchanged: the steps of the fringe fit together if they are.")
+    worst = int(np.argmax(by_step))
+    if by_step[worst] > _FOREIGN * as_read / steps:
         raise BadInputError(
-            f"{one} and {other} seem to be exchanged: the steps of the fringe fit together if they are."
+            f"{shots.label(first + worst)} does not belong to its fringe: it is out of order, shows something else, "
+            "or is of another exposure."
         )
     if as_read > _HOPELESS:
         raise BadInputError(
@@ -75,8 +82,8 @@ def _swapped(steps: int, swap: tuple[int, int]) -> list[int]:
     return order
 
 
-def _unexplained(varying: FloatArray) -> float:
-    """Part of the mean square of (steps, n) that is no fundamental with one second harmonic for all pixels."""
+def _unexplained(varying: FloatArray) -> FloatArray:
+    """(steps,) what no fundamental with one second harmonic for all pixels explains, as parts of the sum of squares."""
     steps = len(varying)
     angle = 2 * np.pi * np.arange(steps)[:, None] / steps
     fundamental = 2 / steps * np.sum(varying * np.exp(1j * angle), axis=0)
@@ -84,4 +91,4 @@ def _unexplained(varying: FloatArray) -> float:
     left = varying - amplitude * np.cos(phase - angle)
     harmonic = amplitude * np.cos(2 * (phase - angle))
     left -= np.sum(left * harmonic) / max(np.sum(harmonic**2), 1e-12) * harmonic
-    return float(np.sum(left**2) / max(np.sum(varying**2), 1e-12))
+    return np.asarray(np.sum(left**2, axis=1) / max(np.sum(varying**2), 1e-12))

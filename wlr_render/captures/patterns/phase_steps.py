@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.patterns.phase_order import check_steps
-from wlr_render.captures.patterns.photometry import Light
+from wlr_render.captures.patterns.photometry import Light, check_range
 from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.errors import BadInputError
 
@@ -89,7 +89,9 @@ def read_fringe(axis: FringeAxis, shots: Shots, light: Light) -> FringeReading:
     every = tuple(slice(None, None, max(1, size // _ASKED)) for size in light.contrast.shape)
     asked = []
     for step in range(axis.steps):
-        value = shots.take() - light.middle
+        image = shots.take()
+        check_range(image, light, shots)
+        value = image - light.middle
         asked.append(value[every][light.lit[every]])
         angle = 2 * np.pi * step / axis.steps
         real += np.float32(np.cos(angle)) * value

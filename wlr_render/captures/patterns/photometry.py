@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from wlr_render.captures.patterns.shots import Grey, Shots
 from wlr_render.errors import BadInputError
 
 _CLEAR = 4.0  # contrast over its noise, below which a pixel is not lit
+_BEYOND = 0.05  # of the number of lit pixels
 _NOISE_WINDOW = 15
 _BETWEEN = 0.02  # of a warped picture, pixels on its rim
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
@@ -33,7 +35,12 @@ class Light:
     lit: NDArray[np.bool_]
     end_of_scale: float
 
-    @property
+    @cached_property
+    def usual_contrast(self) -> float:
+        """Median of the contrast over what is lit."""
+        return float(np.median(self.contrast[self.lit]))
+
+    @cached_property
     def per_contrast(self) -> Grey:
         """(h, w) 1 / contrast where lit, 0 elsewhere."""
         return np.asarray(self.lit / np.maximum(self.contrast, 1), dtype=np.float32)
@@ -77,6 +84,21 @@ def _never_photographed(white: Grey, black: Grey, options: DecodeOptions) -> boo
     """Whether these are the pictures themselves, warped perhaps: no camera gives two values only, with no noise."""
     between = (white > 0) & (white < options.full_scale)
     return not np.any(black) and float(np.mean(between)) < _BETWEEN
+
+
+def check_range(image: Grey, light: Light, shots: Shots) -> None:
+    """See that the photograph just taken lies between black and white.
+
+    Raises:
+        BadInputError: in too many pixels it does not: a reference shows something else, or the light has changed.
+    """
+    beyond = np.abs(image - light.middle) > 0.5 * (light.contrast + light.usual_contrast)
+    share = np.count_nonzero(beyond) / np.count_nonzero(light.lit)
+    if share > _BEYOND:
+        raise BadInputError(
+            f"{shots.label(shots.taken - 1)} is brighter than {shots.label(0)} or darker than {shots.label(1)} in as "
+            f"many pixels as {share:.0%} of the lit ones: one of them shows something else, or the light has changed."
+        )
 
 
 class NoiseMeter:
