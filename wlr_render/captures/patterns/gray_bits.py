@@ -55,8 +55,8 @@ class GrayReading:
 
     Attributes:
         cell: int32, from 0; may lie beyond the last cell where bits were misread.
-        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than one, and the finest
-            bit in the mean over the pixels around.
+        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than one, or less where
+            the camera does not resolve the cells.
         even_border, odd_border: 0 to 1 but for noise, strength of the bit that changes at the cell's even-numbered and
             at its odd-numbered border: how far the pixel stays clear of that border.
     """
@@ -85,6 +85,7 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
     per_contrast = light.per_contrast
     cell = np.zeros(light.contrast.shape, dtype=np.int32)
     evidence, even, odd = (np.ones(light.contrast.shape, dtype=np.float32) for _ in range(3))
+    usual: list[float] = []
     for _ in range(axis.bits):
         positive = shots.take()
         check_range(positive, light, shots)
@@ -94,6 +95,7 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
         _check_pair(steady, light, shots)
         signed = (positive - inverse) * per_contrast
         strength = np.abs(signed)
+        usual.insert(0, float(np.mean(strength[light.lit])))
         noise.add(steady, light.lit & (strength > _UNMIXED))
         one = signed > 0
         # The bit before this one can still be the one that changes at the even border only if this bit is 1, and the
@@ -102,16 +104,20 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
         even = np.where(one, odd, even)
         odd = strength
         cell = 2 * cell + (one ^ (cell & 1)).astype(np.int32)
-    check_bits(cell, light.lit, axis.bits, axis.cells, shots)
-    return GrayReading(cell, np.minimum(evidence, _around(odd, light.lit)), even, odd)
+    check_bits(cell, light.lit, usual, axis.cells, shots)
+    return GrayReading(cell, np.minimum(evidence, _resolved(even + odd, light.lit)), even, odd)
 
 
-def _around(strength: Grey, lit: NDArray[np.bool_]) -> Grey:
-    """(h, w) mean over the lit pixels around each: the finest bit fades at its borders, but not everywhere."""
+def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
+    """(h, w) 0 to 1: whether single cells are resolved, from the sum of the strengths of both borders of a cell.
+
+    A pixel w cells wide never lies so close to both borders that the sum falls below 2 / w; where blur takes the finest
+    bit, it does at every other border. 1 up to two cells, 0 from four on.
+    """
     window = (_AROUND, _AROUND)
-    total = cv2.boxFilter(strength * lit, -1, window, normalize=False)
+    total = cv2.boxFilter(borders * lit, -1, window, normalize=False)
     number = cv2.boxFilter(lit.astype(np.float32), -1, window, normalize=False)
-    return np.asarray(total / np.maximum(number, 1), dtype=np.float32)
+    return np.asarray(np.clip(2 * total / np.maximum(number, 1) - 1, 0, 1), dtype=np.float32)
 
 
 def _check_pair(steady: Grey, light: Light, shots: Shots) -> None:

@@ -4,7 +4,7 @@ If a bit and its inverse were exchanged, or two bits, each pair of photographs i
 picture is torn. The order under which neighbouring pixels differ least in square is the true one.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -15,18 +15,22 @@ from wlr_render.captures.patterns.shots import Shots
 from wlr_render.errors import BadInputError
 
 _LINES = 128  # of neighbours that are compared along each axis of the picture
+_STRONG = 0.35  # of full contrast
 _TORN = 0.9  # another order that leaves less of the sum of squared steps is the better one
 
 Codes = NDArray[np.int64]
 
 
-def check_bits(cell: NDArray[np.int32], lit: NDArray[np.bool_], bits: int, cells: int, shots: Shots) -> None:
+def check_bits(
+    cell: NDArray[np.int32], lit: NDArray[np.bool_], strengths: Sequence[float], cells: int, shots: Shots
+) -> None:
     """See that no other order of the photographs gives a clearly smoother picture.
 
     Args:
         cell: (h, w) as read.
         lit: (h, w) which pixels to ask.
-        bits: how many there are, each with its inverse.
+        strengths: mean of each bit, the finest first, as a part of full contrast; a weak bit is not accused, since blur
+            alone can turn the contrast of fine stripes around.
         cells: how many there are.
         shots: names the photographs; the last one taken is the finest bit's inverse.
 
@@ -36,11 +40,13 @@ def check_bits(cell: NDArray[np.int32], lit: NDArray[np.bool_], bits: int, cells
     pairs, count = _neighbouring_codes(cell ^ (cell >> 1), lit)
     if not count.size:
         return
-    as_read = _tearing(np.arange(1 << bits), pairs, count, cells)
-    tearing, which = min(
-        ((_tearing(codes, pairs, count, cells), which) for codes, which in _other_orders(bits)),
-        default=(np.inf, ()),
-    )
+    as_read = _tearing(np.arange(1 << len(strengths)), pairs, count, cells)
+    others = [
+        (_tearing(codes, pairs, count, cells), which)
+        for codes, which in _other_orders(len(strengths))
+        if min(strengths[bit] for bit in which) > _STRONG
+    ]
+    tearing, which = min(others, default=(np.inf, ()))
     if tearing < _TORN * as_read:
         photographs = [shots.taken - 2 * (1 + bit) for bit in which]
         exchanged = [photographs[0], photographs[0] + 1] if len(which) == 1 else photographs
