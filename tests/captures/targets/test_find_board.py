@@ -102,6 +102,16 @@ def test_missing_dots_and_clutter(light):
     assert rms(found, CAMERA, VIEW) < 0.1
 
 
+def test_a_single_row_that_sticks_out_does_no_harm(light):
+    index = BOARD.indices()
+    column, row = index.T
+    gone = index[((column > 6) & (row != 3)) | (row > 6)]
+    image = exposed(spotted(light, truth(CAMERA, VIEW, gone), 9, 1.0))
+    found = find_board(image, BOARD)
+    assert len(found) >= 40
+    assert rms(found, CAMERA, VIEW) < 0.1
+
+
 def test_dots_of_the_wrong_size_are_counted_and_left_out():
     wrong = np.random.default_rng(4).permutation(BOARD.indices())[:12]
     large = BOARD.large.copy()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.targets.dot_detection import Dots
 from wlr_render.captures.targets.dot_patches import BoolArray, FloatArray, IntArray, Patches, patches_around
 
-_PASSES = 4
+_PASSES = 4  # the last two only matter where blur is as wide as a small dot
 _FIRST_BAND_PX, _FIRST_BAND_PART = 2.0, 0.15  # half width of the band: pixels, and parts of the radius
 _BAND_PX, _BAND_BLURS = 1.0, 2.5  # once the blur is known
 _RING_PX, _RING_PART = 2.0, 0.3  # width of the ring of ground around the band

@@ -21,7 +21,9 @@ _SHAPE_NEIGHBOURS = 7
 _CROSS_TOLERANCE = 0.3  # of an arm, for the other three
 _STEP_TOLERANCE = 0.22  # of a step, between where a dot is expected and found
 _INHERITED = 1.0  # weight of the parent's steps beside what the neighbours say
-_LEAST_DOTS = 9
+LEAST_DOTS = 9
+"""Fewer are no lattice."""
+
 _MOST_SEEDS = 60  # crosses from which growing is tried
 _AROUND = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)])
 _NEAR_FIRST = _AROUND[np.argsort(np.abs(_AROUND).max(axis=1) * 3 + np.abs(_AROUND).sum(axis=1), kind="stable")]
@@ -45,7 +47,7 @@ class Lattice:
 
 def link_lattices(dots: Dots) -> list[Lattice]:
     """All lattices of 9 dots or more, the largest first; no dot is in two."""
-    if len(dots) < _LEAST_DOTS:
+    if len(dots) < LEAST_DOTS:
         return []
     tree = cKDTree(dots.centre)
     seeds, steps = _crosses(dots, tree)
@@ -59,7 +61,7 @@ def link_lattices(dots: Dots) -> list[Lattice]:
         lattice = _grown(dots.centre, tree, int(seed), step, free)
         free[lattice.dot] = False
         found.append(lattice)
-    return sorted((each for each in found if len(each) >= _LEAST_DOTS), key=len, reverse=True)
+    return sorted((each for each in found if len(each) >= LEAST_DOTS), key=len, reverse=True)
 
 
 def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:

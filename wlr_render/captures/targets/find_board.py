@@ -9,17 +9,16 @@ from wlr_render.captures.targets.dot_board import DotBoard, FloatArray
 from wlr_render.captures.targets.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.targets.dot_detection import find_dots
 from wlr_render.captures.targets.dot_identity import identify
-from wlr_render.captures.targets.dot_lattice import Lattice, link_lattices
+from wlr_render.captures.targets.dot_lattice import LEAST_DOTS, Lattice, link_lattices
 from wlr_render.captures.targets.lattice_shape import LatticeShape, lattice_shape
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 _TRIES = 3  # lattices, the largest first, that are compared with the board
-_LEAST_DOTS = 9
 _OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
 _OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
-_OUTLIER_ROUNDS = 5
+_LEAST_CELL = 0.05  # of the usual one; under a row of dots alone there are none
 _LARGE_ARE_DARKEST = 75  # percentile of contrasts nearby: about the middle one of the large dots, blurred least
 
 
@@ -85,9 +84,9 @@ def _smooth_part(lattice: Lattice, measured: MeasuredDots) -> tuple[Lattice, Lat
         BoardNotFoundError: too few are left.
     """
     keep = np.isfinite(measured.sigma_px[lattice.dot])
-    for _ in range(_OUTLIER_ROUNDS):
+    while True:
         lattice = Lattice(lattice.dot[keep], lattice.index[keep])
-        if len(lattice) < _LEAST_DOTS:
+        if len(lattice) < LEAST_DOTS:
             raise BoardNotFoundError(f"only {len(lattice)} dots in one piece were seen whole; show more of the board.")
         pixel = measured.dots.centre[lattice.dot]
         shape = lattice_shape(lattice.index, pixel)
@@ -95,9 +94,9 @@ def _smooth_part(lattice: Lattice, measured: MeasuredDots) -> tuple[Lattice, Lat
         most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
         # A stray dot makes its neighbours look stray too; only the worst of a neighbourhood goes.
         keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
+        keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
         if keep.all():
-            break
-    return lattice, shape
+            return lattice, shape
 
 
 def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: DotBoard) -> BoolArray:
@@ -114,6 +113,6 @@ def _why_nothing(image: Photograph, dots: int) -> str:
     if high == image.max() > 0.5 * np.iinfo(image.dtype).max and np.mean(image == high) > 0.5:
         return f"most of the picture is at its brightest value, {high:.0f}; expose it less."
     return (
-        f"no board is in the picture: {dots} dark spots were seen that lie on no lattice, among grey values from "
-        f"{low:.0f} to {high:.0f}; expose it more, or show the board."
+        f"no board is in the picture: {dots} dark spots were seen, no {LEAST_DOTS} of them on a lattice, among grey "
+        f"values from {low:.0f} to {high:.0f}; expose it more, or show more of the board."
     )

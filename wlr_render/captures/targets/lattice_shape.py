@@ -16,6 +16,8 @@ _NEIGHBOURS = 24  # a 5 x 5 window without its middle
 _POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # of x and y: 1, x, y, x^2, x y, y^2, ...
 _STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to show them
 
+_LEAST_STIFFNESS = 1e-9  # of first orders: a row of dots alone has no slope across, and gets zero
+
 
 @dataclass(frozen=True, eq=False)
 class LatticeShape:
@@ -61,13 +63,13 @@ def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
     """Fit the maps.
 
     Args:
-        index: (n, 2) lattice coordinates, n >= 7, not all in one line.
+        index: (n, 2) lattice coordinates, n >= 2.
         pixel: (n, 2) where they are seen.
     """
     near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
     x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
     basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in _POWERS], axis=-1)
-    held = np.diag([_STIFFNESS if i + j > 1 else 0.0 for i, j in _POWERS])
+    held = np.diag([(0.0, _LEAST_STIFFNESS, _STIFFNESS, _STIFFNESS)[i + j] for i, j in _POWERS])
     transposed = np.swapaxes(basis, 1, 2)
     covariance = np.linalg.inv(transposed @ basis + held)
     term = covariance @ (transposed @ (pixel[near] - pixel[:, None, :]))
