@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from board_pictures import BOARD
 
-from wlr_render.captures.targets.board_design import WINDOW
+from wlr_render.captures.targets.board_design import WINDOW, design_board
 from wlr_render.captures.targets.board_sighting import BoardNotFoundError
 from wlr_render.captures.targets.dot_identity import identify
 
@@ -65,6 +65,13 @@ def test_a_larger_fragment_with_holes_bears_several_misread_sizes():
         true = true[rng.permutation(81)[:60]]
         wrong = np.arange(60) < 6
         assert np.array_equal(answer(true, TURNS[rng.integers(4)], sizes_at(true) ^ wrong), true)
+
+
+def test_a_whole_board_of_thousands_is_told():
+    large = design_board(50, 40, 0.01).large
+    true = window(0, 0, 50, 40)
+    is_large = large.ravel() ^ (np.arange(2000) % 20 == 0)
+    assert np.array_equal(identify(true @ TURNS[3] + np.array([5, 5]), is_large, large), true)
 
 
 def test_dots_beyond_the_board_are_placed_beyond_it():

@@ -88,9 +88,10 @@ def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: I
 
 def _share_as_good(disagreeing: int, seen: int) -> float:
     """Part of all size patterns of so many dots with as many disagreeing or fewer."""
-    return (
-        sum(math.comb(seen, wrong) for wrong in range(disagreeing + 1)) / 2**seen
-    )  # whole numbers: a power of a float overflows for a thousand dots
+    as_good = sum(math.comb(seen, wrong) for wrong in range(disagreeing + 1))
+    # Whole numbers: a float overflows at a thousand dots.
+    share: float = as_good / 2**seen
+    return share
 
 
 def _too_few(seen: int, disagreeing: int, places: int) -> str:
