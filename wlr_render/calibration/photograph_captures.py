@@ -18,6 +18,10 @@ from wlr_render.mappings import EyeBox, Panel
 
 FloatArray = NDArray[np.float64]
 
+_SYSTEMATIC_PX = 0.02
+"""What the lens model and the optics' own blur leave in a camera pixel, of which the noise of a reading knows nothing:
+without it a fit would follow a few readings of very little noise."""
+
 
 @dataclass(frozen=True)
 class Headset:
@@ -77,7 +81,7 @@ def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: 
     for number, view in enumerate(views):
         direction, sound = _directions(camera, view.device_from_camera, view.samples.camera_pixel)
         # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
-        per_camera_pixel = _arcmin_per_pixel(camera) / view.samples.scale
+        sigma_px = np.hypot(view.samples.sigma_px / view.samples.scale, _SYSTEMATIC_PX)
         parts.append(
             DisplayCaptures(
                 headset.device,
@@ -88,7 +92,7 @@ def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: 
                 view_dir=direction[sound],
                 pixel=view.samples.panel_pixel[sound],
                 capture=np.full(int(sound.sum()), number),
-                sigma_arcmin=np.maximum(view.samples.sigma_px * per_camera_pixel, 1e-6)[sound],
+                sigma_arcmin=(sigma_px * _arcmin_per_pixel(camera))[sound],
             )
         )
     return concatenate(parts)
@@ -121,7 +125,7 @@ def see_through_captures(
                 point=point,
                 capture=np.full(count, view.capture),
                 target_pose=np.full(count, view.target_pose),
-                sigma_arcmin=np.maximum(view.sighting.sigma_px * _arcmin_per_pixel(camera), 1e-6)[sound],
+                sigma_arcmin=(np.hypot(view.sighting.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(camera))[sound],
             )
         )
     return concatenate(parts)

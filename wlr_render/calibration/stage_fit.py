@@ -70,9 +70,9 @@ class StageFit:
         """
         apart = np.asarray(reading, dtype=np.float64) - self.reference
         held = np.setdiff1d(np.arange(3), self.moved)
-        off = np.abs(apart[..., held]).reshape(-1, len(held))
+        off = np.abs(apart).reshape(-1, 3).max(axis=0)[held]
         if np.any(off > STILL * self.travel):
-            axis = "xyz"[held[np.argmax(off.max(axis=0))]]
+            axis = "xyz"[held[np.argmax(off)]]
             raise BadInputError(
                 f"stage readings move axis {axis}, along which no photograph without the headset was taken; take some."
             )

@@ -5,6 +5,7 @@ A million neighbouring pixels say little more than a thousand windows of them, e
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from wlr_render.captures.decoded import Decoded
 FloatArray = NDArray[np.float64]
 
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
+_RIM_PX = 2  # camera pixels beside a rejected one that are not used
 _ROUNDS = 5  # strays bend the plane that they are judged by: the worst go first
 _MAD = 1.4826  # median absolute deviation to standard deviation
 
@@ -50,11 +52,13 @@ def sample(decoded: Decoded, count: int = 1500, reach_px: int = 4, filled: float
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
     steps = np.arange(-reach_px, reach_px + 1)
     v, u = np.mgrid[reach_px : height - reach_px : every, reach_px : width - reach_px : every].reshape(2, -1)
-    wanted = np.asarray(decoded.accepted[v, u])
+    # Beside rejected pixels, the panel's edge above all, blur has mixed in what is not seen whole.
+    inner = cv2.erode(decoded.accepted.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)).astype(bool)
+    wanted = np.asarray(inner[v, u])
     v, u = v[wanted], u[wanted]
     dv, du = (offset.ravel() for offset in np.meshgrid(steps, steps, indexing="ij"))
     panel = decoded.pixel[v[:, None] + dv, u[:, None] + du].astype(np.float64)
-    good = np.asarray(np.isfinite(panel).all(axis=-1))
+    good = np.asarray(inner[v[:, None] + dv, u[:, None] + du])
     enough = np.asarray(good.mean(axis=1) >= filled)
     u, v, panel, good = u[enough], v[enough], panel[enough], good[enough]
     kept = good

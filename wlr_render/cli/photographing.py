@@ -15,7 +15,7 @@ def _add_simulate(verbs: Verbs) -> None:
     parser.add_argument("--pattern", choices=("gray", "fringes", "gray-fringes"), default="gray-fringes", help="shown")
     parser.add_argument("--camera", type=size, default=(1280, 1024), metavar="WxH", help="pixels of the eyeball camera")
     parser.add_argument("--bits", type=int, choices=(8, 10, 12), default=8, help="of the eyeball camera")
-    parser.add_argument("--pupil-mm", type=not_negative, default=1.0, help="diameter of its entrance pupil")
+    parser.add_argument("--pupil-mm", type=not_negative, default=0.5, help="diameter of its entrance pupil")
     parser.add_argument("--focus-m", type=not_negative, default=1.0, help="where it is focused")
     parser.add_argument("--snr", type=not_negative, default=50.0, help="signal over noise of a white panel")
     parser.add_argument(

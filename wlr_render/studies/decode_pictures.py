@@ -30,25 +30,28 @@ def draw_positions(path: Path, decoded: Decoded) -> Path:
 
 def draw_rejections(path: Path, decoded: Decoded) -> Path:
     """The fate of each camera pixel."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    colours = [
-        to_rgb(_ACCEPTED),
-        to_rgb(_DARK),
-        *(colormaps["tab10"](number)[:3] for number in range(len(Rejection) - 2)),
-    ]
+    colours = fate_colours()
     height, width = decoded.rejection.shape
     figure = Figure(figsize=(9, 9 * height / width + 1.6), layout="constrained")
     place = figure.add_subplot()
-    place.imshow(np.asarray(colours)[decoded.rejection], interpolation="nearest")
+    place.imshow(colours[decoded.rejection], interpolation="nearest")
     place.set(xticks=[], yticks=[])
     shares = ((reason, count / decoded.rejection.size) for reason, count in decoded.counts().items())
     marks = [Patch(color=colours[reason], label=f"{share:.1%} {reason.sentence}") for reason, share in shares]
     figure.legend(handles=marks, loc="outside lower center", ncols=1, fontsize=8)
     return _save(path, figure)
+
+
+def fate_colours() -> NDArray[np.float64]:
+    """Red, green and blue of each `Rejection`, (number of reasons, 3)."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_rgb
+
+    faults = [colormaps["tab10"](number)[:3] for number in range(len(Rejection) - 2)]
+    return np.array([to_rgb(_ACCEPTED), to_rgb(_DARK), *faults])
 
 
 def draw_residuals(path: Path, survey: PlaneSurvey, heading: str) -> Path:

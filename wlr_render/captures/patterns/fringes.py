@@ -94,7 +94,7 @@ class _Hierarchy:
             noise.add(reading.steady, light.lit)
             about, position = position, nearest(fringe, reading, position)
             apart = np.abs(position - about) > _FAR * fringe.period_px
-            check_agreement(apart, light.lit, shots, first)
+            check_agreement(apart, light.lit & (reading.evidence > 0), shots, first)
             contradiction |= apart
             evidence = np.minimum(evidence, reading.evidence)
         return AxisReading(

@@ -68,7 +68,7 @@ def check_agreement(apart: NDArray[np.bool_], lit: NDArray[np.bool_], shots: Sho
     Raises:
         BadInputError: in too many pixels they do not.
     """
-    share = float(np.mean(apart[lit]))
+    share = float(np.mean(apart[lit])) if lit.any() else 0.0
     if share > _TORN:
         raise BadInputError(
             f"{shots.label(first)} to {shots.label(shots.taken - 1)} contradict those before them in {share:.0%} of "

@@ -45,7 +45,7 @@ class PhotoBenchOptions:
 
     camera_px: tuple[int, int] = (1280, 1024)
     bits: int = 8
-    pupil_mm: float = 1.0
+    pupil_mm: float = 0.5
     focus_m: float = 1.0
     snr: float = 50.0
     target_depths_m: tuple[float, ...] = (0.4, 1.0)

@@ -10,6 +10,7 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import written_whole
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
+from wlr_render.studies.decode_pictures import fate_colours
 from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def draw_fates(path: Path, found: SessionCalibration) -> Path:
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    colours = ["#2a9d8f", "#222222", "#e9c46a", "#e76f51", "#f4a261", "#9b5de5", "#577590", "#d62828"]
+    colours = fate_colours()
     colour_map = ListedColormap(colours)
     sets = found.reading.decoded(found.session.display)
     figure, axes = _grid(len(sets))
