@@ -132,15 +132,23 @@ def _compare(args: argparse.Namespace) -> None:
 def _add_bench(verbs: Verbs) -> None:
     text = (
         "how good the program itself is. speed: ratios against what one would run otherwise, exactness of the fast "
-        "map, memory. diagnosis: diagnoses of sessions in which an effect is hidden, judged by what is true"
+        "map, memory. diagnosis: diagnoses of sessions in which an effect is hidden, judged by what is true. "
+        "photographs: simulated photographs as they are read, beside exact traces"
     )
     parser = new_verb(verbs, "bench", _bench, text)
-    parser.add_argument("what", nargs="?", choices=("speed", "diagnosis"), default="speed", help="what to measure")
+    parser.add_argument(
+        "what", nargs="?", choices=("speed", "diagnosis", "photographs"), default="speed", help="what to measure"
+    )
     add_backend(parser.add_argument_group("speed"))
     diagnosis = parser.add_argument_group("diagnosis")
     diagnosis.add_argument("--trials", type=count, default=20, help="of every cause; one of each takes minutes")
     diagnosis.add_argument("--workers", type=count, help="processes; one per core if not given")
     add_seed(diagnosis)
+    photographs = parser.add_argument_group("photographs")
+    photographs.add_argument(
+        "--session", type=Path, help="a simulated session, to compare its calibration with the truth"
+    )
+    photographs.add_argument("--calibration", type=Path, default=Path("out/calibrate"), help="where its results lie")
 
 
 def _bench(args: argparse.Namespace) -> None:
@@ -152,6 +160,11 @@ def _bench(args: argparse.Namespace) -> None:
         from wlr_render.studies.diagnosis_trials import study
 
         tables = study.run(study.Options(args.trials, args.seed, args.workers, args.out), progress_bar)
+    elif args.what == "photographs":
+        from wlr_render.studies.photograph_trials import study as photographs
+
+        options = photographs.Options(args.session, args.calibration, seed=args.seed, out=args.out)
+        tables = photographs.run(options, progress_bar)
     else:
         from wlr_render.studies import bench
 

@@ -180,7 +180,8 @@ def _reports(fitted: EyeFit) -> tuple[tuple[str, FitReport], ...]:
     return ("display", fitted.display), ("see-through", fitted.see_through)
 
 
-def _truth_table(model: EyeMappings, truth: EyeMappings, seed: int) -> ReportTable:
+def truth_errors(model: EyeMappings, truth: EyeMappings, seed: int) -> dict[str, Summary]:
+    """Errors of a model at random viewpoints in the eye box and random pixels and real points, by name with unit."""
     rng = np.random.default_rng([seed, 1])  # not the numbers that the captures were made with
     count, each = _TESTS
     viewpoint = viewpoints.random_in_eye_box(truth.eye_box, count, rng)[:, None]
@@ -191,12 +192,17 @@ def _truth_table(model: EyeMappings, truth: EyeMappings, seed: int) -> ReportTab
     depth = 1.0 / rng.uniform(1.0 / far, 1.0 / near, len(seen.pixel))
     points = mapping_error.see_through_sightings(truth.see_through, seen.viewpoint, seen.view_dir, depth)
     world = mapping_error.see_through_error(model.see_through, points)
-    rows = [
-        _summary_row("direction of a pixel (arcmin)", summary(display.forward_arcmin)),
-        _summary_row("pixel of a direction (px)", summary(display.backward_px)),
-        _summary_row("direction of a real point (arcmin)", summary(world.backward_arcmin)),
-        _summary_row("direction of a real ray (arcmin)", summary(world.forward_arcmin)),
-    ]
+    return {
+        "direction of a pixel (arcmin)": summary(display.forward_arcmin),
+        "pixel of a direction (px)": summary(display.backward_px),
+        "direction of a real point (arcmin)": summary(world.backward_arcmin),
+        "direction of a real ray (arcmin)": summary(world.forward_arcmin),
+    }
+
+
+def _truth_table(model: EyeMappings, truth: EyeMappings, seed: int) -> ReportTable:
+    rows = [_summary_row(name, errors) for name, errors in truth_errors(model, truth, seed).items()]
+    (count, _), (near, far) = _TESTS, _TEST_DEPTHS_M
     title = f"Against the traced truth: {count} random viewpoints in the eye box, real points at {near:g} to {far:g} m"
     return ReportTable(title, ["error", "rms", "median", "p95", "maximum", "tests", "no answer"], rows)
 

@@ -1,0 +1,133 @@
+"""Codes of a panel as photographed through true optics, decoded, and compared with exact traces."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded
+from wlr_render.captures.patterns import PATTERNS
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.photographs import photographs_in, read_each, write_photograph
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.simulation.photographs import exact
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.sensor import Sensor
+from wlr_render.simulation.photographs.sight import Sight
+
+FloatArray = NDArray[np.float64]
+
+_EVERY = 7  # of the accepted pixels, one is compared: exact traces take longer than decoding
+_RIM_PX = 4.0  # panel pixels from the panel's edge, within which blur mixes in what is dark
+
+
+@dataclass(frozen=True)
+class CodeTrial:
+    """One code, one signal-to-noise ratio.
+
+    Attributes:
+        name: of the code.
+        pictures: how many it has.
+        rms_px: of accepted pixels about the exact position, per axis, less the mean error.
+        mean_px: of the errors, both axes together: what the finite pupil does to aberrated light.
+        wrong: share of accepted pixels that are off by more than one panel pixel.
+        accepted: share of the camera pixels that see the panel, its rim left out.
+        decode_s: from files to positions.
+        read_s: reading the files alone.
+    """
+
+    name: str
+    pictures: int
+    rms_px: float
+    mean_px: float
+    wrong: float
+    accepted: float
+    decode_s: float
+    read_s: float
+
+
+def code_trials(bench: PhotoBench, snr: float, seed: int) -> Iterator[CodeTrial]:
+    """Every code, photographed from the middle of the eye box."""
+    device_from_camera = bench.camera_at(np.zeros(3))
+    sight = Sight.through_optics(bench.optics, bench.eyeball, device_from_camera)
+    truth = _exact_positions(bench, device_from_camera)
+    sensor = Sensor.with_snr(snr, exposure=0.85)
+    for name in PATTERNS:
+        pattern = make_pattern(name, bench.optics.panel.pixels)
+        rng = np.random.default_rng([seed, 5])
+        with TemporaryDirectory() as folder:
+            for number in range(len(pattern.names())):
+                light = sight.panel_light(pattern.image(number)) + 0.03
+                write_photograph(Path(folder) / f"{number:03d}.png", sensor.expose(light, rng))
+            paths = photographs_in(folder)
+            began = time.perf_counter()
+            for _ in read_each(paths):
+                pass
+            read_s = time.perf_counter() - began
+            began = time.perf_counter()
+            decoded = pattern.decode(read_each(paths))
+            decode_s = time.perf_counter() - began
+        yield _judged(name, len(paths), decoded, truth, decode_s, read_s)
+
+
+def code_table(trials: list[CodeTrial], bench: PhotoBench, snr: float) -> ReportTable:
+    """One row a code."""
+    rows: list[list[Cell]] = [
+        [
+            trial.name,
+            trial.pictures,
+            trial.rms_px,
+            trial.mean_px,
+            f"{trial.wrong:.1e}",
+            100 * trial.accepted,
+            trial.decode_s,
+            trial.decode_s / trial.read_s,
+        ]
+        for trial in trials
+    ]
+    panel, (width, height) = bench.optics.panel.pixels, bench.eyeball.camera.size_px
+    title = (
+        f"Codes of {bench.device.name} ({panel.width_px} x {panel.height_px}) by a camera of {width} x {height}, "
+        f"8 bits, SNR {snr:g}, pupil {1e3 * bench.eyeball.pupil_diameter_m:g} mm"
+    )
+    columns = ["code", "photographs", "error rms (panel px, per axis)", "mean error (panel px)", "wrong by > 1 px"]
+    columns += ["accepted (%)", "decoded in (s)", "by reading the files alone"]
+    notes = (
+        "Against exact traces through the middle of the pupil. The mean is no fault of decoding: a pupil of some size "
+        "sees the middle of an aberrated spot. Accepted: of the camera pixels that see the panel, but for its rim.",
+    )
+    return ReportTable(title, columns, rows, notes)
+
+
+def _exact_positions(bench: PhotoBench, device_from_camera: FloatArray) -> FloatArray:
+    """(h / every, w / every, 2) panel position of camera pixels; NaN off the panel."""
+    width, height = bench.eyeball.camera.size_px
+    u, v = np.meshgrid(np.arange(0, width, _EVERY) + 0.5, np.arange(0, height, _EVERY) + 0.5)
+    pixel = np.stack([u, v], axis=-1)
+    return exact.panel_position(bench.optics, bench.eyeball.camera, device_from_camera, pixel).value
+
+
+def _judged(name: str, pictures: int, decoded: Decoded, truth: FloatArray, decode_s: float, read_s: float) -> CodeTrial:
+    shape = decoded.rejection.shape
+    inner = np.isfinite(truth).all(axis=-1)
+    low, high = np.nanmin(truth, axis=(0, 1)) + _RIM_PX, np.nanmax(truth, axis=(0, 1)) - _RIM_PX
+    with np.errstate(invalid="ignore"):
+        inner &= np.all((truth > low) & (truth < high), axis=-1)
+    some = (slice(0, shape[0], _EVERY), slice(0, shape[1], _EVERY))
+    accepted = decoded.accepted[some]
+    error = (decoded.pixel[some] - truth)[accepted & inner]
+    mean = error.mean(axis=0)
+    return CodeTrial(
+        name,
+        pictures,
+        float(np.sqrt(np.mean((error - mean) ** 2))),
+        float(np.linalg.norm(mean)),
+        float(np.mean(np.linalg.norm(error, axis=1) > 1.0)),
+        float(np.mean(accepted[inner])),
+        decode_s,
+        read_s,
+    )

@@ -1,0 +1,139 @@
+"""A calibration from simulated photographs beside the truth, and beside the same calibration from exact numbers.
+
+The exact calibration has the same camera places, the same camera pixels and dots, and readings that scatter by the noise
+that the photographs' readings state; but it knows lenses, stage and target exactly, and has no other error.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.fit_eye import EyeFit, fit_eye
+from wlr_render.calibration.photograph_captures import (
+    Headset,
+    PanelView,
+    TargetView,
+    display_captures,
+    see_through_captures,
+)
+from wlr_render.calibration.poses import ARCMIN, motion_between
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.decoded_samples import DecodedSamples
+from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.geometry import transforms
+from wlr_render.mappings import EyeMappings
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs import exact
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.studies.calibrate import truth_errors
+from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionTruth:
+    """What a session's calibration was worth.
+
+    Attributes:
+        bench: the truth.
+        found: the calibration from photographs.
+        ideal: the fit from exact correspondences with the same noise.
+    """
+
+    bench: PhotoBench
+    found: SessionCalibration
+    ideal: EyeFit
+
+
+def compare_with_truth(bench: PhotoBench, found: SessionCalibration, seed: int) -> SessionTruth:
+    """Make the exact calibration that belongs to one from photographs."""
+    captures = _exact_captures(bench, found, np.random.default_rng([seed, 3]))
+    fit = found.fit
+    return SessionTruth(bench, found, fit_eye(captures, "planar", fit.display.degree, fit.see_through.degree))
+
+
+def truth_tables(compared: SessionTruth, seed: int) -> tuple[ReportTable, ReportTable]:
+    """Errors of the models, from photographs and from exact numbers; errors of the station's poses."""
+    truth = traced_eye(compared.bench.device, compared.bench.eye)
+    return _model_table(compared, truth, seed), _station_table(compared)
+
+
+def _exact_captures(bench: PhotoBench, found: SessionCalibration, rng: np.random.Generator) -> EyeCaptures:
+    session, camera = found.session, bench.eyeball.camera
+    headset = Headset(session.device, session.eye, session.eye_box)
+    panels = []
+    for each, panel in found.reading.decoded(session.display):
+        pose, samples = bench.camera_at(each.stage), panel.samples
+        seen = exact.panel_position(bench.optics, camera, pose, samples.camera_pixel)
+        noise = rng.normal(size=seen.value.shape) * samples.sigma_px[:, None]
+        whole = DecodedSamples(samples.camera_pixel, seen.value + noise, samples.sigma_px, samples.scale)
+        panels.append(PanelView(pose, _rows(whole, seen.usable)))
+    targets = []
+    places: dict[bytes, int] = {}
+    for photograph, sighting in found.reading.seen(session.see_through):
+        pose, target = bench.camera_at(photograph.stage), bench.device_from_target[photograph.target_pose]
+        point = transforms.apply(target, session.board.point_of(sighting.index))
+        pixel = exact.pixel_of_real_point(bench.optics, camera, pose, point)
+        pixel = pixel + rng.normal(size=pixel.shape) * sighting.sigma_px[:, None]
+        sound = np.isfinite(pixel).all(axis=-1)
+        whole_sighting = BoardSighting(sighting.index[sound], pixel[sound], sighting.sigma_px[sound])
+        place = places.setdefault(photograph.stage.tobytes(), len(places))
+        targets.append(TargetView(pose, target, photograph.target_pose, place, whole_sighting))
+    return EyeCaptures(
+        display_captures(headset, session.pattern.panel, camera, panels),
+        see_through_captures(headset, session.board, camera, targets),
+    )
+
+
+def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
+    return replace(
+        samples,
+        camera_pixel=samples.camera_pixel[kept],
+        panel_pixel=samples.panel_pixel[kept],
+        sigma_px=samples.sigma_px[kept],
+        scale=samples.scale[kept],
+    )
+
+
+def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> ReportTable:
+    measured = truth_errors(compared.found.fit.mappings, truth, seed)
+    ideal = truth_errors(compared.ideal.mappings, truth, seed)
+    rows: list[list[Cell]] = [
+        [name, from_photographs.rms, from_numbers.rms, from_photographs.rms / from_numbers.rms, from_photographs.median]
+        for (name, from_photographs), (_, from_numbers) in zip(measured.items(), ideal.items(), strict=True)
+    ]
+    fit = compared.found.fit
+    title = (
+        f"Models from photographs beside models from exact correspondences with the same noise, display N="
+        f"{fit.display.degree}, see-through N={fit.see_through.degree}, {fit.display.viewpoints} places"
+    )
+    columns = ["error", "from photographs, rms", "from exact numbers, rms", "ratio", "from photographs, median"]
+    return ReportTable(title, columns, rows)
+
+
+def _station_table(compared: SessionTruth) -> ReportTable:
+    station, bench = compared.found.station, compared.bench
+    reference = station.stage.reference
+    poses = [("eyeball camera", station.pose_at(reference), bench.camera_at(reference))]
+    poses += [
+        (f"target pose {number}", pose, bench.device_from_target[number])
+        for number, pose in station.device_from_target.items()
+    ]
+    rows: list[list[Cell]] = []
+    for name, pose, true in poses:
+        motion = motion_between(true, pose.b_from_a)
+        place = 1e3 * (pose.b_from_a[:3, 3] - true[:3, 3])
+        rows.append(
+            [
+                name,
+                float(np.linalg.norm(place)),
+                float(np.linalg.norm(pose.sigma_mm)),
+                float(np.linalg.norm(motion[:3])) / ARCMIN,
+                float(np.linalg.norm(pose.sigma_arcmin)),
+            ]
+        )
+    columns = ["pose", "off by (mm)", "stated sigma (mm)", "turned by (arcmin)", "stated sigma (arcmin)"]
+    return ReportTable("The station beside the truth", columns, rows, ("Lengths of vectors; sigma likewise.",))
