@@ -54,11 +54,17 @@ def fit_display(
     if kind not in _KINDS:
         raise BadInputError(f"the kind of display model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
     plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
+    refusal = f"the captures do not determine a {kind} display model"
+    lowest = 1 if degree is None else degree
+    # Positions that are not exact hide from the rank that they are too few.
+    if lacks := _lacking_viewpoints(captures, kind, lowest):
+        raise BadInputError(f"{refusal}: {lacks}.")
     try:
         result = _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
-        reason = _reason(captures, kind, 1 if degree is None else degree)
-        raise BadInputError(f"the captures do not determine a {kind} display model: {reason}.") from error
+        lacks = shortage("panel pixels", captures.pixel, "uv", lowest)
+        reason = lacks or "pixels and viewpoints are not spread independently of each other"
+        raise BadInputError(f"{refusal}: {reason}.") from error
     return result.mapping, _report(kind, result)
 
 
@@ -135,15 +141,14 @@ def _backward(captures: DisplayCaptures, inputs: FloatArray, forward: Fitted, by
     return fit(regression, forward.polynomial.degree)
 
 
-def _reason(captures: DisplayCaptures, kind: str, degree: int) -> str:
-    lacks = shortage("panel pixels", captures.pixel, "uv", degree)
+def _lacking_viewpoints(captures: DisplayCaptures, kind: str, degree: int) -> str | None:
     if kind == "planar":
-        lacks = shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree) or lacks
-    elif kind == "volumetric":
-        lacks = shortage("viewpoints", captures.viewpoint, "xyz", degree) or lacks
-    elif kind == "point-per-pixel" and len(np.unique(captures.viewpoint, axis=0)) == 1:
-        lacks = "a point's distance needs at least 2 viewpoints and there is 1: 1 more"
-    return lacks or "pixels and viewpoints are not spread independently of each other"
+        return shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
+    if kind == "volumetric":
+        return shortage("viewpoints", captures.viewpoint, "xyz", degree)
+    if kind == "point-per-pixel" and len(np.unique(captures.viewpoint, axis=0)) == 1:
+        return "a point's distance needs at least 2 viewpoints and there is 1: 1 more"
+    return None
 
 
 def _report(kind: str, result: _Fit) -> FitReport:

@@ -58,11 +58,16 @@ def fit_see_through(
     plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
     if np.any(plane.depth_of(captures.point) <= 0):
         raise BadInputError(f"the base plane z = {plane.z:g} m lies beyond some target points; choose a larger z.")
+    refusal = f"the captures do not determine a {kind} see-through model"
+    lowest = 1 if degree is None else degree
+    # Positions that are not exact, and a target that is tilted, hide from the rank that they are too few.
+    if lacks := _lacking_places(captures, kind, lowest):
+        raise BadInputError(f"{refusal}: {lacks}.")
     try:
         result = _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
-        reason = _reason(captures, kind, 1 if degree is None else degree)
-        raise BadInputError(f"the captures do not determine a {kind} see-through model: {reason}.") from error
+        lacks = shortage("view directions", tangents_of_dir(captures.view_dir), "xy", lowest)
+        raise BadInputError(f"{refusal}: {lacks or _one_depth(captures)}.") from error
     return result.mapping, _report(kind, result)
 
 
@@ -134,15 +139,18 @@ def _nominal(captures: SeeThroughCaptures) -> BoolArray:
     return chosen
 
 
-def _reason(captures: SeeThroughCaptures, kind: str, degree: int) -> str:
+def _lacking_places(captures: SeeThroughCaptures, kind: str, degree: int) -> str | None:
     lacks = None
     if kind == "planar":
         lacks = shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
     elif kind == "volumetric":
         lacks = shortage("viewpoints", captures.viewpoint, "xyz", degree)
-    lacks = lacks or shortage("view directions", tangents_of_dir(captures.view_dir), "xy", degree)
-    if lacks is not None:
-        return lacks
+    if lacks is None and len(np.unique(captures.target_pose)) < 2:
+        lacks = _one_depth(captures)
+    return lacks
+
+
+def _one_depth(captures: SeeThroughCaptures) -> str:
     poses = len(np.unique(captures.target_pose))
     return f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"
 
