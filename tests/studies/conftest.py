@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from small_photo_session import copied, made_session, make_small
 
 from wlr_render.files import resource
 from wlr_render.mappings import Panel
@@ -79,3 +80,16 @@ def scene_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "ball.toml"
     path.write_text(SCENE, encoding="utf-8")
     return str(path)
+
+
+@pytest.fixture(scope="session")
+def calibrated_session(tmp_path_factory):
+    """A small session of photographs, simulated, and its calibration; nobody writes there."""
+    return made_session(tmp_path_factory.mktemp("photographs"))
+
+
+@pytest.fixture
+def photo_session(calibrated_session, tmp_path, monkeypatch):
+    """A copy of it to spoil; whatever is simulated or read meanwhile is small and in this process."""
+    make_small(monkeypatch)
+    return copied(calibrated_session[0], tmp_path)

@@ -134,9 +134,19 @@ def see_through_captures(
 def _directions(
     camera: LensCamera, device_from_camera: FloatArray, pixel: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Directions (n, 3) in the device frame, and which of them the camera model has at all, (n,)."""
+    """Directions (n, 3) in the device frame, and which of them the camera model has at all, (n,).
+
+    Raises:
+        BadInputError: some of them do not lead forward in the device frame.
+    """
     in_camera = camera.dir_of_pixel(pixel)
-    return transforms.rotate(device_from_camera, in_camera), np.asarray(np.isfinite(in_camera).all(axis=-1))
+    direction = transforms.rotate(device_from_camera, in_camera)
+    if np.any(direction[:, 2] >= 0):
+        raise BadInputError(
+            "the eyeball camera looks back, not through the optics; check 'frame' and the tracking camera's 'rotation' "
+            "in session.toml."
+        )
+    return direction, np.asarray(np.isfinite(in_camera).all(axis=-1))
 
 
 def _arcmin_per_pixel(camera: LensCamera) -> float:

@@ -67,6 +67,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         display=tuple(_code_set(table, root, axes) for table in file.tables("display")),
     )
     file.finish()
+    _check_lists(file, session)
     _check_poses(file, session)
     _check_travel(file, session)
     return session
@@ -123,11 +124,7 @@ def _tracking_camera(file: Table, root: Path, axes: FloatArray) -> tuple[Session
     camera = _camera_keys(table, root)
     rotation, translation = table.vectors("rotation", 3), table.vector("translation_mm", 3)
     table.finish()
-    if (
-        rotation.shape != (3, 3)
-        or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6
-        or np.linalg.det(rotation) < 0
-    ):
+    if rotation.shape != (3, 3) or not _is_rotation(rotation):
         raise table.fail("'rotation' must be a rotation matrix (orthogonal to 1e-6, determinant +1).")
     if np.any(translation):
         _check_range(table, "translation_mm", float(np.linalg.norm(translation)), _CAMERA_PLACE_MM)
@@ -186,6 +183,12 @@ def _check_range(table: Table, key: str, value: FloatArray | float, limits: tupl
             f"'{key}' should be between {low:g} and {high:g} mm and is {np.round(value, 6).tolist()}: "
             "is it in another unit? Lengths are millimetres."
         )
+
+
+def _check_lists(file: Table, session: PhotoSession) -> None:
+    for name in ("bare", "tracking", "see_through", "display"):
+        if not getattr(session, name):
+            raise file.fail(f"'{name}' is empty; a calibration needs its photographs: list them as [[{name}]].")
 
 
 def _check_poses(file: Table, session: PhotoSession) -> None:

@@ -47,6 +47,11 @@ def check_photograph(image: Photograph, size_px: tuple[int, int], full_scale: in
         BadPhotographError: it is black or blown out.
     """
     height, width = image.shape
+    if full_scale > np.iinfo(image.dtype).max:
+        raise BadInputError(
+            f"{name}: has {8 * image.itemsize} bits a pixel, too few for a camera with values up to {full_scale}; "
+            "check its 'bits'."
+        )
     if (width, height) != tuple(size_px):
         raise BadInputError(f"{name}: is {width} x {height} pixels, but its camera has {size_px[0]} x {size_px[1]}.")
     dark, bright = np.percentile(image, [5, 95])

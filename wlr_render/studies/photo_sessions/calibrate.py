@@ -34,6 +34,7 @@ from wlr_render.studies.progress import Progress, silent
 
 Seen = Sequence[tuple[BoardPhotograph, BoardSighting]]
 
+_NAMED = 3  # of what was set aside, in one sentence
 READ = "read"
 """Folder, among the results, of what was read from photographs."""
 
@@ -112,8 +113,10 @@ def run(
         return _calibrated(session, reading, into, options)
     except BadInputError as error:
         # Whatever was set aside is the likely cause of what is missing now.
-        aside = "; ".join(f"{each.name}: {each.reason}" for each in reading.set_aside)
-        raise BadInputError(f"{error} Set aside before: {aside}" if aside else str(error)) from error
+        aside = [f"{each.name}: {each.reason}" for each in reading.set_aside]
+        more = [f"{len(aside) - _NAMED} more"] if len(aside) > _NAMED else []
+        said = f" Set aside before: {'; '.join(aside[:_NAMED] + more)}." if aside else ""
+        raise BadInputError(f"{error}{said}") from error
 
 
 def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: FitOptions) -> SessionCalibration:

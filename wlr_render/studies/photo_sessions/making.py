@@ -72,7 +72,7 @@ def load_making(folder: Path) -> Making:
 
 def same_making(first: Making, second: Making) -> bool:
     """Whether two make the same photographs, wherever their device file lies."""
-    if Path(first.device).suffix != ".toml":
+    if any(Path(making.device).suffix != ".toml" for making in (first, second)):
         return first == second
     one, other = (asdict(making) | {"device": None} for making in (first, second))
     text = [Path(making.device).read_text(encoding="utf-8") for making in (first, second)]

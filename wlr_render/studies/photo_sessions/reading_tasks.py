@@ -90,7 +90,8 @@ class BoardTask:
 
     def _fingerprint(self) -> str:
         board = self.board
-        return fingerprint([self.path], [board.pitch_m, board.large_m, board.small_m, board.large.tolist()])
+        how = [board.pitch_m, board.large_m, board.small_m, board.large.tolist(), self.size_px, self.full_scale]
+        return fingerprint([self.path], how)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +106,10 @@ class PanelTask:
 
     def stored(self, store: Store) -> PanelReading | None:
         """The reading as kept, or None."""
-        if not self.folder.is_dir():
-            return None
-        kept = store.find(self.name, self._fingerprint())
+        try:
+            kept = store.find(self.name, self._fingerprint())
+        except BadInputError:
+            return None  # there are no photographs, as `do` says
         if kept is None:
             return None
         samples = DecodedSamples(kept["camera_pixel"], kept["panel_pixel"], kept["sigma_px"], kept["scale"])
@@ -126,7 +128,7 @@ class PanelTask:
         store.keep(self.name, self._fingerprint(), _arrays(decoded, samples))
 
     def _fingerprint(self) -> str:
-        return fingerprint(photographs_in(self.folder), [self.pattern, self.decoding])
+        return fingerprint(photographs_in(self.folder), [self.pattern, self.decoding, self.size_px])
 
 
 Task = BoardTask | PanelTask
@@ -148,9 +150,9 @@ def do_task(work: tuple[Task, Store]) -> SetAside | None:
 def _without_name(error: BadInputError, task: Task) -> str:
     text = str(error)
     path = task.path if isinstance(task, BoardTask) else task.folder
-    for prefix in (f"{path}: ", f"{task.name}: "):
+    for prefix in (f"{path}: ", f"{task.name}: ", f"{path}/", f"{task.name}/"):
         text = text.removeprefix(prefix)
-    return text
+    return text.removesuffix(".")
 
 
 def _arrays(decoded: Decoded, samples: DecodedSamples) -> dict[str, NDArray[Any]]:

@@ -153,7 +153,7 @@ def _choice_table(found: SessionCalibration) -> ReportTable:
 def _why(report: FitReport) -> str:
     tried = {entry.degree: entry for entry in report.held_out_arcmin}
     if len(tried) < 2 or report.degree not in tried:
-        return "it was asked for"
+        return "no other was tried"
     chosen, best = tried[report.degree], min(tried.values(), key=lambda entry: entry.rms)
     beyond = [degree for degree in tried if degree > report.degree]
     if chosen is best:

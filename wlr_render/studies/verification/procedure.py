@@ -79,7 +79,7 @@ def track_targets(
         BadInputError: it does not see it.
     """
     shots = tuple(BoardShot(folder / f"tracking_{_name(depth)}.png", target_at(bench, depth)) for depth in depths_m)
-    take(Place(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.board, shots))
+    _retake(Place(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.board, shots))
     poses = []
     for shot in shots:
         sighting = find_board(read_photograph(shot.path), bench.board, shot.path.name)
@@ -135,8 +135,15 @@ def photograph(
                 seed,
             )
         )
-    for _ in progress(as_finished(take, places, workers), len(places), "viewpoints"):
+    for _ in progress(as_finished(_retake, places, workers), len(places), "viewpoints"):
         pass
+
+
+def _retake(place: Place) -> int:
+    """Take all photographs, also those that are there: they may be of other models."""
+    for path in place.paths():
+        path.unlink(missing_ok=True)
+    return take(place)
 
 
 def judge(bench: PhotoBench, station: SavedStation, depth_m: float, viewpoint: int, folder: Path) -> Iterator[Judged]:
