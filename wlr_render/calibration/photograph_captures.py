@@ -6,18 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded_samples import DecodedSamples
 from wlr_render.captures.targets.board_sighting import BoardSighting
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 
 FloatArray = NDArray[np.float64]
 
+_BEYOND_FIELD = 0.05  # of the panel's field on each side: solves start and interpolate there
 _SYSTEMATIC_PX = 0.02
 """What the lens model and the optics' own blur leave in a camera pixel, of which the noise of a reading knows nothing:
 without it a fit would follow a few readings of very little noise."""
@@ -129,6 +130,22 @@ def see_through_captures(
             )
         )
     return concatenate(parts)
+
+
+def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> SeeThroughCaptures:
+    """The dots that were seen where the panel was seen, and somewhat beyond: a model need not bend for the rest.
+
+    Raises:
+        BadInputError: no dot was.
+    """
+    shown = tangents_of_dir(display.view_dir)
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    beyond = _BEYOND_FIELD * (high - low)
+    seen = tangents_of_dir(see_through.view_dir)
+    inside = np.all((seen >= low - beyond) & (seen <= high + beyond), axis=-1)
+    if not inside.any():
+        raise BadInputError("no dot of the target was seen in the directions of the panel; put the target before it.")
+    return select(see_through, inside)
 
 
 def _directions(

@@ -23,7 +23,7 @@ HIGHEST_DEGREE = 7
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero; sound designs stay above 1e-5."""
 
-_FOLDS = 10
+FOLDS = 10
 _BLOCK = 8_192  # samples per compression step
 _BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 
@@ -119,8 +119,8 @@ def _highest_degree(regression: Regression) -> int:
 def _fold_rows(group: IntArray) -> list[IntArray]:
     """Sample indices of each fold. Groups are dealt in a shuffled order: neighbours must not leave together."""
     names, position = np.unique(group, return_inverse=True)
-    fold = np.random.default_rng(0).permutation(len(names)) % _FOLDS
-    return [np.flatnonzero(fold[position] == k) for k in range(min(_FOLDS, len(names)))]
+    fold = np.random.default_rng(0).permutation(len(names)) % FOLDS
+    return [np.flatnonzero(fold[position] == k) for k in range(min(FOLDS, len(names)))]
 
 
 def _compressed(regression: Regression, samples: IntArray, degree: int, box: Box) -> _Fold:

@@ -137,9 +137,11 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
     """A bench on which the display's whole field is photographed, with the small errors that a real one has.
 
     Raises:
-        BadInputError: the device has no such eye, or its panel is not seen from the eye box.
+        BadInputError: the device has no such eye, its panel is not seen from the eye box, or the options cannot be.
     """
-    aim = _Aim.at(traced_eye(device, eye))
+    truth = traced_eye(device, eye)
+    CaptureSetup(truth, target_depths_m=options.target_depths_m)  # refuses depths that give no ray
+    aim = _Aim.at(truth)
     box = device.eyes[eye].eye_box
     pose = transforms.rigid(aim.device_from_looking @ _turned(0.4, -0.3, 0.5), box.centre)
     eyeball = _camera(options.camera_px, aim.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])

@@ -15,6 +15,7 @@ from wlr_render.calibration.photograph_captures import (
     TargetView,
     display_captures,
     see_through_captures,
+    within_field,
 )
 from wlr_render.calibration.station import Station, StationPhoto, StationPhotos, find_station, repeated_views
 from wlr_render.calibration.station_file import save_station
@@ -180,4 +181,5 @@ def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, stati
         for each, sighting in seen
     ]
     display = display_captures(headset, session.pattern.panel, camera, panels)
-    return EyeCaptures(display, see_through_captures(headset, session.board, camera, targets))
+    see_through = see_through_captures(headset, session.board, camera, targets)
+    return EyeCaptures(display, within_field(see_through, display))

@@ -38,7 +38,7 @@ def draw_coverage(path: Path, found: SessionCalibration) -> Path:
         left + width * np.array([0, 1, 1, 0, 0]), bottom + height * np.array([0, 0, 1, 1, 0]), "k-", label="eye box"
     )
     places.set(xlabel="x (mm)", ylabel="y (mm)", title="camera places", aspect="equal")
-    places.legend(fontsize=7)
+    places.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
     size = found.session.pattern.panel.size_px
     u, v = display.pixel.T
     counts, _, _ = np.histogram2d(u, v, bins=(48, 27), range=[(0.0, float(size[0])), (0.0, float(size[1]))])
@@ -54,7 +54,7 @@ def draw_coverage(path: Path, found: SessionCalibration) -> Path:
         [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]], "k-", label="panel"
     )
     world.set(xlabel="to the right (degrees)", ylabel="up (degrees)", title="where dots were seen", aspect="equal")
-    world.legend(fontsize=7, markerscale=8)
+    world.legend(fontsize=7, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
     return _save(path, figure)
 
 
@@ -82,7 +82,8 @@ def draw_display_residuals(path: Path, found: SessionCalibration) -> Path:
     captures = found.captures.display
     seen = found.fit.mappings.display.view_dir_of_pixel(captures.pixel, captures.viewpoint)
     title = "Display: direction measured minus modelled, over the panel, one picture a camera place"
-    return _residuals(path, captures, captures.pixel, seen.value, captures.capture, title, down=True)
+    label = np.array([f"place {capture:02d}" for capture in captures.capture])
+    return _residuals(path, captures, captures.pixel, seen.value, label, title, down=True)
 
 
 def draw_see_through_residuals(path: Path, found: SessionCalibration) -> Path:
@@ -91,9 +92,10 @@ def draw_see_through_residuals(path: Path, found: SessionCalibration) -> Path:
     assert captures is not None
     seen = found.fit.mappings.see_through.view_dir_of_real_point(captures.point, captures.viewpoint)
     place = np.rad2deg(np.arctan(tangents_of_dir(captures.view_dir)))
-    group = captures.target_pose * (captures.capture.max() + 1) + captures.capture
+    rows = zip(captures.target_pose, captures.capture, strict=True)
+    label = np.array([f"target {pose}, place {capture:02d}" for pose, capture in rows])
     title = "See-through: direction measured minus modelled, over the field in degrees, one picture a place and target"
-    return _residuals(path, captures, place, seen.value, group, title, down=False)
+    return _residuals(path, captures, place, seen.value, label, title, down=False)
 
 
 def draw_degrees(path: Path, found: SessionCalibration) -> Path:
@@ -119,19 +121,20 @@ def _residuals(
     captures: DisplayCaptures | SeeThroughCaptures,
     place: FloatArray,
     modelled: FloatArray,
-    group: NDArray[np.int64],
+    label: NDArray[np.str_],
     title: str,
     down: bool,
 ) -> Path:
-    """Arrows of residuals at places (n, 2), one small picture a group; all have one scale."""
+    """Arrows of residuals at places (n, 2), one small picture for each label (n,); all have one scale."""
     residual = (tangents_of_dir(captures.view_dir) - tangents_of_dir(modelled)) / ARCMIN
     size = np.linalg.norm(residual, axis=1)
     usual = max(float(np.nanquantile(size, 0.9)), 1e-3)
-    groups = np.unique(group)
-    figure, axes = _grid(len(groups))
+    labels = np.unique(label)
+    figure, axes = _grid(len(labels))
     low, high = place.min(axis=0), place.max(axis=0)
-    for drawn, one in zip(axes, groups, strict=False):
-        rows = np.flatnonzero(group == one)
+    for drawn, one in zip(axes, labels, strict=False):
+        rms = float(np.sqrt(np.nanmean(size[label == one] ** 2)))
+        rows = np.flatnonzero(label == one)
         rows = rows[:: max(1, len(rows) // _ARROWS)]
         arrow = residual[rows] * [1.0, -1.0 if down else 1.0]
         scale = usual / (_SEEN_PX * float(high[0] - low[0]))
@@ -146,7 +149,7 @@ def _residuals(
             width=0.004,
         ).set_clim(0, usual)
         drawn.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]) if down else (low[1], high[1]), aspect="equal")
-        drawn.set_title(f"{one}: {float(np.sqrt(np.nanmean(size[group == one] ** 2))):.2f}' rms", fontsize=7)
+        drawn.set_title(f"{one}: {rms:.2f}' rms", fontsize=7)
     figure.suptitle(f"{title}; yellow is {usual:.2g}' and more", fontsize=9)
     return _save(path, figure)
 

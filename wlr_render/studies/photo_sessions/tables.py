@@ -6,10 +6,14 @@ import numpy as np
 
 from wlr_render.calibration.camera_calibration import VALUES
 from wlr_render.calibration.fit_report import FitReport
+from wlr_render.calibration.regression import FOLDS
 from wlr_render.captures.decoded import Rejection
-from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.evaluation.report import Cell, ReportTable, cell_text
+from wlr_render.numerics.polynomial import term_count
 from wlr_render.studies.calibrate import fit_tables
 from wlr_render.studies.photo_sessions.calibrate import Lens, SessionCalibration
+
+_LIMITED_BY_MODEL = 3.0  # times the noise: a larger held-out error is the model's
 
 
 def headline(found: SessionCalibration) -> str:
@@ -143,11 +147,16 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
 
 
 def _choice_table(found: SessionCalibration) -> ReportTable:
+    see_through = found.captures.see_through
+    assert see_through is not None
     rows: list[list[Cell]] = [
-        [name, report.degree, _why(report)]
-        for name, report in (("display", found.fit.display), ("see-through", found.fit.see_through))
+        [name, report.degree, _why(report), _what_would_help(report, np.sqrt(2.0) * float(np.median(sigma)))]
+        for name, report, sigma in (
+            ("display", found.fit.display, found.captures.display.sigma_arcmin),
+            ("see-through", found.fit.see_through, see_through.sigma_arcmin),
+        )
     ]
-    return ReportTable("Why these degrees", ["mapping", "N", "because"], rows)
+    return ReportTable("Why these degrees", ["mapping", "N", "because", "what would help"], rows)
 
 
 def _why(report: FitReport) -> str:
@@ -155,15 +164,26 @@ def _why(report: FitReport) -> str:
     if len(tried) < 2 or report.degree not in tried:
         return "no other was tried"
     chosen, best = tried[report.degree], min(tried.values(), key=lambda entry: entry.rms)
-    beyond = [degree for degree in tried if degree > report.degree]
+    beyond = [entry for entry in tried.values() if entry.degree > report.degree]
     if chosen is best:
-        more = (
-            f"; higher degrees predict held-out positions worse ({beyond[0]}: {tried[beyond[0]].rms:.3g}')"
-            if beyond
-            else ""
-        )
-        return f"it predicts held-out camera positions best ({chosen.rms:.3g}'){more}"
+        worse = f"; N={beyond[0].degree} does worse ({cell_text(beyond[0].rms)}')" if beyond else ""
+        return f"it predicts held-out camera positions best ({cell_text(chosen.rms)}'){worse}"
     return (
-        f"held-out camera positions are predicted to {chosen.rms:.3g}', as well as by the best degree {best.degree} "
-        f"({best.rms:.3g}' +- {best.standard_error:.2g}') within its error"
+        f"it predicts held-out camera positions to {cell_text(chosen.rms)}', as well as the best, N={best.degree}, "
+        f"within its error ({cell_text(best.rms)}' +- {best.standard_error:.2g}')"
+    )
+
+
+def _what_would_help(report: FitReport, noise_arcmin: float) -> str:
+    """Whether the model or the noise is what limits it, and how many camera places a better model needs."""
+    held_out = report.held_out_at_degree()
+    if report.kind != "planar" or held_out is None or held_out.rms < _LIMITED_BY_MODEL * noise_arcmin:
+        return "-"
+    needed = term_count(2, report.degree + 1)
+    places = int(np.ceil(needed * FOLDS / (FOLDS - 1))) + 1  # so that enough are left when some are held out
+    if report.viewpoints >= places:
+        return "-"
+    return (
+        f"noise is {cell_text(noise_arcmin)}', so the model's degree is what limits it: N={report.degree + 1} needs "
+        f"{places} camera places or more, here are {report.viewpoints}"
     )

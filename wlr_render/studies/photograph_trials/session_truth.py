@@ -1,6 +1,6 @@
 """A calibration from simulated photographs beside the truth, and beside the same calibration from exact numbers.
 
-The exact calibration has the same camera places, the same camera pixels and dots, and readings that scatter by the noise
+The exact calibration has the same camera places, camera pixels and dots, and readings that scatter by the noise
 that the photographs' readings state; but it knows lenses, stage and target exactly, and has no other error.
 """
 
@@ -16,6 +16,7 @@ from wlr_render.calibration.photograph_captures import (
     TargetView,
     display_captures,
     see_through_captures,
+    within_field,
 )
 from wlr_render.calibration.poses import ARCMIN, motion_between
 from wlr_render.captures.correspondences import EyeCaptures
@@ -82,10 +83,8 @@ def _exact_captures(bench: PhotoBench, found: SessionCalibration, rng: np.random
         whole_sighting = BoardSighting(sighting.index[sound], pixel[sound], sighting.sigma_px[sound])
         place = places.setdefault(photograph.stage.tobytes(), len(places))
         targets.append(TargetView(pose, target, photograph.target_pose, place, whole_sighting))
-    return EyeCaptures(
-        display_captures(headset, session.pattern.panel, camera, panels),
-        see_through_captures(headset, session.board, camera, targets),
-    )
+    display = display_captures(headset, session.pattern.panel, camera, panels)
+    return EyeCaptures(display, within_field(see_through_captures(headset, session.board, camera, targets), display))
 
 
 def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:

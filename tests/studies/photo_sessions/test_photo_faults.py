@@ -1,0 +1,299 @@
+"""Sessions with something wrong: what is named, what is left out, and what comes out all the same."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+from small_photo_session import BLACK, blown_out
+
+from wlr_render.captures.targets.board_design import design_board
+from wlr_render.captures.targets.board_file import save_board
+from wlr_render.cli import main
+
+SEEN = "see_through/pose0_02.png"
+SET = "display/01"
+RESULTS = ("model.json", "captures.npz", "station.json", "report.html")
+
+
+def command_line(session, capsys, *options):
+    """Exit status and what is printed of a calibration whose results are not there yet."""
+    for name in RESULTS[:3]:
+        (session.out / name).unlink()
+    status = main(["calibrate", str(session.folder), "--out", str(session.out), *options])
+    printed = capsys.readouterr()
+    assert "Traceback" not in printed.out + printed.err
+    return status, printed.out, printed.err
+
+
+# One photograph that failed: the work goes on.
+
+
+def test_photographs_that_nothing_can_be_read_from_are_named_and_the_work_goes_on(photo_session, capsys):
+    photo_session.cut_short("bare/pose0_01.png")
+    photo_session.repaint(SEEN, BLACK)
+    photo_session.repaint("intrinsics/eyeball/03.png", blown_out)
+    photo_session.repaint("tracking/pose0_after.png", BLACK)
+    status, out, err = command_line(photo_session, capsys)
+    assert (status, err) == (0, "")
+    for name, reason in (
+        ("bare/pose0_01.png", "cannot be read as a picture"),
+        (SEEN, "is black"),
+        ("intrinsics/eyeball/03.png", "is blown out"),
+        ("tracking/pose0_after.png", "is black"),
+    ):
+        assert any(name in line and reason in line for line in out.splitlines())
+        assert name in (photo_session.out / "report.html").read_text(encoding="utf-8")
+    assert all((photo_session.out / name).is_file() for name in RESULTS)
+
+
+@pytest.mark.parametrize("spoil", [BLACK, blown_out])
+def test_it_is_no_fault_of_the_session(photo_session, spoil):
+    photo_session.repaint(SEEN, spoil)
+    found = photo_session.calibrate()
+    assert [(each.name, each.fault) for each in found.reading.set_aside] == [(SEEN, False)]
+    assert found.faults == ()
+
+
+# The session is not what session.toml says: named, exit status 2, and everything else calibrated.
+
+
+def without_a_board(session):
+    os.remove(session.folder / SEEN)
+    os.link(session.folder / SET / "000_white.png", session.folder / SEEN)
+
+
+def another_size(session):
+    session.repaint(SEEN, lambda image: image[:200])
+
+
+def missing(session):
+    os.remove(session.folder / SEEN)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (without_a_board, "show more of the board"),
+        (another_size, "is 400 x 200 pixels, but its camera has 400 x 320"),
+        (missing, "there is no such photograph"),
+    ],
+)
+def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(photo_session, spoil, reason):
+    spoil(photo_session)
+    found = photo_session.calibrate()
+    (fault,) = found.faults
+    assert fault.startswith(f"{SEEN}: ")
+    assert reason in fault
+    assert len(found.reading.boards) == 35
+    assert found.fit.see_through.residual_arcmin.rms < 0.5
+
+
+def paths(session):
+    return sorted((session.folder / SET).iterdir())
+
+
+def each_of_the_set(session, paint):
+    for path in paths(session):
+        session.repaint(path.relative_to(session.folder), paint)
+
+
+def no_picture_left(session):
+    for path in paths(session):
+        path.unlink()
+
+
+def one_too_many(session):
+    os.link(paths(session)[-1], session.folder / SET / "999.png")
+
+
+def swapped(first, second):
+    def spoil(session):
+        found = paths(session)
+        session.swap(found[first].relative_to(session.folder), found[second].relative_to(session.folder))
+
+    return spoil
+
+
+SET_FAULTS = {
+    "one missing": (lambda s: paths(s)[5].unlink(), "one of them is missing, out of order or of another exposure"),
+    "last missing": (lambda s: paths(s)[-1].unlink(), "photograph 35 ('v fringe 16 px step 5') is missing"),
+    "one too many": (one_too_many, "more photographs than the 36 pictures shown"),
+    "all missing": (no_picture_left, "holds no photographs"),
+    "folder missing": (lambda s: shutil.rmtree(s.folder / SET), "there is no such folder"),
+    "white and black exchanged": (swapped(0, 1), "'white') is darker than photograph 1 ('black')"),
+    "bits exchanged": (swapped(4, 7), "photograph 4 ('u bit 4')"),
+    "fringes exchanged": (swapped(-1, -2), "seem to be exchanged"),
+    "one of another size": (
+        lambda s: s.repaint(f"{SET}/003_u_bit_5_inverse.png", lambda image: image[:200]),
+        "003_u_bit_5_inverse.png: is 400 x 200 pixels",
+    ),
+    "all of another size": (lambda s: each_of_the_set(s, lambda image: image[:200]), "its camera has 400 x 320"),
+    "over-exposed": (
+        lambda s: each_of_the_set(s, lambda image: np.minimum(image * 6.0, 255).astype(np.uint8)),
+        "is over-exposed",
+    ),
+    "under-exposed": (lambda s: each_of_the_set(s, lambda image: image // 60), "was the panel on"),
+    "one cut short": (lambda s: s.cut_short(f"{SET}/003_u_bit_5_inverse.png"), "003_u_bit_5_inverse.png: cannot be"),
+    "one black": (lambda s: s.repaint(f"{SET}/000_white.png", BLACK), "000_white.png: is black"),
+}
+
+
+@pytest.mark.parametrize("fault", SET_FAULTS)
+def test_a_panel_set_that_is_not_what_it_should_be_is_a_fault(photo_session, fault):
+    spoil, reason = SET_FAULTS[fault]
+    spoil(photo_session)
+    found = photo_session.calibrate()
+    (told,) = found.faults
+    assert told.startswith(f"{SET}: ")
+    assert reason in told
+    assert str(photo_session.folder) not in told  # names as in session.toml
+    assert len(found.reading.panels) == 3
+    assert found.fit.display.residual_arcmin.rms < 0.5
+
+
+def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, capsys):
+    missing(photo_session)
+    swapped(0, 1)(photo_session)
+    status, out, err = command_line(photo_session, capsys)
+    assert status == 2
+    (line,) = err.splitlines()
+    assert line.startswith(f"wlr-render: {photo_session.folder}: results are without 2 faulty item(s): ")
+    assert f"{SEEN}: there is no such photograph" in line
+    assert f"{SET}: photograph 0 ('white')" in line
+    assert "Set aside" in out
+    assert all((photo_session.out / name).is_file() for name in RESULTS)
+
+
+# Steps that contradict each other.
+
+
+def test_a_photograph_at_another_stage_reading_than_it_says_is_named_and_left_out(photo_session):
+    photo_session.edit(lambda content: content["bare"][2]["stage_mm"].__setitem__(0, 7.0))
+    found = photo_session.calibrate()
+    (off,) = [check for check in found.station.checks if not check.ok]
+    assert off.step == "bare/pose0_02.png"
+    assert "correct its stage reading" in off.sentence
+    assert found.station.at_reference == pytest.approx(
+        photo_session.bench.camera_at(found.station.stage.reference), abs=2e-3
+    )
+
+
+def kept(session):
+    return {path.name: path.stat().st_mtime_ns for path in (session.out / "read").iterdir()}
+
+
+def other_target_pose(session):
+    os.remove(session.folder / "tracking/pose0_before.png")
+    os.link(session.folder / "tracking/pose1_before.png", session.folder / "tracking/pose0_before.png")
+
+
+def target_poses_exchanged(session):
+    for when in ("before", "after"):
+        session.swap(f"tracking/pose0_{when}.png", f"tracking/pose1_{when}.png")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "step"),
+    [
+        (other_target_pose, "sweep at target pose 0: the headset shifted between tracking/pose0_before.png and"),
+        (target_poses_exchanged, "the target moved between its photographs without the headset and its tracking"),
+    ],
+)
+def test_poses_that_contradict_each_other_stop_before_the_fit(photo_session, capsys, spoil, step):
+    spoil(photo_session)
+    before = kept(photo_session)
+    status, _, err = command_line(photo_session, capsys)
+    assert status == 2
+    (line,) = err.splitlines()
+    assert step in line
+    assert not (photo_session.out / "model.json").exists()
+    assert kept(photo_session).keys() == before.keys()
+
+
+# What session.toml may not say.
+
+
+def in_metres(content):
+    for name in ("bare", "see_through", "display"):
+        for item in content[name]:
+            item["stage_mm"] = [value / 1000 for value in item["stage_mm"]]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (in_metres, r"'stage_mm (travel of [[bare]])' should be between 0.5 and 500 mm"),
+        (lambda content: content["eye_box"].update(size_mm=[0.01, 0.008, 0.006]), "'size_mm' should be between"),
+        (
+            lambda content: content["tracking_camera"].update(translation_mm=[0.0, 0.05, 0.06]),
+            "'translation_mm' should",
+        ),
+        (lambda content: content.update(unit="m"), "'unit' is 'm'; a session is in millimetres"),
+        (lambda content: content.update(frame="openxr"), "check 'frame'"),
+        (lambda content: content["eyeball_camera"].update(bits=12), "check its 'bits'"),
+        (lambda content: content.update(bare=[]), "'bare' is empty"),
+        (lambda content: content.pop("bare"), "key 'bare' is missing"),
+        (lambda content: content.update(display=[]), "'display' is empty"),
+        (lambda content: content.update(see_through=[]), "'see_through' is empty"),
+        (lambda content: content.update(tracking=[]), "'tracking' is empty"),
+    ],
+)
+def test_a_session_file_with_a_fault_is_refused_in_one_sentence(photo_session, capsys, change, complaint):
+    photo_session.edit(change)
+    before = kept(photo_session)
+    status, _, err = command_line(photo_session, capsys)
+    assert status == 2
+    (line,) = err.splitlines()
+    assert complaint in line
+    assert kept(photo_session).keys() == before.keys()
+
+
+def test_a_long_list_of_what_was_set_aside_is_cut(photo_session):
+    (photo_session.folder / "board.toml").unlink()
+    save_board(design_board(16, 8, 0.041, seed=7), photo_session.folder / "board.toml")
+    sentence = photo_session.refusal()
+    assert "[eyeball_camera]: a camera needs 3 or more photographs of the board" in sentence
+    assert "is it another board?" in sentence
+    assert sentence.count("intrinsics/eyeball") == 3
+    assert sentence.endswith("33 more.")
+
+
+def test_photographs_of_the_lens_that_are_not_there(photo_session):
+    folder = photo_session.folder / "intrinsics" / "eyeball"
+    for path in folder.iterdir():
+        path.unlink()
+    assert f"{folder}: holds no photographs" in photo_session.refusal()
+    folder.rmdir()
+    assert f"{folder}: there is no such folder of photographs" in photo_session.refusal()
+
+
+# Too little for a fit.
+
+
+def only_pose_0(content):
+    for name in ("bare", "tracking", "see_through"):
+        content[name] = [item for item in content[name] if item["target_pose"] == 0]
+
+
+def three_places_less(content):
+    content["display"] = content["display"][:2]
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (only_pose_0, "it needs a second target depth"),
+        (three_places_less, "degree 1 needs at least 3 viewpoints and there are 2: 1 more"),
+    ],
+)
+def test_too_few_places_are_refused_with_what_is_missing(photo_session, change, complaint):
+    photo_session.edit(change)
+    assert complaint in photo_session.refusal()
+
+
+def test_one_viewpoint_too_few_for_the_degree_asked_for(photo_session, capsys):
+    photo_session.edit(lambda content: content["display"].append(content["display"][3] | {"stage_mm": [1.0, 1.0, 0.0]}))
+    status, _, err = command_line(photo_session, capsys, "--degree", "2")
+    assert status == 2
+    assert "degree 2 needs at least 6 viewpoints and there are 5: 1 more, or a lower degree" in err
