@@ -17,13 +17,13 @@ RESULTS = ("model.json", "captures.npz", "station.json", "report.html")
 
 
 def command_line(session, capsys, *options):
-    """Exit status and what is printed of a calibration whose results are not there yet."""
+    """Exit status, tables and complaints, without the progress bar, of a calibration that has no results yet."""
     for name in RESULTS[:3]:
         (session.out / name).unlink()
     status = main(["calibrate", str(session.folder), "--out", str(session.out), *options])
     printed = capsys.readouterr()
     assert "Traceback" not in printed.out + printed.err
-    return status, printed.out, printed.err
+    return status, printed.out, [line for line in printed.err.splitlines() if line.startswith("wlr-render: ")]
 
 
 # One photograph that failed: the work goes on.
@@ -35,7 +35,7 @@ def test_photographs_that_nothing_can_be_read_from_are_named_and_the_work_goes_o
     photo_session.repaint("intrinsics/eyeball/03.png", blown_out)
     photo_session.repaint("tracking/pose0_after.png", BLACK)
     status, out, err = command_line(photo_session, capsys)
-    assert (status, err) == (0, "")
+    assert (status, err) == (0, [])
     for name, reason in (
         ("bare/pose0_01.png", "cannot be read as a picture"),
         (SEEN, "is black"),
@@ -157,7 +157,7 @@ def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, c
     swapped(0, 1)(photo_session)
     status, out, err = command_line(photo_session, capsys)
     assert status == 2
-    (line,) = err.splitlines()
+    (line,) = err
     assert line.startswith(f"wlr-render: {photo_session.folder}: results are without 2 faulty item(s): ")
     assert f"{SEEN}: there is no such photograph" in line
     assert f"{SET}: photograph 0 ('white')" in line
@@ -205,7 +205,7 @@ def test_poses_that_contradict_each_other_stop_before_the_fit(photo_session, cap
     before = kept(photo_session)
     status, _, err = command_line(photo_session, capsys)
     assert status == 2
-    (line,) = err.splitlines()
+    (line,) = err
     assert step in line
     assert not (photo_session.out / "model.json").exists()
     assert kept(photo_session).keys() == before.keys()
@@ -244,7 +244,7 @@ def test_a_session_file_with_a_fault_is_refused_in_one_sentence(photo_session, c
     before = kept(photo_session)
     status, _, err = command_line(photo_session, capsys)
     assert status == 2
-    (line,) = err.splitlines()
+    (line,) = err
     assert complaint in line
     assert kept(photo_session).keys() == before.keys()
 
@@ -296,4 +296,4 @@ def test_one_viewpoint_too_few_for_the_degree_asked_for(photo_session, capsys):
     photo_session.edit(lambda content: content["display"].append(content["display"][3] | {"stage_mm": [1.0, 1.0, 0.0]}))
     status, _, err = command_line(photo_session, capsys, "--degree", "2")
     assert status == 2
-    assert "degree 2 needs at least 6 viewpoints and there are 5: 1 more, or a lower degree" in err
+    assert "degree 2 needs at least 6 viewpoints and there are 5: 1 more, or a lower degree" in err[0]
