@@ -208,6 +208,15 @@ class Table:
         """All keys present, in file order."""
         return list(self._content)
 
+    def check_head(self, format_name: str, version: int, kind: str) -> None:
+        """Refuse a file of another format, version or unit of length: `format`, `version` and `unit = "mm"`."""
+        self.text("format", choices=[format_name])
+        found, unit = self.number("version"), self.text("unit")
+        if found != version:
+            raise self.fail(f"'version' is {found:g}; this program reads version {version}: write the file again.")
+        if unit != "mm":
+            raise self.fail(f"'unit' is '{unit}'; {kind} is in millimetres: convert its lengths, write unit = \"mm\".")
+
     def finish(self) -> None:
         """Refuse keys that nobody asked for: a typing mistake must not be silently ignored."""
         for key in self._content:

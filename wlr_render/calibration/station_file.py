@@ -110,15 +110,25 @@ def load_station(path: str | Path) -> SavedStation:
     if table.number("version") != VERSION:
         raise table.fail(f"has another version than {VERSION}; write it again.")
     stage = table.table("stage")
-    axes = [[np.nan] * 3 if column is None else column for column in content["stage"]["axes_in_device"]]
     return SavedStation(
         _camera(table.table("eyeball_camera")),
         _camera(table.table("tracking_camera")),
         table.vectors("device_from_tracking", 4),
         stage.vector("reference_m", 3),
         stage.table("device_from_camera").vectors("matrix", 4),
-        np.array(axes, dtype=np.float64).T,
+        _axes(stage, content["stage"].get("axes_in_device")),
     )
+
+
+def _axes(stage: Table, columns: Any) -> FloatArray:
+    """Of axes that were never moved the file has null."""
+    try:
+        axes = np.array([[np.nan] * 3 if column is None else column for column in columns], dtype=np.float64)
+    except (TypeError, ValueError):
+        axes = np.empty(0)
+    if axes.shape != (3, 3):
+        raise stage.fail(f"'axes_in_device' must be 3 columns of 3 numbers, or null, not {columns!r}.")
+    return np.asarray(axes.T)
 
 
 def _camera_record(camera: LensCamera) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     if not (root / FILE).is_file():
         raise BadInputError(f"{root}: has no {FILE}, so it is no photographic session; docs/photo-session.md says how.")
     file = read_toml(root / FILE)
-    _check_head(file)
+    file.check_head(FORMAT, VERSION, "a session")
     axes = _AXES[file.text("frame", choices=sorted(_AXES))]
     device, eye = file.text("device"), file.text("eye", choices=("left", "right"))
     pattern, decoding_keys = _pattern(file)
@@ -71,15 +71,6 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     _check_poses(file, session)
     _check_travel(file, session)
     return session
-
-
-def _check_head(file: Table) -> None:
-    file.text("format", choices=[FORMAT])
-    version, unit = file.number("version"), file.text("unit")
-    if version != VERSION:
-        raise file.fail(f"'version' is {version:g}; this program reads version {VERSION}: write the file again.")
-    if unit != "mm":
-        raise file.fail(f"'unit' is '{unit}'; a session is in millimetres: convert its lengths, write unit = \"mm\".")
 
 
 def _pattern(file: Table) -> tuple[Pattern, dict[str, float]]:

@@ -64,7 +64,7 @@ def bench_of(file: Table, folder: Path) -> Bench:
         file: the opened file.
         folder: to which the path of a device's file is relative.
     """
-    _check_head(file)
+    file.check_head(FORMAT, VERSION, "a bench file")
     axes = device_from_file(file)
     device = _device(file, folder)
     eye = file.text("eye", "right" if "right" in device.eyes else "left", choices=sorted(device.eyes))
@@ -104,17 +104,6 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
     ]
     content = head | {name: keys for name, keys in sections.items() if keys}
     return write_toml(path, content | ({"target_pose": poses} if poses else {}), "docs/bench-session.md has the format")
-
-
-def _check_head(file: Table) -> None:
-    file.text("format", choices=[FORMAT])
-    version, unit = file.number("version"), file.text("unit")
-    if version != VERSION:
-        raise file.fail(f"'version' is {version:g}; this program reads version {VERSION}: write the file again.")
-    if unit != "mm":
-        raise file.fail(
-            f"'unit' is '{unit}'; a bench file is in millimetres: convert its lengths, write unit = \"mm\"."
-        )
 
 
 def _device(file: Table, folder: Path) -> Device:

@@ -1,6 +1,7 @@
 """Families of codes by name."""
 
 from dataclasses import fields
+from typing import Any
 
 from wlr_render.captures.patterns import PATTERNS
 from wlr_render.captures.patterns.pattern import Pattern
@@ -24,7 +25,8 @@ def make_pattern(name: str, panel: Panel, **numbers: int) -> Pattern:
         if key not in keys:
             choice = f"it has {', '.join(keys)}" if keys else "it has none"
             raise BadInputError(f"The code '{name}' has no number '{key}'; {choice}.")
-    pattern: Pattern = PATTERNS[name](panel, **numbers)
+    family: Any = PATTERNS[name]
+    pattern: Pattern = family(panel, **numbers)
     return pattern
 
 
@@ -36,4 +38,5 @@ def pattern_keys(name: str) -> tuple[str, ...]:
     """
     if name not in PATTERNS:
         raise BadInputError(f"There is no code '{name}'; it must be one of {', '.join(PATTERNS)}.")
-    return tuple(field.name for field in fields(PATTERNS[name]) if field.name != "panel")
+    family: Any = PATTERNS[name]
+    return tuple(field.name for field in fields(family) if field.name != "panel")

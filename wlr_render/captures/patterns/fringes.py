@@ -1,22 +1,18 @@
 """Phase-shifted fringes of several periods, unwrapped from long to short."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded, Rejection
-from wlr_render.captures.patterns.axis_code import PanelCode
-from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
+from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.axis_code import AxisCode, PanelCode
 from wlr_render.captures.patterns.phase_order import check_agreement
 from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, nearest, noise_gain, read_fringe
 from wlr_render.captures.patterns.photometry import Light, NoiseMeter
 from wlr_render.captures.patterns.settle import AxisReading
 from wlr_render.captures.patterns.shots import Shots
-from wlr_render.captures.photographs import Photograph
-from wlr_render.mappings import Panel
 
 _LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
 _RATIO = 6.0  # of two periods at most: the phase of the longer must tell the periods of the shorter apart
@@ -24,7 +20,7 @@ _FAR = 0.3  # of a period: where the longer fringe and this one disagree by more
 
 
 @dataclass(frozen=True)
-class Fringes:
+class Fringes(PanelCode):
     """Multi-frequency phase shifting: fringes from long to short, the longest covers the panel.
 
     The hierarchy of periods is that of Huntley and Saldner, "Temporal phase-unwrapping algorithm for automated
@@ -39,34 +35,18 @@ class Fringes:
         BadInputError: see `check_fringe`.
     """
 
-    panel: Panel
     period_px: int = 16
     steps: int = 6
 
     def __post_init__(self) -> None:
         check_fringe(self.period_px, self.steps)
 
-    @property
-    def _code(self) -> PanelCode:
-        return PanelCode(self.panel, self._axis("u", self.panel.width_px), self._axis("v", self.panel.height_px))
-
-    def _axis(self, axis: str, length_px: int) -> "_Hierarchy":
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """Steps of the fringes from long to short."""
         longest = max(_LONGEST * length_px, self.period_px)
         count = math.ceil(math.log(longest / self.period_px, _RATIO))
         periods = np.geomspace(longest, self.period_px, count + 1)
-        return _Hierarchy(tuple(FringeAxis(axis, length_px, float(period), self.steps) for period in periods))
-
-    def names(self) -> tuple[str, ...]:
-        """White, black, steps of the fringes of u from long to short, then those of v."""
-        return self._code.names()
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        """(panel height, panel width) picture number `index`."""
-        return self._code.image(index)
-
-    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Panel positions from one photograph per picture; see `Pattern.decode`."""
-        return self._code.decode(photographs, options)
+        return _Hierarchy(tuple(FringeAxis(name, length_px, float(period), self.steps) for period in periods))
 
 
 @dataclass(frozen=True)

@@ -1,24 +1,20 @@
 """Gray code with inverses: each panel pixel's number, bit by bit."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded, Rejection
-from wlr_render.captures.patterns.axis_code import PanelCode
+from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.axis_code import AxisCode, PanelCode
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
 from wlr_render.captures.patterns.photometry import Light, NoiseMeter
 from wlr_render.captures.patterns.settle import AxisReading
 from wlr_render.captures.patterns.shots import Shots
-from wlr_render.captures.photographs import Photograph
-from wlr_render.mappings import Panel
 
 
 @dataclass(frozen=True)
-class GrayCode:
+class GrayCode(PanelCode):
     """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 1920 x 1080 takes 46 pictures.
 
     How much a camera pixel sees of each of two neighbouring panel pixels follows from the grey value of the bit that
@@ -26,24 +22,9 @@ class GrayCode:
     pixels wide, and the camera's grey values are linear in light.
     """
 
-    panel: Panel
-
-    @property
-    def _code(self) -> PanelCode:
-        axes = GrayAxis("u", self.panel.width_px), GrayAxis("v", self.panel.height_px)
-        return PanelCode(self.panel, *map(_GrayPixels, axes))
-
-    def names(self) -> tuple[str, ...]:
-        """White, black, bits of u from coarse to fine, each followed by its inverse, then bits of v."""
-        return self._code.names()
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        """(panel height, panel width) picture number `index`: 0 or 255."""
-        return self._code.image(index)
-
-    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Panel positions from one photograph per picture; see `Pattern.decode`."""
-        return self._code.decode(photographs, options)
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """Bits from coarse to fine, each followed by its inverse."""
+        return _GrayPixels(GrayAxis(name, length_px))
 
 
 @dataclass(frozen=True)

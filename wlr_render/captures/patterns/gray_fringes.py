@@ -1,29 +1,25 @@
 """Phase-shifted fringes whose periods are numbered by a Gray code."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded, Rejection
-from wlr_render.captures.patterns.axis_code import PanelCode
+from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.axis_code import AxisCode, PanelCode
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.pattern import DEFAULT_OPTIONS, DecodeOptions
 from wlr_render.captures.patterns.phase_order import check_agreement
 from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, nearest, noise_gain, read_fringe
 from wlr_render.captures.patterns.photometry import Light, NoiseMeter
 from wlr_render.captures.patterns.settle import AxisReading
 from wlr_render.captures.patterns.shots import Shots
-from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import Panel
 
 _FAR = 0.375  # of a period from the middle of its cell, half-way between the cell's end (1/4) and ambiguity (1/2)
 
 
 @dataclass(frozen=True)
-class GrayFringes:
+class GrayFringes(PanelCode):
     """Gray code of half periods, then fringes: 46 pictures for 1920 x 1080.
 
     A code that is wrong by one cell at the border of two cells still names the right period, since its middle lies
@@ -38,7 +34,6 @@ class GrayFringes:
         BadInputError: the period is odd, or see `check_fringe`.
     """
 
-    panel: Panel
     period_px: int = 16
     steps: int = 6
 
@@ -47,25 +42,10 @@ class GrayFringes:
         if self.period_px % 2:
             raise BadInputError(f"'period_px' is {self.period_px}; it must be even, as the code numbers half periods.")
 
-    @property
-    def _code(self) -> PanelCode:
-        return PanelCode(self.panel, self._axis("u", self.panel.width_px), self._axis("v", self.panel.height_px))
-
-    def _axis(self, axis: str, length_px: int) -> "_NumberedFringes":
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """Bits of the half periods from coarse to fine, each followed by its inverse, then steps of the fringe."""
         cells = -(-length_px // (self.period_px // 2))
-        return _NumberedFringes(GrayAxis(axis, cells), FringeAxis(axis, length_px, self.period_px, self.steps))
-
-    def names(self) -> tuple[str, ...]:
-        """White, black, for u bits from coarse to fine, each followed by its inverse, then steps; the same for v."""
-        return self._code.names()
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        """(panel height, panel width) picture number `index`."""
-        return self._code.image(index)
-
-    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Panel positions from one photograph per picture; see `Pattern.decode`."""
-        return self._code.decode(photographs, options)
+        return _NumberedFringes(GrayAxis(name, cells), FringeAxis(name, length_px, self.period_px, self.steps))
 
 
 @dataclass(frozen=True)

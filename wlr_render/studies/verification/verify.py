@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.calibration.station_file import load_station
+from wlr_render.errors import BadInputError
 from wlr_render.evaluation.report import ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
+from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.models.model_file import load_eye_model
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.viewpoints import random_in_eye_box
 from wlr_render.studies.photo_sessions.making import load_making
 from wlr_render.studies.progress import Progress, silent
@@ -55,8 +58,9 @@ def run(options: Options, workers: int | None = None, progress: Progress = silen
             target is not seen where it stands.
     """
     bench = load_making(options.session).build()
-    models = load_eye_model(options.calibration / "model.json").mappings
-    station = load_station(options.calibration / "station.json")
+    model = load_eye_model(options.calibration / "model.json")
+    models, station = model.mappings, load_station(options.calibration / "station.json")
+    _refuse_another(options, (model.device, models.eye), station.eyeball_camera, bench)
     folder = output_folder(options.out)
     photographs = folder / "photographs"
     box = bench.optics.eye_box
@@ -89,3 +93,12 @@ def run(options: Options, workers: int | None = None, progress: Progress = silen
         pictures.draw_close_up(folder / "close_up.png", judged),
     ]
     return Result(tables, tuple(files))
+
+
+def _refuse_another(options: Options, calibrated: tuple[str, str], camera: LensCamera, bench: PhotoBench) -> None:
+    if calibrated != (bench.device.name, bench.eye) or camera.size_px != bench.eyeball.camera.size_px:
+        raise BadInputError(
+            f"{options.calibration}: is a calibration of {calibrated[0]}, {calibrated[1]} eye, with a camera of "
+            f"{camera.size_px[0]} x {camera.size_px[1]} pixels, and not of {options.session}; name the folder of what "
+            "`wlr-render calibrate` made of that session."
+        )
