@@ -1,4 +1,4 @@
-"""From photographs to numbers: decode a panel's code, find the dots of a printed board; the photographs are simulated."""
+"""From photographs to numbers: decode a panel's code, find a printed board's dots. The photographs are simulated."""
 
 from dataclasses import replace
 

@@ -22,7 +22,7 @@ def _add_calibrate(verbs: Verbs) -> None:
     parser.add_argument("--degree", type=few, help="of the display; chosen by held-out viewpoints if not given")
     parser.add_argument("--see-through-degree", type=few, help="likewise for see-through")
     photographs = parser.add_argument_group("with SESSION")
-    photographs.add_argument("--workers", type=count, help="processes that read photographs; one per core if not given")
+    photographs.add_argument("--workers", type=count, help="processes that read photographs; up to 3 if not given")
     session = parser.add_argument_group("with --captures and a session's folder")
     session.add_argument("--bench", type=Path, metavar="FILE", help="read the session by this bench, not by its own")
     simulated = parser.add_argument_group("with --simulate")

@@ -22,7 +22,9 @@ def _add_simulate(verbs: Verbs) -> None:
         "--depths-m", type=not_negative, nargs="+", default=[0.4, 1.0], help="of the target, two or more"
     )
     parser.add_argument("--stage-error-um", type=not_negative, default=2.0, help="of each camera position, per axis")
-    parser.add_argument("--workers", type=count, help="processes; one per core if not given")
+    parser.add_argument(
+        "--workers", type=count, help="processes; one per core, but not more than memory allows, if not given"
+    )
     add_eye(parser)
     add_seed(parser)
 
@@ -61,7 +63,9 @@ def _add_verify(verbs: Verbs) -> None:
     )
     parser.add_argument("--viewpoints", type=count, default=5, help="camera places in the eye box")
     parser.add_argument("--depths-m", type=not_negative, nargs="+", default=[0.5, 0.8], help="where the target stands")
-    parser.add_argument("--workers", type=count, help="processes; one per core if not given")
+    parser.add_argument(
+        "--workers", type=count, help="processes; one per core, but not more than memory allows, if not given"
+    )
     add_seed(parser)
     add_backend(parser)
 

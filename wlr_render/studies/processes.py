@@ -35,6 +35,11 @@ def as_finished(run: Callable[[Task], Result], tasks: Sequence[Task], workers: i
             pool.shutdown(cancel_futures=True)
 
 
+def few_workers(most: int) -> int:
+    """One worker per usable core, but not more than `most`: for tasks of which each takes much memory."""
+    return min(usable_cores(), most)
+
+
 def usable_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -11,8 +11,11 @@ from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSes
 from wlr_render.captures.targets.board_sighting import BoardSighting
 from wlr_render.studies.photo_sessions.reading_tasks import BoardTask, PanelReading, PanelTask, SetAside, Task, do_task
 from wlr_render.studies.photo_sessions.store import Store
-from wlr_render.studies.processes import as_finished
+from wlr_render.studies.processes import as_finished, few_workers
 from wlr_render.studies.progress import Progress, silent
+
+_MOST_WORKERS = 3
+"""Decoding takes half a gigabyte a process for photographs of 1280 x 1024; all together stay below two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +57,9 @@ def read_session(
     panel_tasks, board_tasks = list(_panel_tasks(session)), list(_board_tasks(session))
     tasks: list[Task] = [*panel_tasks, *board_tasks]  # the long ones first
     waiting = [(task, store) for task in tasks if task.stored(store) is None]
-    outcomes = list(progress(as_finished(do_task, waiting, workers), len(waiting), "photographs"))
+    outcomes = list(
+        progress(as_finished(do_task, waiting, workers or few_workers(_MOST_WORKERS)), len(waiting), "photographs")
+    )
     order = {task.name: number for number, task in enumerate(tasks)}
     return Reading(
         {task.path: seen for task in board_tasks if (seen := task.stored(store))},

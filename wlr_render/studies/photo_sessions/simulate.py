@@ -25,12 +25,13 @@ from wlr_render.simulation.photographs.sensor import Sensor
 from wlr_render.studies.photo_sessions import making as making_file
 from wlr_render.studies.photo_sessions.making import Making
 from wlr_render.studies.photo_sessions.shots import BoardShot, PanelShots, Place, take
-from wlr_render.studies.processes import as_finished
+from wlr_render.studies.processes import as_finished, few_workers
 from wlr_render.studies.progress import Progress, silent
 
 FloatArray = NDArray[np.float64]
 
 BOARD = "board.toml"
+_MOST_WORKERS = 4  # each takes up to 0.4 GB
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,9 @@ def run(folder: str | Path, making: Making, workers: int | None = None, progress
     session = _session(root, bench, plan, pattern, making)
     places = list(_places(session, bench, plan, making.bench.stage_error_um, making.bench.seed))
     total = sum(len(place.paths()) for place in places)
-    taken = sum(progress(as_finished(take, places, workers), len(places), "camera places"))
+    taken = sum(
+        progress(as_finished(take, places, workers or few_workers(_MOST_WORKERS)), len(places), "camera places")
+    )
     save_board(session.board, root / BOARD)
     write_board_svg(session.board, root / "board.svg")
     save_photo_session(session, {"pattern": making.pattern}, BOARD)
