@@ -38,6 +38,6 @@ def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path):
 def test_what_cannot_be_made_is_refused_and_nothing_written(tmp_path):
     with pytest.raises(BadInputError, match="There is no code 'grey'"):
         targets.write_pattern(tmp_path / "a", (64, 40), "grey")
-    with pytest.raises(BadInputError, match="2"):
+    with pytest.raises(BadInputError, match="take at least 5 x 5"):
         targets.write_board(tmp_path / "b", 2, 2, 0.02)
     assert list(tmp_path.iterdir()) == []

@@ -16,6 +16,8 @@ from wlr_render.models.model_file import load_eye_model
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.studies.photo_sessions import calibrate, report
 
+pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
+
 ALL = 10 + 4 + 10 + 2 * 6 + 4  # photographs of the board, and sets of the panel
 
 

@@ -11,6 +11,8 @@ from wlr_render.captures.targets.board_design import design_board
 from wlr_render.captures.targets.board_file import save_board
 from wlr_render.cli import main
 
+pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
+
 SEEN = "see_through/pose0_02.png"
 SET = "display/01"
 RESULTS = ("model.json", "captures.npz", "station.json", "report.html")

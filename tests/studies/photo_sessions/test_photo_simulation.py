@@ -9,6 +9,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.studies.photo_sessions import simulate
 from wlr_render.studies.photo_sessions.making import load_making, same_making, save_making
 
+pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
+
 PANEL_SET = "display/02"
 LOST = ("see_through/pose1_02.png", "bare/pose0_03.png", f"{PANEL_SET}/001_black.png", "session.toml", "board.toml")
 

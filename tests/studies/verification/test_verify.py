@@ -16,6 +16,8 @@ from wlr_render.models.model_file import load_eye_model, save_eye_model
 from wlr_render.studies.verification import verify
 from wlr_render.studies.verification.procedure import METHODS
 
+pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
+
 DEPTH_M = 0.6
 
 
@@ -56,7 +58,7 @@ def test_photographs_of_an_earlier_verification_are_taken_again(options):
 
 
 def test_an_error_of_the_display_model_is_measured(options, photo_session):
-    """A model by which every display pixel lies 0.005 aside, as a tangent: its dots are drawn as far to the other side."""
+    """By the model every display pixel lies 0.005 aside, as a tangent: dots are drawn as far to the other side."""
     path = photo_session.out / "model.json"
     model = load_eye_model(path)
     forward = model.mappings.display.forward
