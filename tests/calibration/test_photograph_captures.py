@@ -1,5 +1,7 @@
 """What was read in photographs, carried into the device frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from wlr_render.calibration.photograph_captures import (
     TargetView,
     display_captures,
     see_through_captures,
+    within_field,
 )
 from wlr_render.captures.decoded_samples import DecodedSamples
 from wlr_render.captures.targets.board_design import design_board
@@ -59,3 +62,24 @@ def test_no_views_are_refused():
         display_captures(HEADSET, Panel(20, 10), CAMERA, [])
     with pytest.raises(BadInputError, match="no photographs of the target through the optics are left"):
         see_through_captures(HEADSET, design_board(8, 6, 0.03), CAMERA, [])
+
+
+def test_dots_beyond_the_panel_s_field_are_left_out():
+    board = design_board(20, 16, 0.03)
+    target = POSE @ transforms.rigid(np.eye(3), np.array([0.0, 0.0, 0.6]))
+    index = board.indices()
+    point = transforms.apply(target, board.point_of(index))
+    pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
+    view = TargetView(POSE, target, 0, 0, BoardSighting(index, pixel, np.full(len(index), 0.05)))
+    see_through = see_through_captures(HEADSET, board, CAMERA, [view])
+    corners = np.array([[200.0, 160.0], [440.0, 320.0]])
+    samples = DecodedSamples(corners, np.zeros((2, 2)), np.ones(2), np.ones(2))
+    display = display_captures(HEADSET, Panel(20, 10), CAMERA, [PanelView(POSE, samples)])
+    kept = within_field(see_through, display)
+    seen = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), kept.point))
+    # The field is a box of tangents in the device frame, a twentieth larger on each side.
+    assert 0 < len(kept) < len(see_through)
+    assert np.all((seen > corners[0] - 20) & (seen < corners[1] + 20))
+    aside = replace(see_through, view_dir=normalised(see_through.view_dir + [3.0, 0.0, 0.0]))
+    with pytest.raises(BadInputError, match="no dot of the target was seen in the directions of the panel"):
+        within_field(aside, display)
