@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource, write_toml
@@ -22,6 +23,7 @@ from wlr_render.simulation.photographs.photo_plan import plan_photographs
 from wlr_render.studies.calibrate import FitOptions
 from wlr_render.studies.photo_sessions import calibrate, making, reading, simulate
 from wlr_render.studies.photo_sessions.making import Making
+from wlr_render.studies.photo_sessions.store import Store
 from wlr_render.studies.verification import procedure
 
 VIEWPOINTS = 4
@@ -90,6 +92,10 @@ class SmallSession:
     def bench(self) -> PhotoBench:
         """The truth."""
         return small_bench_of(self.making)
+
+    def read(self):
+        """What calibration reads first."""
+        return reading.read_session(load_photo_session(self.folder), Store(self.out / calibrate.READ))
 
     def calibrate(self):
         return calibrate.run(self.folder, self.out, FIT)
