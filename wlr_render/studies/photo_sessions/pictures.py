@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import written_whole
-from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
+from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.studies.decode_pictures import fate_colours
 from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
 
@@ -126,8 +126,10 @@ def _residuals(
     down: bool,
 ) -> Path:
     """Arrows of residuals at places (n, 2), one small picture for each label (n,); all have one scale."""
-    residual = (tangents_of_dir(captures.view_dir) - tangents_of_dir(modelled)) / ARCMIN
-    size = np.linalg.norm(residual, axis=1)
+    apart = tangents_of_dir(captures.view_dir) - tangents_of_dir(modelled)
+    size = arcmin_between(captures.view_dir, modelled)
+    # As long as the angle, whatever a tangent is worth so far off the axis.
+    residual = apart * (size / np.maximum(np.linalg.norm(apart, axis=1), 1e-12))[:, None]
     usual = max(float(np.nanquantile(size, 0.9)), 1e-3)
     labels = np.unique(label)
     figure, axes = _grid(len(labels))
