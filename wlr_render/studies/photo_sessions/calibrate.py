@@ -1,7 +1,7 @@
 """Calibrate one eye from a session of photographs: read them, find the station, bring all into one frame, fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wlr_render.calibration.board_poses import poses_of
@@ -29,6 +29,7 @@ from wlr_render.files import output_folder
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.models.model_file import save_eye_model
 from wlr_render.studies.calibrate import FitOptions
+from wlr_render.studies.photo_sessions.consistency import camera_places, sound_captures
 from wlr_render.studies.photo_sessions.reading import Reading, read_session
 from wlr_render.studies.photo_sessions.store import Store
 from wlr_render.studies.progress import Progress, silent
@@ -134,7 +135,8 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
     station = find_station(photos, eyeball.poses, tracking.poses, session.device_from_tracking)
     save_station(into / "station.json", station, eyeball.camera, tracking.camera, session.device_from_tracking)
     refuse_contradictions(station.checks)
-    captures = _captures(session, reading, eyeball.camera, station)
+    captures, aside = sound_captures(session, reading, _captures(session, reading, eyeball.camera, station))
+    reading = replace(reading, set_aside=(*reading.set_aside, *aside))
     save_captures(into / "captures.npz", captures)
     fit = fit_eye(captures, options.kind, options.display_degree, options.see_through_degree)
     save_eye_model(into / "model.json", fit.model())
@@ -169,16 +171,16 @@ def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, stati
         for each, found in reading.decoded(session.display)
     ]
     seen = reading.seen(session.see_through)
-    places = {stage: number for number, stage in enumerate(dict.fromkeys(each.stage.tobytes() for each, _ in seen))}
+    places = camera_places([each for each, _ in seen])
     targets = [
         TargetView(
             station.device_from_camera(each.stage),
             station.device_from_target[each.target_pose].b_from_a,
             each.target_pose,
-            places[each.stage.tobytes()],
+            place,
             sighting,
         )
-        for each, sighting in seen
+        for (each, sighting), place in zip(seen, places, strict=True)
     ]
     display = display_captures(headset, session.pattern.panel, camera, panels)
     see_through = see_through_captures(headset, session.board, camera, targets)

@@ -1,0 +1,72 @@
+"""Captures that were exchanged, or whose camera stood elsewhere, are told by the others; sound ones are left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.calibration.moved_captures import moved_display, moved_see_through
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation import viewpoints
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+
+
+@pytest.fixture(scope="module", params=["freeform40", "northstar"])
+def captures(request):
+    truth = traced_eye(load_device(request.param), "right")
+    setup = CaptureSetup(truth, 0.1, grid=(12, 10))
+    places = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
+    rng = np.random.default_rng(1)
+    return simulate_display(setup, places, rng), simulate_see_through(setup, places, rng)
+
+
+def moved_by(captures, rows, shift):
+    viewpoint = captures.viewpoint.copy()
+    viewpoint[rows] += shift
+    return replace(captures, viewpoint=viewpoint)
+
+
+def photographs(see_through):
+    return see_through.target_pose * 100 + see_through.capture
+
+
+def test_sound_captures_are_left_alone(captures):
+    display, see_through = captures
+    assert moved_display(display) == []
+    assert moved_see_through(see_through, photographs(see_through)) == []
+
+
+def test_exchanged_sets_of_the_panel_are_both_named(captures):
+    display, _ = captures
+    first, second = display.capture == 3, display.capture == 9
+    viewpoint = display.viewpoint.copy()
+    viewpoint[first], viewpoint[second] = display.viewpoint[second][0], display.viewpoint[first][0]
+    assert {each.group for each in moved_display(replace(display, viewpoint=viewpoint))} == {3, 9}
+
+
+def test_a_photograph_from_elsewhere_is_named_with_its_size(captures):
+    _, see_through = captures
+    number = photographs(see_through)
+    # 2 mm to the right are 17' at 0.4 m, where the first target stands.
+    (found,) = moved_see_through(moved_by(see_through, number == 7, [0.002, 0.0, 0.0]), number)
+    assert found.group == 7
+    assert found.arcmin == pytest.approx(17, rel=0.3)
+
+
+def test_too_few_places_say_nothing(captures):
+    display, _ = captures
+    few = display.capture < 5
+    kept = replace(
+        display,
+        **{name: getattr(display, name)[few] for name in ("viewpoint", "view_dir", "pixel", "capture", "sigma_arcmin")},
+    )
+    assert moved_display(moved_by(kept, kept.capture == 2, [0.003, 0.0, 0.0])) == []
+
+
+def test_where_all_disagree_few_or_none_are_named(captures):
+    display, _ = captures
+    rng = np.random.default_rng(2)
+    shift = rng.normal(0, 0.005, (25, 3))[display.capture]
+    assert len(moved_display(moved_by(display, slice(None), shift))) <= 5
