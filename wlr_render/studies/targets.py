@@ -20,11 +20,8 @@ def write_board(
     """
     board = design_board(columns, rows, pitch_m, seed=seed)
     into = output_folder(folder)
-    return (
-        write_board_svg(board, into / "board.svg"),
-        write_board_png(board, into / "board.png", dots_per_inch),
-        save_board(board, into / "board.toml"),
-    )
+    picture = write_board_png(board, into / "board.png", dots_per_inch)  # first, as it alone may be refused
+    return write_board_svg(board, into / "board.svg"), picture, save_board(board, into / "board.toml")
 
 
 def write_pattern(folder: str | Path, panel_px: tuple[int, int], name: str) -> tuple[int, Path]:

@@ -1,6 +1,6 @@
 """What was found of a board in one photograph."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,10 @@ class BoardSighting:
     sigma_px: NDArray[np.float64]
     unidentified: int = 0
     disagreeing: int = 0
+
+    def only(self, rows: NDArray[np.bool_]) -> "BoardSighting":
+        """Some of the dots, by mask (n,)."""
+        return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows])
 
     def __len__(self) -> int:
         return len(self.index)

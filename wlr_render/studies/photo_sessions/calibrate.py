@@ -37,6 +37,8 @@ from wlr_render.studies.progress import Progress, silent
 Seen = Sequence[tuple[BoardPhotograph, BoardSighting]]
 
 _NAMED = 3  # of what was set aside, in one sentence
+CHOSEN_BY_HELD_OUT = FitOptions("planar", None, None)
+"""Planar models whose degrees held-out camera positions choose."""
 READ = "read"
 """Folder, among the results, of what was read from photographs."""
 
@@ -89,7 +91,7 @@ class SessionCalibration:
 def run(
     folder: str | Path,
     out: str | Path,
-    options: FitOptions = FitOptions(),  # noqa: B008
+    options: FitOptions = CHOSEN_BY_HELD_OUT,
     workers: int | None = None,
     progress: Progress = silent,
 ) -> SessionCalibration:

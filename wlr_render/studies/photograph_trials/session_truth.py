@@ -21,7 +21,6 @@ from wlr_render.calibration.photograph_captures import (
 from wlr_render.calibration.poses import ARCMIN, motion_between
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.decoded_samples import DecodedSamples
-from wlr_render.captures.targets.board_sighting import BoardSighting
 from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
@@ -79,8 +78,8 @@ def _exact_captures(bench: PhotoBench, found: SessionCalibration, rng: np.random
         point = transforms.apply(target, session.board.point_of(sighting.index))
         pixel = exact.pixel_of_real_point(bench.optics, camera, pose, point)
         pixel = pixel + rng.normal(size=pixel.shape) * sighting.sigma_px[:, None]
-        sound = np.isfinite(pixel).all(axis=-1)
-        whole_sighting = BoardSighting(sighting.index[sound], pixel[sound], sighting.sigma_px[sound])
+        sound = np.asarray(np.isfinite(pixel).all(axis=-1))
+        whole_sighting = replace(sighting, pixel=pixel).only(sound)
         place = places.setdefault(photograph.stage.tobytes(), len(places))
         targets.append(TargetView(pose, target, photograph.target_pose, place, whole_sighting))
     display = display_captures(headset, session.pattern.panel, camera, panels)

@@ -7,7 +7,6 @@ from wlr_render.evaluation.report import ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
-from wlr_render.studies.calibrate import FitOptions
 from wlr_render.studies.photo_sessions import calibrate
 from wlr_render.studies.photo_sessions.making import load_making
 from wlr_render.studies.photograph_trials.codes import code_table, code_trials
@@ -48,7 +47,7 @@ def run(options: Options, progress: Progress = silent) -> list[ReportTable]:
     tables = [code_table(trials, bench, options.snr)]
     if options.session is not None:
         truth = load_making(options.session).build()
-        found = calibrate.run(options.session, options.calibration, FitOptions("planar", None, None), progress=progress)
+        found = calibrate.run(options.session, options.calibration, progress=progress)
         tables += truth_tables(compare_with_truth(truth, found, options.seed), options.seed)
     write_text(folder / "photographs.md", "\n".join(table.markdown() for table in tables))
     write_text(folder / "photographs.json", tables_as_json(tables, seed=options.seed))

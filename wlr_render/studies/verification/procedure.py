@@ -18,6 +18,7 @@ from wlr_render.captures.photographs import read_photograph
 from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
+from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeMappings
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.rasteriser import open_rasteriser
@@ -146,8 +147,10 @@ def _retake(place: Place) -> int:
     return take(place)
 
 
-def judge(bench: PhotoBench, station: SavedStation, depth_m: float, viewpoint: int, folder: Path) -> Iterator[Judged]:
-    """Match the dots of one place's photographs."""
+def judge(
+    bench: PhotoBench, camera: LensCamera, depth_m: float, viewpoint: int, shown: NDArray[np.bool_], folder: Path
+) -> Iterator[Judged]:
+    """Match the dots of one place's photographs, of those that the panel can show whole: `shown` (rows, columns)."""
     off = off_path(folder, depth_m, viewpoint)
     shots = PanelShots(on_folder(folder, depth_m, viewpoint), _Frames(METHODS, ()))
     for method, on in zip(METHODS, shots.paths(), strict=True):
@@ -156,7 +159,8 @@ def judge(bench: PhotoBench, station: SavedStation, depth_m: float, viewpoint: i
         except BadInputError as error:
             yield Judged(depth_m, viewpoint, method, off, on, None, str(error))
             continue
-        yield Judged(depth_m, viewpoint, method, off, on, pair_misalignment(real, virtual, station.eyeball_camera))
+        whole = virtual.only(shown[virtual.index[:, 1], virtual.index[:, 0]])
+        yield Judged(depth_m, viewpoint, method, off, on, pair_misalignment(real, whole, camera))
 
 
 def off_path(folder: Path, depth_m: float, viewpoint: int) -> Path:

@@ -16,6 +16,7 @@ from wlr_render.simulation.viewpoints import random_in_eye_box
 from wlr_render.studies.photo_sessions.making import load_making
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.studies.verification import pictures, procedure
+from wlr_render.studies.verification.shown_dots import wholly_shown
 from wlr_render.studies.verification.tables import misalignment_tables
 
 
@@ -80,9 +81,16 @@ def run(options: Options, workers: int | None = None, progress: Progress = silen
     procedure.photograph(bench, stage, options.depths_m, frames, photographs, options.seed, progress, workers)
     judged = [
         one
-        for depth in options.depths_m
-        for number in range(len(stage))
-        for one in procedure.judge(bench, station, depth, number, photographs)
+        for depth, target in zip(options.depths_m, targets, strict=True)
+        for number, viewpoint in enumerate(viewpoints)
+        for one in procedure.judge(
+            bench,
+            station.eyeball_camera,
+            depth,
+            number,
+            wholly_shown(models, bench.board, target, viewpoint),
+            photographs,
+        )
     ]
     tables = misalignment_tables(judged, models.name)
     context = {"session": str(options.session), "models": models.name, "seed": options.seed}
