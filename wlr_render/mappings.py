@@ -8,15 +8,21 @@ each other.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.polynomial import Polynomial
 
 FloatArray = NDArray[np.float64]
 StatusArray = NDArray[np.uint8]
+
+EYE_BOX_MARGIN = 0.5e-3
+"""How far outside the eye box (metres) a viewpoint still counts as inside: about the error of eye tracking."""
 
 
 class Status(IntEnum):
@@ -220,3 +226,61 @@ class EyeMappings:
     see_through: SeeThroughMapping
     eye_box: EyeBox
     field: Field | None = None
+
+
+@runtime_checkable
+class PlanarDisplay(Protocol):
+    """A display mapping whose formula can be solved elsewhere than in numpy: the pixel's tangents on a base plane.
+
+    A viewpoint sees a pixel under the tangents t(pixel, p~) with p~ = base_plane.carry(viewpoint, t).
+    """
+
+    @property
+    def panel(self) -> Panel:
+        """The panel whose pixels are mapped."""
+
+    @property
+    def eye_box(self) -> EyeBox:
+        """A viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
+
+    @property
+    def base_plane(self) -> BasePlane:
+        """The plane of p~."""
+
+    @property
+    def forward(self) -> Polynomial:
+        """(u px, v px, x m, y m) -> (tx, ty)."""
+
+
+@runtime_checkable
+class PlanarSeeThrough(Protocol):
+    """A see-through mapping whose formula can be evaluated elsewhere: the deviation from the straight ray.
+
+    Through p~ = base_plane.carry(viewpoint, t) the ray in the world passes p~ + B with tangents t + A.
+    """
+
+    @property
+    def eye_box(self) -> EyeBox:
+        """A viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
+
+    @property
+    def base_plane(self) -> BasePlane:
+        """The plane of p~, not necessarily the display's."""
+
+    @property
+    def deviation(self) -> Polynomial:
+        """(x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
+
+
+def planar_parts(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
+    """The two formulas of an eye with planar models.
+
+    Raises:
+        BadInputError: the mappings are of another kind.
+    """
+    display, see_through = mappings.display, mappings.see_through
+    if isinstance(display, PlanarDisplay) and isinstance(see_through, PlanarSeeThrough):
+        return display, see_through
+    raise BadInputError(
+        f"{mappings.name}: only planar models can be solved in a shader; use the node grid, or fit a planar model."
+    )

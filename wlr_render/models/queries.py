@@ -7,14 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeBox, Mapped, Status
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Mapped, Status
 from wlr_render.numerics.polynomial import Polynomial, term_count
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-EYE_BOX_MARGIN = 0.5e-3
-"""How far outside the eye box (metres) a viewpoint still counts as inside: about the error of eye tracking."""
 
 _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
 

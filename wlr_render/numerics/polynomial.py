@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+BOX_SLACK = 1e-3
+"""By how much of its size a fitted box may be left, so that samples on its border count as inside."""
+
 _CHUNK = 2_048  # rows per block: keeps the basis (rows x terms) in the processor's cache
 
 
@@ -60,7 +63,7 @@ class Box:
         """(..., variables) -> (..., variables) in -1..1 inside the box."""
         return np.asarray((2.0 * inputs - self.low - self.high) / (self.high - self.low))
 
-    def contains(self, inputs: FloatArray, slack: float = 1e-3) -> NDArray[np.bool_]:
+    def contains(self, inputs: FloatArray, slack: float = BOX_SLACK) -> NDArray[np.bool_]:
         """Whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 

@@ -82,21 +82,30 @@ class GlContext:
         if error != "GL_NO_ERROR":
             raise GlError(f"OpenGL reports {error} ({self.renderer}).")
 
-    def program(self, vertex: str, fragment: str, **constants: float) -> Program:
-        """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`)."""
-        key = vertex, fragment, *sorted(constants.items())
+    def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
+        """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
+
+        Args:
+            vertex: file name.
+            fragment: file name.
+            functions: generated GLSL that the fragment shader calls; it stands before the file's own text.
+            constants: for both.
+        """
+        key = vertex, fragment, functions, *sorted(constants.items())
         if key not in self._programs:
             self._programs[key] = self._ctx.program(
-                vertex_shader=_source(vertex, constants), fragment_shader=_source(fragment, constants)
+                vertex_shader=_source(vertex, constants), fragment_shader=_source(fragment, constants, functions)
             )
         return self._programs[key]
 
-    def full_screen(self, fragment: str, vertex: str = "full_screen.vert", **constants: float) -> VertexArray:
+    def full_screen(
+        self, fragment: str, vertex: str = "full_screen.vert", functions: str = "", /, **constants: float
+    ) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self._ctx.vertex_array(self.program(vertex, fragment, **constants), [])
+        return self._ctx.vertex_array(self.program(vertex, fragment, functions, **constants), [])
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
-        """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4" or "i4"."""
+        """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4", "i4" or "u1"."""
         texture = self._ctx.texture(size, components, dtype=dtype)
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False
@@ -150,9 +159,10 @@ class GlContext:
         self._ctx.release()
 
 
-def _source(name: str, constants: dict[str, float]) -> str:
+def _source(name: str, constants: dict[str, float], functions: str = "") -> str:
     version, text = files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
-    return "\n".join([version, *(f"#define {key} {value}" for key, value in constants.items()), "#line 2", text])
+    defines = (f"#define {key} {value}" for key, value in constants.items())
+    return "\n".join([version, *defines, functions, "#line 2", text])
 
 
 def set_uniforms(program: Program, **values: Any) -> None:

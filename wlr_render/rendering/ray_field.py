@@ -107,33 +107,37 @@ class RayField:
 
 
 @dataclass(frozen=True, eq=False)
-class _Bends:
-    """Exact solutions at some pixels: `bend` (..., 4), `status` (...)."""
+class Bends:
+    """Exact solutions at some pixels: `bend` (..., 4) as `RayField.bend`, `status` (...)."""
 
     bend: FloatArray
     status: StatusArray
     warm_start: WarmStart
 
 
-def _solve(
+def solve_pixels(
     mappings: EyeMappings,
     device_from_camera: FloatArray,
     pixel: FloatArray,
     viewpoint: FloatArray,
     warm_start: WarmStart | None = None,
-) -> _Bends:
+) -> Bends:
+    """Ask the mappings at pixels (..., 2) for one viewpoint (3,), in axes (3, 3).
+
+    A pixel that the display has no direction for keeps the display's status.
+    """
     warm_start = warm_start or WarmStart(None, None)
     view = mappings.display.view_dir_of_pixel(pixel, viewpoint, warm_start.display)
     real = mappings.see_through.real_ray_of_view_dir(view.value, viewpoint, warm_start.see_through)
-    status = worst(view.status, real.status)
+    status = np.where(view.usable, worst(view.status, real.status), view.status)
     in_camera = rays.transformed(transforms.inverse(transforms.rigid(device_from_camera, viewpoint)), real.value)
     at_viewpoint = rays.at_z(in_camera, 0.0)
     bend = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), at_viewpoint[..., :2]], axis=-1)
     # A ray that does not lead forwards has no tangents: there is nothing to see along it.
     lost = ~np.isfinite(bend).all(axis=-1)
     bend = np.where(lost[..., None], np.nan, bend)
-    status = np.where(lost, worst(status, np.uint8(Status.MISS) * lost), status).astype(np.uint8)
-    return _Bends(bend, status, WarmStart(view.warm_start, real.warm_start))
+    status = np.where(lost & (status <= Status.OUTSIDE_FIT), Status.MISS, status).astype(np.uint8)
+    return Bends(bend, status, WarmStart(view.warm_start, real.warm_start))
 
 
 def exact_field(
@@ -153,7 +157,7 @@ def exact_field(
     status = np.empty((height, width), np.uint8)
     for start in range(0, height, _ROWS_PER_BLOCK):
         rows = slice(start, start + _ROWS_PER_BLOCK)
-        solved = _solve(mappings, device_from_camera, pixel[rows], viewpoint)
+        solved = solve_pixels(mappings, device_from_camera, pixel[rows], viewpoint)
         bend[:, rows] = np.moveaxis(solved.bend, -1, 0)
         status[rows] = solved.status
     return RayField(viewpoint, device_from_camera, bend, status)
@@ -173,7 +177,7 @@ def ray_field(
         warm_start: of the last frame's field with this plan.
     """
     axes = plan.device_from_camera
-    solved = _solve(mappings, axes, plan.node_pixel, viewpoint, warm_start)
+    solved = solve_pixels(mappings, axes, plan.node_pixel, viewpoint, warm_start)
     if not np.isfinite(solved.bend).all():
         return exact_field(mappings, viewpoint, axes)
     status = _spread_status(plan, solved.status)
@@ -215,11 +219,13 @@ def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan
     """
     count, panel = plan.node_pixel.shape[0], plan.panel
     axes = plan.device_from_camera
-    nodes = _solve(mappings, axes, plan.node_pixel, viewpoint).bend
+    nodes = solve_pixels(mappings, axes, plan.node_pixel, viewpoint).bend
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
     down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
     interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
-    exact, right, lower = (_solve(mappings, axes, pixel + step, viewpoint).bend for step in ([0, 0], [-1, 0], [0, -1]))
+    exact, right, lower = (
+        solve_pixels(mappings, axes, pixel + step, viewpoint).bend for step in ([0, 0], [-1, 0], [0, -1])
+    )
     pixel_size = np.minimum(
         np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
     )
@@ -262,7 +268,9 @@ def asked_tangents(mappings: EyeMappings, device_from_camera: FloatArray, viewpo
     """
     panel = mappings.display.panel
     u, v = (np.linspace(0.5, size - 0.5, _GRID) for size in (panel.width_px, panel.height_px))
-    bend = _solve(mappings, device_from_camera, np.stack(np.meshgrid(u, v), axis=-1), viewpoint).bend.reshape(-1, 4)
+    bend = solve_pixels(mappings, device_from_camera, np.stack(np.meshgrid(u, v), axis=-1), viewpoint).bend.reshape(
+        -1, 4
+    )
     return np.concatenate([bend[:, :2], bend[:, :2] + bend[:, 2:] / NEAREST_M])
 
 

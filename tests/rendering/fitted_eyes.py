@@ -1,0 +1,36 @@
+"""Planar models of the device files, fitted to a small exact bench; made once per run."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.numerics.polynomial import Polynomial, basis, term_count
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.studies.designs import camera_positions
+
+DEGREES = {3: 2, 5: 3}  # of the display, and of see-through beside it
+
+
+@lru_cache
+def captures(device):
+    setup = CaptureSetup(traced_eye(load_device(device), "right"), grid=(17, 15))
+    positions, rng = camera_positions(setup, "planar", 25), np.random.default_rng(0)
+    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+
+
+@lru_cache
+def fitted_eye(device, degree):
+    return fit_eye(captures(device), "planar", degree, DEGREES[degree]).mappings
+
+
+def fitted_polynomial(function, box, degree):
+    """Least squares to a function (n, variables) -> (n, outputs); exact where it is a polynomial of that degree."""
+    variables = len(box.low)
+    sample = np.random.default_rng(0).uniform(box.low, box.high, (4 * term_count(variables, degree), variables))
+    coefficients, *_ = np.linalg.lstsq(basis(sample, degree, box), function(sample))
+    return Polynomial(degree, box, coefficients)

@@ -1,0 +1,99 @@
+import numpy as np
+import pytest
+from fitted_eyes import fitted_polynomial
+
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.polynomial import BOX_SLACK, Box, Polynomial, term_count
+from wlr_render.rendering import gl
+from wlr_render.rendering.shader_polynomial import held_source, value_source
+
+pytestmark = pytest.mark.gl
+
+DISPLAY_BOX = Box(np.array([0.0, 0.0, 0.025, -0.006]), np.array([1440.0, 1600.0, 0.039, 0.006]))
+SHADER = """#version 430
+uniform sampler2D table;
+layout(location = 0) out vec4 answer[2];
+{functions}
+void main()
+{{
+    vec4 inputs = texelFetch(table, ivec2(gl_FragCoord.xy), 0);
+    {body}
+}}
+"""
+
+
+def run(context, functions, body, inputs):
+    """The shader's two answers (n, 4) each for inputs (n, variables)."""
+    padded = np.zeros((1, len(inputs), 4), np.float32)
+    padded[0, :, : inputs.shape[1]] = inputs
+    size = len(inputs), 1
+    with context.drawing() as ctx:
+        table, first, second = (context.target(size, 4, "f4") for _ in range(3))
+        table.write(padded)
+        vertex = "#version 430\nvoid main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }"  # noqa: E501
+        program = ctx.program(vertex_shader=vertex, fragment_shader=SHADER.format(functions=functions, body=body))
+        context.framebuffer([first, second]).use()
+        gl.bind_textures(program, table=table)
+        ctx.vertex_array(program, []).render(vertices=3)
+        return gl.read(first, np.float32)[0].astype(float), gl.read(second, np.float32)[0].astype(float)
+
+
+def inputs_in(box, count=4000):
+    """Random inputs as the shader gets them, the corners of the box among them."""
+    unit = np.random.default_rng(1).uniform(-1, 1, (count, len(box.low)))
+    unit[:200] = np.sign(unit[:200])
+    inputs = 0.5 * (box.low + box.high) + 0.5 * unit * (box.high - box.low)
+    return inputs.astype(np.float32).astype(float)
+
+
+def seen(inputs):
+    """Tangents under which a curved virtual image half a metre away is seen, with a strong distortion and swim."""
+    u, v, x, y = inputs.T
+    a, b = 0.35 * (u / 720 - 1), 0.35 * (1 - v / 800)
+    depth = 0.5 - 0.6 * (a * a + b * b) - 3.0 * x * a
+    return np.stack([a * (1 + 2 * b * b) - x, b * (1 + a) - y], axis=-1) / depth[:, None]
+
+
+@pytest.mark.parametrize("degree", [3, 4, 5, 6, 7])
+def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context, degree):
+    polynomial = fitted_polynomial(seen, DISPLAY_BOX, degree)
+    body = """
+    mat2 jacobian;
+    shown_hold(inputs.xy);
+    answer[0] = vec4(shown(inputs.zw, jacobian), 0.0, 0.0);
+    answer[1] = vec4(jacobian[0], jacobian[1]);"""
+    inputs = inputs_in(DISPLAY_BOX)
+    answer, columns = run(gl_context, held_source("shown", polynomial), body, inputs)
+    value, jacobian = polynomial.with_jacobian(inputs, axes=(2, 3))
+    worst_arcmin = np.abs(answer[:, :2] - value).max() / ARCMIN
+    print(f"degree {degree}: worst error {worst_arcmin:.5f} arcmin of tangents up to {np.abs(value).max():.2f}")
+    assert worst_arcmin < 0.003
+    np.testing.assert_allclose(columns.reshape(-1, 2, 2).swapaxes(1, 2), jacobian, atol=2e-5 * np.abs(jacobian).max())
+
+
+@pytest.mark.parametrize(("variables", "outputs"), [(2, 1), (3, 3), (4, 4)])
+@pytest.mark.parametrize("degree", [0, 1, 7])
+def test_any_coefficients_give_the_polynomials_value(gl_context, variables, outputs, degree):
+    rng = np.random.default_rng(degree)
+    box = Box(np.array([0.0, -3.0, 0.01, -2.0])[:variables], np.array([900.0, 5.0, 0.02, -1.0])[:variables])
+    coefficients = rng.normal(size=(term_count(variables, degree), outputs))
+    polynomial = Polynomial(degree, box, coefficients)
+    swizzle, components = "xyzw"[:variables], {1: "answer[0].x", 3: "answer[0].xyz", 4: "answer[0]"}[outputs]
+    inputs = inputs_in(box)
+    answer, _ = run(gl_context, value_source("f", polynomial), f"{components} = f(inputs.{swizzle});", inputs)
+    # Every order as strong as the lowest: far worse for float32 than any model, whose terms fall off.
+    tolerance = 3e-5 * np.abs(coefficients).sum(axis=0).max()
+    np.testing.assert_allclose(answer[:, :outputs], polynomial(inputs), atol=tolerance, rtol=0)
+
+
+@pytest.mark.parametrize("source", [value_source, held_source])
+def test_box_is_left_where_the_polynomials_box_is_left(gl_context, source):
+    polynomial = Polynomial(1, DISPLAY_BOX, np.zeros((5, 2)))
+    half = 0.5 * (DISPLAY_BOX.high - DISPLAY_BOX.low)
+    steps = np.array([0.0, 0.9, 1.1, 3.0]) * 2 * BOX_SLACK
+    beyond = np.array([half * sign * (1 + step) * axis for sign in (-1, 1) for step in steps for axis in np.eye(4)])
+    inputs = 0.5 * (DISPLAY_BOX.low + DISPLAY_BOX.high) + beyond
+    answer, _ = run(gl_context, source("f", polynomial), "answer[0] = vec4(f_contains(inputs));", inputs)
+    expected = DISPLAY_BOX.contains(inputs)
+    assert 0 < expected.sum() < len(expected)
+    np.testing.assert_array_equal(answer[:, 0] == 1, expected)
