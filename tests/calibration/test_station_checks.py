@@ -94,7 +94,7 @@ def test_a_wrong_unit_is_named_and_refused(factor, said):
 @pytest.mark.parametrize(("scale", "refused"), [(1.004, False), (0.97, True)])
 def test_a_board_printed_at_another_scale_is_named(scale, refused):
     checks = failed(Faults(printed_scale=scale))
-    assert [check.value for check in checks] == pytest.approx([scale, scale], rel=5e-4)
+    assert [check.value for check in checks] == pytest.approx([scale - 1, scale - 1], abs=5e-4)
     assert all("printed pitch" in check.sentence for check in checks)
     assert [check.contradictory for check in checks] == [refused, refused]
 

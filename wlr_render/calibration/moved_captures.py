@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 _ROWS = 150  # of a capture that take part: a mean needs no more
 _SPARE = 2.0  # times as many places as the model has terms in them must be left
 _TOP_DEGREE = 3
-_TIMES_USUAL, _LEAST_ARCMIN = 6.0, 2.0  # a mean error above both is not of the model's making
+_TIMES_USUAL, _LEAST_ARCMIN = 6.0, 2.0  # an error above both is not of the model's making
 _SUSPICIOUS = 3.0  # times the usual one
 _MOST = 0.2  # of the captures that may be off; where more are, it is the model that is
 
@@ -73,9 +73,9 @@ def _moved(
         degree = _degree(len(np.unique(thinned.viewpoint[np.isin(of, left)], axis=0)) - 1)
         if degree == 0:
             return []
-        means = [_mean_error(thinned, of, name, left, degree, predict) for name in left]
-        usual, worst = float(np.median(means)), int(np.argmax(means))
-        if means[worst] < max(_SUSPICIOUS * usual, _LEAST_ARCMIN):
+        found_errors = [_mean_error(thinned, of, name, left, degree, predict) for name in left]
+        usual, worst = float(np.median(found_errors)), int(np.argmax(found_errors))
+        if found_errors[worst] < max(_SUSPICIOUS * usual, _LEAST_ARCMIN):
             found = [Moved(name, _mean_error(thinned, of, name, left, degree, predict)) for name in suspects]
             return [each for each in found if each.arcmin > max(_TIMES_USUAL * usual, _LEAST_ARCMIN)]
         suspects.append(left[worst])
@@ -94,9 +94,10 @@ def _mean_error(
     others, own = np.isin(group, left) & (group != name), group == name
     predicted = predict(select(captures, others), select(captures, own), degree)
     apart = tangents_of_dir(captures.view_dir[own]) - tangents_of_dir(predicted)
-    if not np.isfinite(apart).all(axis=1).any():
+    apart = apart[np.isfinite(apart).all(axis=1)]
+    if len(apart) == 0:
         return float("inf")
-    return float(np.linalg.norm(np.nanmean(apart, axis=0))) / ARCMIN
+    return float(np.linalg.norm(apart.mean(axis=0))) / ARCMIN  # a mean, since model error averages out of it
 
 
 def _degree(places: int) -> int:

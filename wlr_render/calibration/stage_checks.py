@@ -99,8 +99,8 @@ def _scales(stage: StageFit) -> list[Check]:
         checks.append(
             Check(
                 STEP,
-                f"travel along axis {'xyz'[axis]} by the board's pitch, per reading",
-                length,
+                f"travel along axis {'xyz'[axis]} by the board's pitch over the reading, less 1",
+                length - 1.0,
                 sigma,
                 _SCALE,
                 _scale_sentence("xyz"[axis], length, ok),

@@ -1,7 +1,8 @@
 """Dots of the target that were found beside their place: cut by an aperture's edge, or half hidden.
 
 Through the optics every dot is seen a little aside of the straight line to it, by an amount that varies smoothly over a
-photograph. A dot that does not follow its photograph's smooth field is a stray.
+photograph. A dot that does not follow its photograph's smooth field is a stray; so is one that is stated to be far less
+sure than the others, since a dot that is cut looks so.
 """
 
 import numpy as np
@@ -17,6 +18,7 @@ BoolArray = NDArray[np.bool_]
 _TOP_DEGREE = 4
 _DOTS_PER_TERM = 8
 _SIGMAS, _LEAST_ARCMIN = 8.0, 0.3  # a stray is off by more than both
+_LEAST_SURE = 5.0  # times the median standard deviation of the photograph's dots
 _ROUNDS = 10  # strays bend the field that they are judged by: the worst go first
 _AT_ONCE = 3.0  # what is this much less off than the worst waits for the next round
 _MAD = 1.4826  # median absolute deviation to standard deviation
@@ -30,7 +32,10 @@ def follow_their_photograph(captures: SeeThroughCaptures, photograph: NDArray[np
     follows = np.ones(len(captures), dtype=bool)
     for one in np.unique(photograph):
         rows = np.flatnonzero(photograph == one)
-        follows[rows] = _smooth(seen[rows], aside[rows])
+        sigma = captures.sigma_arcmin[rows]
+        sure = rows[sigma <= _LEAST_SURE * np.median(sigma)]
+        follows[rows] = False
+        follows[sure] = _smooth(seen[sure], aside[sure])
     return follows
 
 

@@ -131,10 +131,12 @@ def _camera_keys(table: Table, root: Path) -> SessionCamera:
     if not 8 <= bits <= 16:
         raise table.fail(f"'bits' is {bits}; it must be 8 to 16.")
     if table.has("intrinsics") == table.has("focal_px"):
-        raise table.fail("give either 'intrinsics', a folder of pictures of the board, or 'focal_px' and 'centre_px'.")
+        raise table.fail(
+            "give either 'intrinsics', a folder of pictures of the board, or 'focal_px' and 'opencv_centre_px'."
+        )
     if table.has("intrinsics"):
         return SessionCamera(size, bits, intrinsics=tuple(photographs_in(root / table.text("intrinsics"))))
-    focal, centre = table.vector("focal_px", 2), table.vector("centre_px", 2)
+    focal, centre = table.vector("focal_px", 2), table.vector("opencv_centre_px", 2)
     if np.any(focal <= 0):
         raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
     distortion = table.vector("distortion", 5, [0.0] * 5)
@@ -263,6 +265,6 @@ def _written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
     known = camera.known
     return keys | {
         "focal_px": known.focal_px.tolist(),
-        "centre_px": (known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
+        "opencv_centre_px": (known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
         "distortion": known.distortion.tolist(),
     }

@@ -30,7 +30,7 @@ def read_photograph(path: str | Path) -> Photograph:
         BadPhotographError: the file is no picture, or is cut short.
     """
     if not Path(path).is_file():
-        raise BadInputError(f"{path}: there is no such photograph.")
+        raise BadInputError(f"{path}: there is no such photograph; take it, or correct its name.")
     image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise BadPhotographError(f"{path}: cannot be read as a picture; take it again, or leave it out.")
@@ -53,7 +53,10 @@ def check_photograph(image: Photograph, size_px: tuple[int, int], full_scale: in
             "check its 'bits'."
         )
     if (width, height) != tuple(size_px):
-        raise BadInputError(f"{name}: is {width} x {height} pixels, but its camera has {size_px[0]} x {size_px[1]}.")
+        raise BadInputError(
+            f"{name}: is {width} x {height} pixels, but its camera has {size_px[0]} x {size_px[1]}; "
+            "take it again, or correct the camera's size."
+        )
     dark, bright = np.percentile(image, [5, 95])
     if image.max() > full_scale:
         raise BadInputError(

@@ -1,6 +1,7 @@
 """Verbs that fit models to captures, and explain what was measured."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,9 +62,11 @@ def _calibrate_photographs(args: argparse.Namespace, fit: "FitOptions") -> None:
     for table in told.tables:
         print_table(table)
     print("Written: " + ", ".join(str(path) for path in told.files))
+    for name, reason in result.left_out:
+        print(f"wlr-render: set aside {name}: {reason}", file=sys.stderr)
     if result.faults:
         raise BadInputError(
-            f"{args.session}: results are without {len(result.faults)} faulty item(s): " + "; ".join(result.faults)
+            f"{args.session}: results are without {len(result.faults)} faulty item(s): {', '.join(result.faults)}."
         )
 
 

@@ -3,7 +3,6 @@
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,7 +96,7 @@ def of_another_device(session, options):
     ("spoil", "complaint"),
     [
         (not_simulated, "has no simulation.toml, so it is no simulated session"),
-        (without("model.json"), "model.json: cannot be read"),
+        (without("model.json"), "holds no model.json; run `wlr-render calibrate"),
         (without("station.json"), "`wlr-render calibrate` writes it"),
         (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),
         (lambda session, options: replace(options, depths_m=(0.05,)), "tracking_50mm.png"),
@@ -113,4 +112,4 @@ def test_the_command_line_ends_with_status_2(photo_session, tmp_path, capsys):
     calibration = ["--calibration", str(tmp_path / "none"), "--out", str(tmp_path / "verify")]
     assert main(["verify", str(photo_session.folder), *calibration]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"wlr-render: {Path(tmp_path / 'none' / 'model.json')}")
+    assert line.startswith(f"wlr-render: {tmp_path / 'none'}: holds no model.json; run")

@@ -84,8 +84,14 @@ class SessionCalibration:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Sentences about what is not as session.toml says; the results were made without it."""
-        return tuple(f"{each.name}: {each.reason}" for each in self.reading.set_aside if each.fault)
+        """Names of what is not as session.toml says; the results were made without it."""
+        return tuple(each.name for each in self.reading.set_aside if each.fault)
+
+    @property
+    def left_out(self) -> tuple[tuple[str, str], ...]:
+        """Name and reason of every photograph that the results were made without."""
+        read = [(each.name, each.reason) for each in self.reading.set_aside]
+        return (*read, *self.eyeball.poses.set_aside.items(), *self.tracking.poses.set_aside.items())
 
 
 def run(

@@ -118,13 +118,17 @@ class PanelTask:
     def do(self, store: Store) -> None:
         """Read the photographs and keep what they say."""
         paths = photographs_in(self.folder)
+        if len(paths) != (wanted := len(self.pattern.names())):
+            raise BadInputError(
+                f"holds {len(paths)} photographs, but the code has {wanted} pictures; give one photograph a picture."
+            )
         first = read_photograph(paths[0])
         # The first picture shows the panel white: what is wrong with it is wrong with all.
         check_photograph(first, self.size_px, self.decoding.full_scale, f"{self.name}/{paths[0].name}")
         decoded = self.pattern.decode(read_each(paths), self.decoding)
         samples = sample(decoded)
         if len(samples) == 0:
-            raise BadInputError("no camera pixel could be decoded; is the panel in the picture, and sharp enough?")
+            raise BadInputError(_why_nothing(decoded))
         store.keep(self.name, self._fingerprint(), _arrays(decoded, samples))
 
     def _fingerprint(self) -> str:
@@ -145,6 +149,18 @@ def do_task(work: tuple[Task, Store]) -> SetAside | None:
     except BadInputError as error:
         return SetAside(task.name, _without_name(error, task), fault=True)
     return None
+
+
+def _why_nothing(decoded: Decoded) -> str:
+    """What most of the camera's lit pixels were rejected for."""
+    counts = decoded.counts()
+    counts.pop(Rejection.DARK, None)
+    if not counts:
+        return "no camera pixel could be decoded: the panel's light is nowhere seen; is it in the picture?"
+    most = max(counts, key=lambda reason: counts[reason])
+    finer = " (stripes finer than a camera pixel? the code gray-fringes has wider ones)"
+    hint = finer if most == Rejection.UNSURE_BIT else ""
+    return f"no camera pixel could be decoded; most were rejected because {most.sentence}{hint}."
 
 
 def _without_name(error: BadInputError, task: Task) -> str:

@@ -55,8 +55,8 @@ def run(folder: str | Path, making: Making, workers: int | None = None, progress
     Raises:
         BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way.
     """
+    bench = making.build()  # what cannot be simulated is refused before a folder is made
     root = output_folder(folder)
-    bench = making.build()
     pattern = make_pattern(making.pattern, bench.optics.panel.pixels)
     if (root / making_file.FILE).is_file():
         if not making_file.same_making(making_file.load_making(root), making):

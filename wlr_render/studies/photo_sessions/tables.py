@@ -70,9 +70,7 @@ def _read_table(found: SessionCalibration) -> ReportTable:
 
 
 def _set_aside_table(found: SessionCalibration) -> ReportTable:
-    rows: list[list[Cell]] = [[each.name, each.reason] for each in found.reading.set_aside]
-    for lens in (found.eyeball, found.tracking):
-        rows += [[name, reason] for name, reason in lens.poses.set_aside.items()]
+    rows: list[list[Cell]] = [[name, reason] for name, reason in found.left_out]
     return ReportTable("Set aside", ["photograph", "reason"], rows)
 
 
@@ -126,8 +124,9 @@ def _poses_table(found: SessionCalibration) -> ReportTable:
         place = ", ".join(f"{1e3 * length:.3f}" for length in pose.b_from_a[:3, 3])
         turn, shift = (" / ".join(f"{one:.2g}" for one in sigma) for sigma in (pose.sigma_arcmin, pose.sigma_mm))
         rows.append([name, place, shift, turn])
-    columns = ["pose", "origin (mm, device frame)", "its sigma x / y / z (mm)", "sigma of rotation (arcmin)"]
-    return ReportTable("Poses in the device frame", columns, rows)
+    columns = ["pose", "origin (mm)", "its sigma x / y / z (mm)", "sigma of rotation about x / y / z (arcmin)"]
+    notes = ("Device frame with OpenXR's axes (x right, y up, z backward), whatever axes session.toml has.",)
+    return ReportTable("Poses in the device frame", columns, rows, notes)
 
 
 def _checks_table(found: SessionCalibration) -> ReportTable:
@@ -182,7 +181,9 @@ def _what_would_help(report: FitReport, noise_arcmin: float) -> str:
     needed = term_count(2, report.degree + 1)
     places = int(np.ceil(needed * FOLDS / (FOLDS - 1))) + 1  # so that enough are left when some are held out
     if report.viewpoints >= places:
-        return "-"
+        return (
+            f"noise is {cell_text(noise_arcmin)}', so the model is what limits it: photograph from more camera places"
+        )
     return (
         f"noise is {cell_text(noise_arcmin)}', so the model's degree is what limits it: N={report.degree + 1} needs "
         f"{places} camera places or more, here are {report.viewpoints}"

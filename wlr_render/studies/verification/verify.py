@@ -59,6 +59,11 @@ def run(options: Options, workers: int | None = None, progress: Progress = silen
             target is not seen where it stands.
     """
     bench = load_making(options.session).build()
+    if not (options.calibration / "model.json").is_file():
+        raise BadInputError(
+            f"{options.calibration}: holds no model.json; run `wlr-render calibrate {options.session} --out "
+            f"{options.calibration}` first, or name its folder with --calibration."
+        )
     model = load_eye_model(options.calibration / "model.json")
     models, station = model.mappings, load_station(options.calibration / "station.json")
     _refuse_another(options, (model.device, models.eye), station.eyeball_camera, bench)
