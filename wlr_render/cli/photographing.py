@@ -13,7 +13,7 @@ def _add_simulate(verbs: Verbs) -> None:
     parser.add_argument("--device", default="freeform40", help="a shipped device or a device file")
     parser.add_argument("--viewpoints", type=count, default=25, help="camera positions")
     parser.add_argument("--pattern", choices=("gray", "fringes", "gray-fringes"), default="gray-fringes", help="shown")
-    parser.add_argument("--camera", type=size, default=(1280, 1024), metavar="WxH", help="pixels of the eyeball camera")
+    parser.add_argument("--camera", type=size, default="1280x1024", metavar="WxH", help="pixels of the eyeball camera")
     parser.add_argument("--bits", type=int, choices=(8, 10, 12), default=8, help="of the eyeball camera")
     parser.add_argument("--pupil-mm", type=not_negative, default=0.5, help="diameter of its entrance pupil")
     parser.add_argument("--focus-m", type=not_negative, default=1.0, help="where it is focused")
@@ -157,7 +157,9 @@ def _add_code(parser: argparse.ArgumentParser, required: bool) -> None:
 
 def size(text: str) -> tuple[int, int]:
     """Width and height, e.g. 1920x1080."""
-    width, _, height = text.lower().partition("x")
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a width and a height, as in 1920x1080")
     return count(width), count(height)
 
 

@@ -1,5 +1,6 @@
 """simulation.toml: how the photographs of a simulated session were made."""
 
+import hashlib
 import shutil
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -70,13 +71,19 @@ def load_making(folder: Path) -> Making:
     return making
 
 
-def same_making(first: Making, second: Making) -> bool:
-    """Whether two make the same photographs, wherever their device file lies."""
-    if any(Path(making.device).suffix != ".toml" for making in (first, second)):
-        return first == second
-    one, other = (asdict(making) | {"device": None} for making in (first, second))
-    text = [Path(making.device).read_text(encoding="utf-8") for making in (first, second)]
-    return one == other and text[0] == text[1]
+def difference(first: Making, second: Making) -> str:
+    """What makes two sessions' photographs differ, in words, wherever a device file lies; empty if nothing does."""
+    one, other = (_flat(making) for making in (first, second))
+    return ", ".join(f"{key} {one[key]} there, {other[key]} here" for key in one if one[key] != other[key])
+
+
+def _flat(making: Making) -> dict[str, Any]:
+    content = asdict(making)
+    flat: dict[str, Any] = {key: value for key, value in content.items() if key != "bench"} | content["bench"]
+    if Path(making.device).suffix == ".toml":
+        digest = hashlib.sha256(Path(making.device).read_bytes()).hexdigest()[:8]
+        flat["device"] = f"a device file ({digest})"
+    return flat
 
 
 def _value(table: Table, name: str) -> Any:

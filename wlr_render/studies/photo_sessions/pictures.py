@@ -47,7 +47,7 @@ def draw_coverage(path: Path, found: SessionCalibration) -> Path:
     panel.set(xlabel="u (px)", ylabel="v (px)", title="panel positions decoded, all places together")
     for pose in np.unique(see_through.target_pose):
         tangents = tangents_of_dir(see_through.view_dir[see_through.target_pose == pose])
-        world.plot(*np.rad2deg(np.arctan(tangents)).T, ",", label=f"target pose {pose}")
+        world.plot(*np.rad2deg(np.arctan(tangents)).T, ".", markersize=1, label=f"target pose {pose}")
     seen = np.rad2deg(np.arctan(tangents_of_dir(display.view_dir)))
     low, high = seen.min(axis=0), seen.max(axis=0)
     world.plot(
@@ -108,6 +108,7 @@ def draw_degrees(path: Path, found: SessionCalibration) -> Path:
         tried = report.held_out_arcmin
         degrees = [entry.degree for entry in tried]
         drawn.errorbar(degrees, [entry.rms for entry in tried], [entry.standard_error for entry in tried], fmt="o-")
+        drawn.xaxis.get_major_locator().set_params(integer=True)
         drawn.axvline(report.degree, color="0.6", linestyle="--", label=f"in use: N={report.degree}")
         drawn.set(xlabel="degree N", ylabel="held-out rms (arcmin)", title=name)
         if tried:

@@ -59,8 +59,10 @@ def run(folder: str | Path, making: Making, workers: int | None = None, progress
     root = output_folder(folder)
     pattern = make_pattern(making.pattern, bench.optics.panel.pixels)
     if (root / making_file.FILE).is_file():
-        if not making_file.same_making(making_file.load_making(root), making):
-            raise BadInputError(f"{root}: holds a session that was simulated in another way; choose another folder.")
+        if apart := making_file.difference(making_file.load_making(root), making):
+            raise BadInputError(
+                f"{root}: holds a session that was simulated in another way ({apart}); choose another folder."
+            )
     elif (root / FILE).is_file():
         raise BadInputError(f"{root}: holds a session that was not simulated; choose another folder.")
     else:

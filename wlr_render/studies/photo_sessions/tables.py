@@ -65,7 +65,10 @@ def _read_table(found: SessionCalibration) -> ReportTable:
     sigma_px = float(np.median(np.concatenate([each.sigma_px for each in samples]))) if samples else None
     rows.append(["panel", len(session.display), len(samples), sum(len(each) for each in samples), sigma_px])
     columns = ["photographs of", "given", "read", "dots or samples", "noise of one (px)"]
-    notes = ("Dots: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",)
+    notes = (
+        "Dots: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",
+        "Dots beyond the panel's field, and dots that lie beside their place, are not fitted.",
+    )
     return ReportTable("What was read", columns, rows, notes)
 
 
