@@ -43,7 +43,7 @@ def test_a_session_made_in_another_way_is_refused(photo_session):
         replace(making, bench=replace(making.bench, seed=2)),
         replace(making, device="birdbath28"),
     ):
-        with pytest.raises(BadInputError, match=r"was simulated in another way \(\w+ .* there, .* here\); choose another folder"):
+        with pytest.raises(BadInputError, match=r"in another way \(\w+ .* there, .* here\); choose another"):
             simulate.run(photo_session.folder, other)
 
 
