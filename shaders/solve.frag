@@ -9,7 +9,6 @@ uniform vec3 viewpoint;
 uniform float behind_display_plane;  // metres from the base plane back to the viewpoint, along +z
 uniform float behind_see_through_plane;
 uniform bool viewpoint_inside;
-uniform float tolerance;  // of the residual, metres
 uniform mat3 camera_from_device;
 
 layout(location = 0) out vec4 bend;  // a, b, c, d
@@ -23,34 +22,41 @@ struct Root {
     vec2 point;
     vec2 tangents;
     bool solved;
-    int iterations;  // evaluations after the first
+    int iterations;  // evaluations of the polynomial
 };
 
-// Newton on p~ - viewpoint_xy - dz t(pixel, p~); steps that do not shrink the residual are halved. A start from
-// `tangents` of another frame that leads nowhere is followed by the cold one.
+// Newton on p~ - viewpoint_xy - dz t(pixel, p~); steps that do not shrink the residual are halved. The last step is
+// short enough for t to follow its slope, so that it costs no evaluation. A start from `tangents` of another frame that
+// leads nowhere is followed by the cold one.
+//
+// The loop tests at its head: left from within or at its end, llvmpipe would let a pixel go on with some values of the
+// turn in which it left and others of the turn in which the last of its neighbours did.
 Root solve(vec2 tangents, bool cold)
 {
-    vec2 base, step, residual;
+    vec2 base, advance;
     mat2 slope;
-    float size, size_at_base;
+    float size_at_base;
     Root root = Root(vec2(0.0), tangents, false, 0);
     int limit = cold ? MAX_ITERATIONS : 2 * MAX_ITERATIONS;
-    do {
+    while (!root.solved && root.iterations < limit) {
         if (root.iterations % MAX_ITERATIONS == 0) {
             base = viewpoint.xy + (root.iterations == 0 ? behind_display_plane * tangents : vec2(0.0));
-            step = vec2(0.0);
+            advance = vec2(0.0);
             size_at_base = INFINITE;
         }
-        root.point = base - step;
-        root.tangents = display(root.point, slope);
-        residual = root.point - viewpoint.xy - behind_display_plane * root.tangents;
-        size = length(residual);
-        root.solved = size <= tolerance;
+        vec2 point = base - advance;
+        vec2 tangents_at_point = display(point, slope);
+        vec2 residual = point - viewpoint.xy - behind_display_plane * tangents_at_point;
+        float size = length(residual);
         bool shrunk = size < size_at_base;
-        base = shrunk ? root.point : base;
-        step = shrunk ? inverse(mat2(1.0) - behind_display_plane * slope) * residual : 0.5 * step;
+        base = shrunk ? point : base;
+        advance = shrunk ? inverse(mat2(1.0) - behind_display_plane * slope) * residual : 0.5 * advance;
         size_at_base = shrunk ? size : size_at_base;
-    } while (!root.solved && ++root.iterations < limit);
+        root.solved = shrunk && length(advance) <= LAST_STEP_M;
+        root.point = point - advance;
+        root.tangents = tangents_at_point - slope * advance;
+        ++root.iterations;
+    }
     return root;
 }
 
@@ -58,7 +64,7 @@ void main()
 {
     vec2 pixel = gl_FragCoord.xy * panel_px_per_pixel;
     display_hold(pixel);
-    vec2 last = texelFetch(last_view_tangents, ivec2(gl_FragCoord.xy), 0).xy;
+    vec2 last = texture(last_view_tangents, gl_FragCoord.xy / vec2(textureSize(last_view_tangents, 0))).xy;
     bool cold = !has_last || any(isnan(last));
     Root root = solve(cold ? vec2(0.0) : last, cold);
 

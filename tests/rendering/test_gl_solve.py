@@ -108,7 +108,7 @@ def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, d
     solve.solve(viewpoint)
     warm = solve.solve(viewpoint + [1e-4, 0, 0])
     print(f"{device}: {cold_count:.2f} iterations from cold, {warm.read_iterations().mean():.2f} after 0.1 mm")
-    assert warm.read_iterations().mean() < 0.6 * cold_count
+    assert warm.read_iterations().mean() <= 0.55 * cold_count
     assert_same(warm.read(), cold_field)
 
 
@@ -121,7 +121,7 @@ def test_a_jump_of_the_viewpoint_is_recovered_in_one_solve(gl_context):
     exact = float64_field(eye, before + half)
     np.testing.assert_array_equal(after.read().status, exact.status)
     assert worst_arcmin(after.read(), exact) < 0.01
-    assert after.read_iterations().max() < MAX_ITERATIONS
+    assert after.read_iterations().max() <= 3
 
 
 def test_forgetting_makes_the_next_solve_the_first(gl_context):
@@ -129,7 +129,7 @@ def test_forgetting_makes_the_next_solve_the_first(gl_context):
     solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
     first = solve.solve(viewpoint)
     bend, iterations = first.read().bend, first.read_iterations()
-    assert (solve.solve(viewpoint).read_iterations() == 0).all()
+    assert (solve.solve(viewpoint).read_iterations() == 1).all()
     solve.forget()
     again = solve.solve(viewpoint)
     np.testing.assert_array_equal(again.read().bend, bend)
@@ -143,11 +143,13 @@ def test_a_start_that_leads_nowhere_is_followed_by_the_cold_one(gl_context, spoi
     cold = solve.solve(viewpoint)
     expected, iterations = cold.read(), cold.read_iterations()
     tangents = cold.read_view_tangents()
-    tangents[20:60, 30:70] = spoilt
+    every_other = np.s_[20:60:2, 31:70:2]  # what a pixel needs must not touch its neighbours
+    tangents[every_other] = spoilt
     cold.view_tangents.write(tangents)
     again = solve.solve(viewpoint)
-    lost = again.read_iterations()[20:60, 30:70]
-    np.testing.assert_array_equal(lost, iterations[20:60, 30:70] + (0 if np.isnan(spoilt) else MAX_ITERATIONS))
+    expected_count = np.ones_like(iterations)
+    expected_count[every_other] = iterations[every_other] + (0 if np.isnan(spoilt) else MAX_ITERATIONS)
+    np.testing.assert_array_equal(again.read_iterations(), expected_count)
     assert_same(again.read(), expected)
 
 
@@ -172,7 +174,7 @@ def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_warm(gl_conte
         solve.solve(np.array(viewpoint))
     again = solve.solve(at(eye, [0.6, 0.3, 0.9]))
     assert_same(again.read(), expected)
-    assert (again.read_iterations() == 0).all()
+    assert (again.read_iterations() == 1).all()
 
 
 def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):

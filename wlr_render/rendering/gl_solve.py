@@ -19,11 +19,10 @@ from wlr_render.rendering.ray_field import RayField
 from wlr_render.rendering.shader_polynomial import held_source, value_source
 
 MAX_ITERATIONS = 12
-"""From either start; a regular solve takes three from cold."""
-_TOLERANCE_M = 2e-8
-"""Of the residual: ten rounding units of a place in the base plane, and below 0.001' at 10 rad/m of pupil swim."""
-_TOLERANCE_TANGENT = 1e-6
-"""What the residual may have beside it for each metre from the base plane: the rounding of the tangents, 0.003'."""
+"""From either start; a regular solve takes two from cold."""
+LAST_STEP_M = 3e-6
+"""A Newton step in the base plane that ends the solve: t follows its slope over it to 1e-4 arcmin, for slopes that
+change by less than 6 rad/m in a millimetre; and a thousand times what float32 leaves of a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +35,7 @@ class GlSolvedField:
         device_from_camera: (3, 3) axes of `bend`.
         bend: RGBA32F, as `RayField.bend`; what `warp.frag` reads.
         view_tangents: RG32F, (tx, ty) of the view direction in the device frame; NaN where there is none.
-        status_and_iterations: RG8UI: `mappings.Status`, and polynomial evaluations after the first.
+        status_and_iterations: RG8UI: `mappings.Status`, and iterations.
     """
 
     context: gl.GlContext
@@ -85,7 +84,8 @@ class GlSolve:
         functions = held_source("display", self._display.forward) + value_source(
             "deviation", self._see_through.deviation
         )
-        constants = {status.name: int(status) for status in Status} | {"MAX_ITERATIONS": MAX_ITERATIONS}
+        constants: dict[str, float] = {status.name: int(status) for status in Status}
+        constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
         with context.drawing():
             self._solve = context.full_screen("solve.frag", "full_screen.vert", functions, **constants)
             self._bend = context.target(size_px, 4, "f4")
@@ -116,16 +116,14 @@ class GlSolve:
 
     def _set_uniforms(self, viewpoint: FloatArray) -> None:
         display, see_through, program = self._display, self._see_through, self._solve.program
-        behind_display_plane = -float(display.base_plane.depth_of(viewpoint))
         gl.set_uniforms(
             program,
             has_last=self._has_last,
             panel_px_per_pixel=tuple(display.panel.size_px / self._bend.size),
             viewpoint=tuple(viewpoint),
-            behind_display_plane=behind_display_plane,
+            behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
             behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),
             viewpoint_inside=self._in_eye_box(viewpoint),
-            tolerance=_TOLERANCE_M + _TOLERANCE_TANGENT * abs(behind_display_plane),
         )
         gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
 
