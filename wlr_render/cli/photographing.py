@@ -2,8 +2,12 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wlr_render.cli.options import Verbs, add_backend, add_eye, add_seed, count, new_verb, not_negative
+
+if TYPE_CHECKING:
+    from wlr_render.studies.verification import verify
 
 
 def _add_simulate(verbs: Verbs) -> None:
@@ -57,7 +61,17 @@ def _add_verify(verbs: Verbs) -> None:
         "arcminutes how far the drawn dots lie from the real ones"
     )
     parser = new_verb(verbs, "verify", _verify, text)
-    parser.add_argument("session", metavar="SESSION", type=Path, help="a simulated session: its bench is used again")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "session", metavar="SESSION", type=Path, nargs="?", help="a simulated session: its bench is used again"
+    )
+    source.add_argument(
+        "--pairs",
+        metavar="FOLDER",
+        type=Path,
+        help="photographs of your own instead: NAME_off.png, and NAME_on.png or NAME_on_METHOD.png from the same place",
+    )
+    parser.add_argument("--board", metavar="FILE", type=Path, help="with --pairs: the target's board.toml")
     parser.add_argument(
         "--calibration", type=Path, default=Path("out/calibrate"), help="folder of the results of `calibrate SESSION`"
     )
@@ -71,16 +85,27 @@ def _add_verify(verbs: Verbs) -> None:
 
 
 def _verify(args: argparse.Namespace) -> None:
+    from wlr_render.errors import BadInputError
     from wlr_render.studies.verification import verify
     from wlr_render.terminal import print_table, progress_bar
 
-    options = verify.Options(
-        args.session, args.calibration, args.out, args.viewpoints, tuple(args.depths_m), args.seed, args.backend
-    )
-    result = verify.run(options, args.workers, progress_bar)
+    if args.pairs is not None:
+        if args.board is None:
+            raise BadInputError("--board is missing: which board.toml is that of the target in the photographs?")
+        result = verify.run_pairs(args.pairs, args.board, args.calibration, args.out)
+    else:
+        result = verify.run(_verification(args), args.workers, progress_bar)
     for table in result.tables:
         print_table(table)
     print("Written: " + ", ".join(str(path) for path in result.files))
+
+
+def _verification(args: argparse.Namespace) -> "verify.Options":
+    from wlr_render.studies.verification import verify
+
+    return verify.Options(
+        args.session, args.calibration, args.out, args.viewpoints, tuple(args.depths_m), args.seed, args.backend
+    )
 
 
 def _add_board(verbs: Verbs) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.photographs import Photograph, read_photograph
 from wlr_render.files import written_whole
-from wlr_render.studies.verification.procedure import METHODS, Judged
+from wlr_render.studies.verification.judgement import Judged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,11 +21,12 @@ def draw_misalignment(path: Path, judged: Sequence[Judged]) -> Path:
     """Every photograph with an arrow from each real dot towards the drawn one, much enlarged; rows are methods."""
     from matplotlib.figure import Figure
 
-    places = list(dict.fromkeys((one.depth_m, one.viewpoint) for one in judged))
-    figure = Figure(figsize=(3.2 * len(places), 3.4 * len(METHODS)), layout="constrained")
-    axes = figure.subplots(len(METHODS), len(places), squeeze=False)
+    places = list(dict.fromkeys(one.place for one in judged))
+    methods = list(dict.fromkeys(one.method for one in judged))
+    figure = Figure(figsize=(3.2 * len(places), 3.4 * len(methods)), layout="constrained")
+    axes = figure.subplots(len(methods), len(places), squeeze=False)
     for one in judged:
-        drawn = axes[METHODS.index(one.method), places.index((one.depth_m, one.viewpoint))]
+        drawn = axes[methods.index(one.method), places.index(one.place)]
         photograph = read_photograph(one.off)
         drawn.imshow(photograph, cmap="gray", vmax=2.0 * float(photograph.max()), extent=_extent(photograph))
         drawn.set_xticks([])
@@ -39,8 +40,8 @@ def draw_misalignment(path: Path, judged: Sequence[Judged]) -> Path:
         )
         arrows.set_clim(0, 1)
         median = float(np.median(one.misalignment.arcmin))
-        drawn.set_title(f"{one.depth_m:g} m, viewpoint {one.viewpoint}: {median:.2f}'", fontsize=8)
-    for row, method in zip(axes, METHODS, strict=True):
+        drawn.set_title(f"{one.place.name}: {median:.2f}'", fontsize=8)
+    for row, method in zip(axes, methods, strict=True):
         row[0].set_ylabel(method)
     figure.suptitle("From each real dot to the drawn one, 50 times enlarged; yellow is 1' and more", fontsize=9)
     return _save(path, figure)
@@ -50,7 +51,7 @@ def draw_close_up(path: Path, judged: Sequence[Judged]) -> Path:
     """The middle of the first place's photographs: display off, display on, and one over the other."""
     from matplotlib.figure import Figure
 
-    first = [one for one in judged if (one.depth_m, one.viewpoint) == (judged[0].depth_m, judged[0].viewpoint)]
+    first = [one for one in judged if one.place == judged[0].place]
     figure = Figure(figsize=(9.6, 3.4 * len(first)), layout="constrained")
     axes = figure.subplots(len(first), 3, squeeze=False)
     for row, one in zip(axes, first, strict=True):

@@ -17,7 +17,6 @@ from wlr_render.calibration.station_file import SavedStation
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeMappings
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
@@ -27,34 +26,14 @@ from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
 from wlr_render.studies.photo_sessions.shots import BoardShot, PanelShots, Place, take
 from wlr_render.studies.processes import as_finished
 from wlr_render.studies.progress import Progress
+from wlr_render.studies.verification import judgement
+from wlr_render.studies.verification.judgement import Judged
 from wlr_render.studies.verification.target_scene import target_scene
 
 FloatArray = NDArray[np.float64]
 
 METHODS = ("raster + warp", "ray traced")
 _SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not be jagged
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """One target distance, viewpoint and way of drawing.
-
-    Attributes:
-        depth_m: of the target.
-        viewpoint: its number.
-        method: one of `METHODS`.
-        off, on: the photographs.
-        misalignment: of their dots; None where one of them shows too little.
-        complaint: why not, else empty.
-    """
-
-    depth_m: float
-    viewpoint: int
-    method: str
-    off: Path
-    on: Path
-    misalignment: PairMisalignment | None
-    complaint: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,16 +130,11 @@ def judge(
     bench: PhotoBench, camera: LensCamera, depth_m: float, viewpoint: int, shown: NDArray[np.bool_], folder: Path
 ) -> Iterator[Judged]:
     """Match the dots of one place's photographs, of those that the panel can show whole: `shown` (rows, columns)."""
+    place = judgement.Place(f"{depth_m:g} m, viewpoint {viewpoint}", depth_m, viewpoint)
     off = off_path(folder, depth_m, viewpoint)
     shots = PanelShots(on_folder(folder, depth_m, viewpoint), _Frames(METHODS, ()))
     for method, on in zip(METHODS, shots.paths(), strict=True):
-        try:
-            real, virtual = (find_board(read_photograph(path), bench.board, path.name) for path in (off, on))
-        except BadInputError as error:
-            yield Judged(depth_m, viewpoint, method, off, on, None, str(error))
-            continue
-        whole = virtual.only(shown[virtual.index[:, 1], virtual.index[:, 0]])
-        yield Judged(depth_m, viewpoint, method, off, on, pair_misalignment(real, whole, camera))
+        yield judgement.judge_pair(place, method, (off, on), bench.board, camera, shown)
 
 
 def off_path(folder: Path, depth_m: float, viewpoint: int) -> Path:

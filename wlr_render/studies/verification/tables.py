@@ -6,29 +6,30 @@ import numpy as np
 
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.report import Cell, ReportTable
-from wlr_render.studies.verification.procedure import METHODS, Judged
+from wlr_render.studies.verification.judgement import Judged
 
 _COLUMNS = ("dots", "median (arcmin)", "rms (arcmin)", "p95 (arcmin)", "max (arcmin)", "noise of a dot (arcmin)")
 
 
 def misalignment_tables(judged: Sequence[Judged], models: str) -> tuple[ReportTable, ReportTable]:
-    """Over everything, by method; and one row for each target distance, viewpoint and method."""
-    overall = [
-        [method, *_figures([one for one in judged if one.method == method])]
-        for method in METHODS
-        if any(one.method == method for one in judged)
-    ]
-    each = [[one.depth_m, one.viewpoint, one.method, *_figures([one]), one.complaint or None] for one in judged]
+    """Over everything, by method; and one row for each place (target distance and viewpoint) and method."""
+    methods = list(dict.fromkeys(one.method for one in judged))
+    overall = [[method, *_figures([one for one in judged if one.method == method])] for method in methods]
+    known = all(one.place.depth_m is not None for one in judged)
+    head = ("target (m)", "viewpoint") if known else ("photographs",)
+    each = [[*_where(one, known), one.method, *_figures([one]), one.complaint or None] for one in judged]
     notes = (
         "Angle at the camera between a dot of the real target and the same dot as drawn, from two photographs.",
         "Noise of a dot: standard deviation per axis that the noise of both photographs alone makes.",
     )
     return (
         ReportTable(f"Misalignment from photographs, {models}", ("method", *_COLUMNS), overall, notes),
-        ReportTable(
-            "By target distance and viewpoint", ("target (m)", "viewpoint", "method", *_COLUMNS, "complaint"), each
-        ),
+        ReportTable("By target distance and viewpoint", (*head, "method", *_COLUMNS, "complaint"), each),
     )
+
+
+def _where(one: Judged, known: bool) -> list[Cell]:
+    return [one.place.depth_m, one.place.viewpoint] if known else [one.place.name]
 
 
 def _figures(judged: Sequence[Judged]) -> list[Cell]:

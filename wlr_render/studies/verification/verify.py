@@ -1,5 +1,6 @@
 """The on-device experiment from its photographs: options in, tables and pictures out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from wlr_render.simulation.viewpoints import random_in_eye_box
 from wlr_render.studies.photo_sessions.making import load_making
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.studies.verification import pictures, procedure
+from wlr_render.studies.verification.judgement import Judged
+from wlr_render.studies.verification.pairs import judge_pairs
 from wlr_render.studies.verification.shown_dots import wholly_shown
 from wlr_render.studies.verification.tables import misalignment_tables
 
@@ -97,8 +100,21 @@ def run(options: Options, workers: int | None = None, progress: Progress = silen
             photographs,
         )
     ]
-    tables = misalignment_tables(judged, models.name)
-    context = {"session": str(options.session), "models": models.name, "seed": options.seed}
+    return _write(folder, judged, models.name, session=str(options.session), models=models.name, seed=options.seed)
+
+
+def run_pairs(pairs: Path, board: Path, calibration: Path, out: Path) -> Result:
+    """Judge pairs of photographs that a lab has taken; writes what `run` writes.
+
+    Raises:
+        BadInputError: as `judge_pairs`.
+    """
+    judged = judge_pairs(pairs, board, calibration)
+    return _write(output_folder(out), judged, pairs.name, photographs=str(pairs), calibration=str(calibration))
+
+
+def _write(folder: Path, judged: Sequence[Judged], what: str, **context: object) -> Result:
+    tables = misalignment_tables(judged, what)
     files = [
         write_text(folder / "verification.md", "\n".join(table.markdown() for table in tables)),
         write_text(folder / "verification.json", tables_as_json(tables, **context)),
