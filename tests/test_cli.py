@@ -8,18 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import refused
 
 from wlr_render.cli import main
 from wlr_render.errors import MissingGlError
 from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import resource
 from wlr_render.rendering import gl
-from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.studies import alignment_demo, bench, render_sequence, sampling_study, trace_device
 from wlr_render.studies.diagnosis_trials import study
-from wlr_render.studies.photo_sessions import simulate
-from wlr_render.studies.photo_sessions.making import Making
-from wlr_render.studies.verification import verify
 
 VERBS = (
     "demo",
@@ -178,18 +175,6 @@ FAULTS = {
     "unknown experiment": (lambda f: ["evaluate", "--experiment", "densty"], "densty"),
     "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: cannot be read"),
 }
-
-
-def refused(arguments, capsys):
-    """The one line in which a command says no."""
-    status = main(arguments)
-    printed = capsys.readouterr()
-    assert status == 2
-    lines = printed.err.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("wlr-render: ")
-    assert "Traceback" not in printed.out + printed.err
-    return lines[0]
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -381,79 +366,6 @@ def test_the_judge_of_the_diagnosis_is_a_bench_too(monkeypatch, capsys):
     assert main(["bench", "diagnosis", "--trials", "3", "--seed", "4", "--workers", "1", "--out", "there"]) == 0
     assert given == [study.Options(3, 4, 1, Path("there"))]
     assert "A title" in capsys.readouterr().out
-
-
-# Photographs.
-
-
-def test_simulate_and_verify_options_reach_their_jobs(monkeypatch, capsys):
-    given = []
-    simulated = simulate.Simulated(Path("there"), 7, 3)
-    verified = verify.Result((TABLE,), (Path("out/verify/verification.md"),))
-    monkeypatch.setattr(simulate, "run", lambda *arguments: given.append(arguments[:3]) or simulated)
-    monkeypatch.setattr(verify, "run", lambda *arguments: given.append(arguments[:2]) or verified)
-    chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
-    bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20", "--stage-error-um", "0"]
-    depths = ["--depths-m", "0.5", "0.8", "2"]
-    assert main(["simulate", "there", *chosen, *bench_options, *depths, "--seed", "4", "--workers", "1"]) == 0
-    assert main(["verify", "there", *depths, "--viewpoints", "3", "--seed", "5", "--backend", "cpu"]) == 0
-    made_of = PhotoBenchOptions((640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 0.0, 4)
-    assert given[0] == (Path("there"), Making("northstar", "left", 6, "gray", made_of), 1)
-    expected = verify.Options(Path("there"), Path("out/calibrate"), Path("out/verify"), 3, (0.5, 0.8, 2.0), 5, "cpu")
-    assert given[1] == (expected, None)
-    printed = capsys.readouterr().out
-    assert "7 photographs taken, 3 kept from an earlier run: there" in printed
-    assert "Next: wlr-render calibrate there" in printed
-    assert "A title" in printed
-
-
-def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsys):
-    small = ["--columns", "8", "--rows", "7", "--pitch-mm", "10", "--dpi", "100"]
-    assert main(["board", *small, "--out", str(tmp_path / "out")]) == 0
-    printed = capsys.readouterr().out.split()
-    assert [Path(name).name for name in printed] == ["board.svg", "board.png", "board.toml"]
-    assert all(Path(name).is_file() for name in printed)
-    assert "pitch_mm = 10.0" in (tmp_path / "out" / "board.toml").read_text()
-
-
-@pytest.mark.parametrize("code", ["gray", "fringes", "gray-fringes"])
-def test_pictures_of_a_code_taken_for_photographs_decode_to_themselves(code, tmp_path, capsys):
-    panel = ["--panel", "160x100", "--pattern", code]
-    assert main(["pattern", *panel, "--out", str(tmp_path / "shown")]) == 0
-    assert "to show them, open" in capsys.readouterr().out
-    assert main(["decode", str(tmp_path / "shown"), *panel, "--out", str(tmp_path / "out")]) == 0
-    assert "Written: " in capsys.readouterr().out
-    decoded = np.load(tmp_path / "out" / "decoded.npz")
-    accepted = decoded["rejection"] == 0
-    assert accepted.mean() > 0.9
-    centres = np.stack(np.meshgrid(np.arange(160) + 0.5, np.arange(100) + 0.5), axis=-1)
-    assert np.abs(decoded["pixel"] - centres)[accepted].max() < 0.02
-
-
-PHOTOGRAPH_FAULTS = {
-    "no session": (lambda f: ["calibrate", str(f)], "has no session.toml"),
-    "no simulated session": (lambda f: ["verify", str(f)], "has no simulation.toml"),
-    "no panel": (lambda f: ["decode", str(f)], "--panel is missing"),
-    "no photographs": (lambda f: ["decode", str(f), "--panel", "64x40"], "holds no photographs"),
-    "no folder": (lambda f: ["decode", str(f / "none"), "--panel", "64x40"], "there is no such folder"),
-    "no dots": (lambda f: ["board", "--columns", "1", "--rows", "1"], "take at least 5 x 5"),
-}
-
-
-@pytest.mark.parametrize("fault", PHOTOGRAPH_FAULTS)
-def test_what_cannot_be_done_with_photographs_is_told_in_one_line(fault, tmp_path, capsys):
-    make, sentence = PHOTOGRAPH_FAULTS[fault]
-    (tmp_path / "here").mkdir()
-    assert sentence in refused([*make(tmp_path / "here"), "--out", str(tmp_path / "out")], capsys)
-    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
-
-
-@pytest.mark.parametrize("size", ["1920", "1920x", "0x1080", "wide x high"])
-def test_sizes_that_make_no_sense_are_refused_by_the_parser(size, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["pattern", "--panel", size])
-    assert left.value.code == 2
-    assert "argument --panel" in capsys.readouterr().err
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
