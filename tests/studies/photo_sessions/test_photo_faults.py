@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 
 import numpy as np
@@ -213,6 +214,18 @@ def test_poses_that_contradict_each_other_stop_before_the_fit(photo_session, cap
     assert step in line
     assert not (photo_session.out / "model.json").exists()
     assert kept(photo_session).keys() == before.keys()
+
+
+def test_a_tracking_camera_placed_wrongly_puts_the_cameras_far_from_the_eye_box(photo_session):
+    photo_session.edit(
+        lambda content: content["tracking_camera"].update(
+            translation_mm=[10 * length for length in content["tracking_camera"]["translation_mm"]]
+        )
+    )
+    sentence = photo_session.refusal()
+    assert re.search(
+        r"the camera places lie \(.*\) mm .* from the middle of \[eye_box\]; check \[tracking_camera\]", sentence
+    )
 
 
 # What session.toml may not say.
