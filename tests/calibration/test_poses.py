@@ -1,10 +1,19 @@
 import numpy as np
 import pytest
 
-from wlr_render.calibration.poses import ARCMIN, Pose, mean_of, motion_between, small_motion
+from wlr_render.calibration.poses import ARCMIN, Pose, mean_of_dependent, motion_between, small_motion
 from wlr_render.geometry import transforms
 
 DRAWS = 20_000
+
+
+def mean_of(poses):
+    """Of measurements that have nothing to do with each other."""
+    joint = np.zeros((len(poses), 6, len(poses), 6))
+    for i, pose in enumerate(poses):
+        joint[i, :, i] = pose.covariance
+    flat = joint.reshape(6 * len(poses), 6 * len(poses))
+    return mean_of_dependent(np.array([pose.b_from_a for pose in poses]), flat)
 
 
 def some_covariance(rng, size=1e-3):

@@ -32,6 +32,14 @@ def test_dots_that_are_off_are_found_and_no_others():
     assert np.array_equal(follow_their_photograph(spoilt, photograph), ~off)
 
 
+def test_dots_that_are_stated_to_be_unsure_are_left_out():
+    captures = see_through()
+    photograph = captures.target_pose * 10 + captures.capture
+    unsure = np.random.default_rng(4).random(len(captures)) < 0.05
+    sigma = np.where(unsure, 8.0, 1.0) * captures.sigma_arcmin
+    assert np.array_equal(follow_their_photograph(replace(captures, sigma_arcmin=sigma), photograph), ~unsure)
+
+
 def test_a_photograph_of_few_dots_is_not_judged():
     captures = see_through()
     photograph = np.arange(len(captures)) // 5

@@ -54,3 +54,17 @@ def test_a_picture_without_accepted_pixels_gives_no_samples():
     rejection = np.full_like(empty.rejection, Rejection.DARK)
     pixel = np.full_like(empty.pixel, np.nan)
     assert len(sample(Decoded(pixel, empty.sigma_px, empty.confidence, rejection))) == 0
+
+
+def test_the_rim_of_what_is_accepted_is_not_used():
+    """Beside the panel's edge blur mixes in what is dark, and positions are drawn inwards."""
+    clean = decoded_plane(0.3)
+    rejection = np.zeros_like(clean.rejection)
+    rejection[:, 100:] = Rejection.DARK
+    pixel = clean.pixel.copy()
+    pixel[:, 98:100] -= 1.0  # too little to be a stray
+    samples = sample(Decoded(pixel, clean.sigma_px, clean.confidence, rejection), count=2000)
+    error = samples.panel_pixel - truth(samples.camera_pixel)
+    beside = samples.camera_pixel[:, 0] > 90
+    assert beside.sum() > 50
+    assert np.abs(error[beside].mean(axis=0)).max() < 0.03

@@ -32,7 +32,7 @@ class Moved:
     """A capture that is off.
 
     Attributes:
-        group: its number, in the order of the captures' numbers.
+        group: the number by which it was grouped.
         arcmin: by how much, on average over all it saw.
     """
 
@@ -41,7 +41,7 @@ class Moved:
 
 
 def moved_display(captures: DisplayCaptures) -> list[Moved]:
-    """Captures of the panel that do not fit the others, the worst first; none where there are too few to tell."""
+    """Captures of the panel that do not fit the others; none where there are too few to tell."""
 
     def errors(kept: DisplayCaptures, left_out: DisplayCaptures, degree: int) -> FloatArray:
         model, _ = fit_display(kept, "planar", degree)
@@ -51,7 +51,7 @@ def moved_display(captures: DisplayCaptures) -> list[Moved]:
 
 
 def moved_see_through(captures: SeeThroughCaptures, photograph: IntArray) -> list[Moved]:
-    """Photographs of the target that do not fit the others, the worst first; (n,) `photograph` numbers each row's."""
+    """Photographs of the target that do not fit the others; (n,) `photograph` numbers each row's."""
 
     def errors(kept: SeeThroughCaptures, left_out: SeeThroughCaptures, degree: int) -> FloatArray:
         model, _ = fit_see_through(kept, "planar", degree)

@@ -5,7 +5,6 @@ translation (m), so that the true pose is `small_motion(delta) @ b_from_a` with 
 T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the translation first.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,15 +96,6 @@ class PoseMean:
     pose: Pose
     weights: FloatArray
     chi_square: float
-
-
-def mean_of(poses: Sequence[Pose]) -> PoseMean:
-    """Mean of one or more independent measurements b_from_a, weighted by their covariances."""
-    count = len(poses)
-    joint = np.zeros((count, 6, count, 6))
-    for i, pose in enumerate(poses):
-        joint[i, :, i] = pose.covariance
-    return mean_of_dependent(np.array([pose.b_from_a for pose in poses]), joint.reshape(6 * count, 6 * count))
 
 
 def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:

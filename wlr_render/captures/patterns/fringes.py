@@ -74,7 +74,7 @@ class _Hierarchy:
             noise.add(reading.steady, light.lit)
             about, position = position, nearest(fringe, reading, position)
             apart = np.abs(position - about) > _FAR * fringe.period_px
-            check_agreement(apart, light.lit & (reading.evidence > 0), shots, first)
+            check_agreement(apart & (reading.evidence > 0), light.lit, shots, first)
             contradiction |= apart
             evidence = np.minimum(evidence, reading.evidence)
         return AxisReading(

@@ -75,7 +75,7 @@ class _NumberedFringes:
         middle = np.asarray((code.cell + 0.5) * self._cell_px, dtype=np.float64)
         position = nearest(self.fringe, phase, middle)
         apart = np.abs(position - middle) > _FAR * self.fringe.period_px
-        check_agreement(apart, light.lit & (phase.evidence > 0), shots, first)
+        check_agreement(apart & (phase.evidence > 0), light.lit, shots, first)
         bits_are_weaker = code.evidence < phase.evidence
         return AxisReading(
             position=position,

@@ -109,7 +109,7 @@ def run(
         folder: that holds session.toml.
         out: for the results.
         options: which models to fit.
-        workers: processes that read photographs, or None for one per core.
+        workers: processes that read photographs; None as in `read_session`.
         progress: shows how far the reading is.
 
     Raises:

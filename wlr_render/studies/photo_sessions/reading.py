@@ -51,7 +51,7 @@ def read_session(
     Args:
         session: names them.
         store: where what was read is kept, and found again.
-        workers: processes, or None for one per core.
+        workers: processes, or None for one per core, but not more than memory allows.
         progress: shows how far the work is.
     """
     panel_tasks, board_tasks = list(_panel_tasks(session)), list(_board_tasks(session))

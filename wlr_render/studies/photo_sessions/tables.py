@@ -27,7 +27,7 @@ def headline(found: SessionCalibration) -> str:
     )
     return (
         f"{len(found.reading.boards)} photographs of the board and {len(found.reading.panels)} sets of the panel read, "
-        f"{len(found.reading.set_aside)} set aside; display N={fit.display.degree} fits to "
+        f"{len(found.left_out)} set aside; display N={fit.display.degree} fits to "
         f"{fit.display.residual_arcmin.rms:.2f}' rms, see-through N={fit.see_through.degree} to "
         f"{fit.see_through.residual_arcmin.rms:.2f}'; {warned}."
     )
