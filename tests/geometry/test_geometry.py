@@ -76,3 +76,14 @@ def test_pinhole_covers_and_round_trips_with_v_down():
     np.testing.assert_allclose(camera.tangents_of_pixel(pixel), tangents[:2], atol=1e-14)
     np.testing.assert_allclose(camera.focal_px, 1000.0)
     np.testing.assert_allclose(camera.pixel_of_tangents(camera.pixel_centre_tangents())[3, 7], [7.5, 3.5], atol=1e-10)
+
+
+def test_between_two_poses_the_turn_and_the_way_are_even():
+    first = transforms.rigid(transforms.rotation_about("y", 0.3), np.array([1.0, 2.0, 3.0]))
+    turn = transforms.rotations_of_vectors(np.array([0.02, -0.5, 0.9]))
+    last = transforms.rigid(first[:3, :3] @ turn, np.array([1.5, 1.0, 3.0]))
+    poses = transforms.between(first, last, np.linspace(0, 1, 5))
+    np.testing.assert_allclose(poses[[0, -1]], [first, last], atol=1e-12)
+    steps = transforms.inverse(poses[:-1]) @ poses[1:]
+    np.testing.assert_allclose(steps[:, :3, :3], np.broadcast_to(steps[0, :3, :3], (4, 3, 3)), atol=1e-12)
+    np.testing.assert_allclose(np.diff(poses[:, :3, 3], axis=0), np.tile([0.125, -0.25, 0.0], (4, 1)), atol=1e-12)

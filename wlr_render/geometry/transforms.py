@@ -3,6 +3,7 @@
 A transform is named by what it does: `point_in_world = apply(world_from_device, point_in_device)`.
 """
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,3 +87,13 @@ def slerp(first_xyzw: FloatArray, second_xyzw: FloatArray, fraction: FloatArray)
     b = np.where(small, fraction, np.sin(fraction * half) / safe)
     mixed = a[..., None] * first_xyzw + b[..., None] * second
     return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
+
+
+def between(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Rigid transforms (n, 4, 4) on the way from one (4, 4) to another, at `fraction` (n,) of it.
+
+    Turned at a constant rate about one axis, the short way, and moved along a straight line.
+    """
+    vector, _ = cv2.Rodrigues(first[:3, :3].T @ last[:3, :3])
+    turned = first[:3, :3] @ rotations_of_vectors(fraction[:, None] * vector[:, 0])
+    return rigid(turned, first[:3, 3] + fraction[:, None] * (last[:3, 3] - first[:3, 3]))

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.covering import covering_camera
 from wlr_render.rendering.rasteriser import Rasteriser
-from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, asked_tangents, choose_plan, ray_field
+from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
@@ -131,7 +132,7 @@ class WarpedPainter:
         self._mappings = mappings
         self._rasteriser = rasteriser
         self._plan = choose_plan(mappings)
-        self._camera = covering_camera(mappings, self._plan, resolution)
+        self._camera = covering_camera((mappings,), self._plan.device_from_camera, resolution)
 
     @property
     def camera(self) -> Pinhole:
@@ -195,19 +196,6 @@ def source_of_position(view: View, position: Float32Array) -> Float32Array:
     inverse = -1.0 / in_camera[..., 2]
     pixel = view.camera.pixel_of_tangents(in_camera[..., :2] * inverse[..., None])
     return np.concatenate([pixel, inverse[..., None]], axis=-1).astype(np.float32)
-
-
-def covering_camera(mappings: EyeMappings, plan: FieldPlan, resolution: float) -> Pinhole:
-    """The raster field that the warp will ask for, found from the mappings at the corners of the eye box.
-
-    It has `resolution`^2 times as many pixels as the panel, square in tangents.
-    """
-    box, panel = mappings.eye_box, mappings.display.panel
-    corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-    axes = plan.device_from_camera
-    tangents = np.concatenate([asked_tangents(mappings, axes, box.at(unit)) for unit in [np.zeros(3), *corners]])
-    area = np.prod(np.nanmax(tangents, axis=0) - np.nanmin(tangents, axis=0))
-    return Pinhole.covering(tangents, resolution * float(np.sqrt(panel.width_px * panel.height_px / area)))
 
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:
