@@ -168,3 +168,11 @@ def test_colour_and_geometry_agree_with_the_cpu_path(gl_context):
 def test_an_unknown_buffer_is_refused_in_a_sentence(gl_context):
     with pytest.raises(BadInputError, match="There is no buffer 'depth'; ask for some of position, normal, ids"):
         GlRaster(gl_context, unlit((cube(), at(0, 0, -2)))).draw(view(), ("depth",))
+
+
+def test_pictures_of_two_names_do_not_overwrite_each_other(gl_context):
+    raster = GlRaster(gl_context, unlit((cube(0.6), at(0, 0, -2))))
+    left, right = view(viewpoint=(-0.03, 0.0, 0.0)), view(viewpoint=(0.03, 0.0, 0.0))
+    pictures = [raster.draw_on_gpu(left, "left"), raster.draw_on_gpu(right, "right")]
+    for picture, eye in zip(pictures, (left, right), strict=True):
+        np.testing.assert_array_equal(picture.read().colour, raster.draw(eye).colour)

@@ -48,7 +48,7 @@ class GlRaster:
         self._scene = scene
         self._lamps = [light for light in scene.lights if light.kind == "point"]
         self._suns = [light for light in scene.lights if light.kind == "directional"]
-        self._targets: dict[bool, _Targets] = {}
+        self._targets: dict[tuple[bool, str], _Targets] = {}
         self._passes: dict[bool, _Pass] = {}
         with context.drawing():
             self._textures = [None if m.texture is None else context.srgb_texture(m.texture) for m in scene.meshes]
@@ -72,14 +72,14 @@ class GlRaster:
                 triangle=None if ids is None else np.ascontiguousarray(ids[..., 1]),
             )
 
-    def draw_on_gpu(self, view: View) -> GpuImage:
-        """Draw and leave the picture on the GPU; the next drawing of this object overwrites it."""
+    def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
+        """Draw and leave the picture on the GPU; the next drawing of the same name overwrites it."""
         with self._context.drawing():
-            textures = self._draw(view, with_extra=False)
+            textures = self._draw(view, with_extra=False, name=name)
         return GpuImage(self._context, view.camera, textures["colour"], textures["inverse_depth"])
 
-    def _draw(self, view: View, with_extra: bool) -> dict[str, gl.Texture]:
-        targets = self._targets_for(view, with_extra)
+    def _draw(self, view: View, with_extra: bool, name: str = "") -> dict[str, gl.Texture]:
+        targets = self._targets_for(view, with_extra, name)
         targets.framebuffer.use()
         # Only the depth matters here: the background is drawn last, at infinity, over what nothing has covered.
         targets.framebuffer.clear(depth=1.0)
@@ -111,9 +111,9 @@ class GlRaster:
             self._passes[with_extra] = _Pass(program, meshes, background)
         return self._passes[with_extra]
 
-    def _targets_for(self, view: View, with_extra: bool) -> _Targets:
+    def _targets_for(self, view: View, with_extra: bool, name: str) -> _Targets:
         size = view.camera.width_px, view.camera.height_px
-        old = self._targets.get(with_extra)
+        old = self._targets.get((with_extra, name))
         if old is not None and old.framebuffer.size == size:
             return old
         formats = {"colour": (4, "f1"), "inverse_depth": (1, "f4")} | (_EXTRA if with_extra else {})
@@ -121,7 +121,7 @@ class GlRaster:
         targets = _Targets(
             self._context.framebuffer(list(textures.values()), self._context.depth_target(size)), textures
         )
-        self._targets[with_extra] = targets
+        self._targets[with_extra, name] = targets
         return targets
 
     def _set_view(self, program: gl.Program, view: View) -> None:
