@@ -1,10 +1,11 @@
 #version 430
-// The world ray of each display pixel under a planar bundle; rendering/gl_solve.py has the words, and generates
+// The world ray of each point of a lattice on the panel under a planar bundle; rendering/gl_solve.py has the words, and generates
 // display_hold, display, display_contains, deviation and deviation_contains.
 
 uniform sampler2D last_view_tangents;
 uniform bool has_last;
-uniform vec2 panel_px_per_pixel;
+uniform vec2 first_px;  // panel position of the first point
+uniform vec2 step_px;
 uniform vec3 viewpoint;
 uniform float behind_display_plane;  // metres from the base plane back to the viewpoint, along +z
 uniform float behind_see_through_plane;
@@ -62,7 +63,7 @@ Root solve(vec2 tangents, bool cold)
 
 void main()
 {
-    vec2 pixel = gl_FragCoord.xy * panel_px_per_pixel;
+    vec2 pixel = first_px + step_px * (gl_FragCoord.xy - 0.5);
     display_hold(pixel);
     vec2 last = texture(last_view_tangents, gl_FragCoord.xy / vec2(textureSize(last_view_tangents, 0))).xy;
     bool cold = !has_last || any(isnan(last));

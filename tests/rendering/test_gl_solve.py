@@ -11,7 +11,7 @@ from wlr_render.mappings import Status
 from wlr_render.numerics.polynomial import Box
 from wlr_render.rendering.cpu_solve import CpuSolve
 from wlr_render.rendering.gl_solve import MAX_ITERATIONS, GlSolve
-from wlr_render.rendering.pixel_solve import pixel_centres_on_panel
+from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import NEAREST_M, middle_axes
 
 pytestmark = pytest.mark.gl
@@ -21,12 +21,17 @@ DEVICES = "northstar", "freeform40", "birdbath28"
 PLACES = [0, 0, 0], [1, 1, 1], [-1, 0.6, -1], [0.3, -1, 0.9]
 
 
+def picture(eye):
+    """The lattice of a picture of SIZE that covers the panel."""
+    return Lattice.of_pixels(eye.display.panel, SIZE)
+
+
 def gl_solve(context, eye):
-    return GlSolve(context, eye, SIZE, middle_axes(eye))
+    return GlSolve(context, eye, picture(eye), middle_axes(eye))
 
 
-def float64_field(eye, viewpoint):
-    return CpuSolve(eye, SIZE, middle_axes(eye)).solve(viewpoint).read()
+def float64_field(eye, viewpoint, lattice=None):
+    return CpuSolve(eye, lattice or picture(eye), middle_axes(eye)).solve(viewpoint).read()
 
 
 def at(eye, unit):
@@ -72,11 +77,23 @@ def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
             assert worst_arcmin(field, exact) < 0.01
 
 
+@pytest.mark.parametrize("make", [Lattice.edge_to_edge, lambda panel, *size: Lattice.of_pixels(panel, size)])
+def test_the_points_are_those_of_the_lattice(gl_context, make):
+    eye = fitted_eye("freeform40", 5)
+    lattice, viewpoint = make(eye.display.panel, 23, 31), at(eye, [0.4, -0.6, 0.8])
+    solved = GlSolve(gl_context, eye, lattice, middle_axes(eye)).solve(viewpoint)
+    exact = float64_field(eye, viewpoint, lattice)
+    np.testing.assert_array_equal(solved.read_status(), exact.status)
+    assert np.isfinite(exact.bend).all()
+    assert solved.lattice is lattice
+    np.testing.assert_allclose(solved.read_bend(), exact.bend, atol=2e-6)
+
+
 def test_view_tangents_are_those_of_the_display(gl_context):
     eye = fitted_eye("northstar", 3)
     viewpoint = at(eye, [0.5, -0.7, 1])
     solved = gl_solve(gl_context, eye).solve(viewpoint)
-    seen = eye.display.view_dir_of_pixel(pixel_centres_on_panel(eye.display.panel.size_px, SIZE), viewpoint)
+    seen = eye.display.view_dir_of_pixel(picture(eye).panel_pixel(), viewpoint)
     assert arcmin_between(dir_of_tangents(solved.read_view_tangents().astype(float)), seen.value).max() < 0.01
 
 
@@ -190,4 +207,4 @@ def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):
 
 def test_mappings_without_a_formula_are_refused(gl_context, toy_headset):
     with pytest.raises(BadInputError, match="toy: only planar models can be solved in a shader; use the node grid"):
-        GlSolve(gl_context, toy_headset, SIZE, np.eye(3))
+        GlSolve(gl_context, toy_headset, picture(toy_headset), np.eye(3))

@@ -194,6 +194,14 @@ def bind_textures(program: Program, **textures: Texture) -> None:
         set_uniforms(program, **{name: unit})
 
 
+def read_between_texels(texture: Texture) -> None:
+    """From now on shaders that sample the texture see values between its texels, bilinear.
+
+    The filter weights have 8 bits on some hardware and on llvmpipe: see `srgb_texture`.
+    """
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+
+
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
     """A texture as (height, width, components), or (height, width) if it has one component."""
     shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())

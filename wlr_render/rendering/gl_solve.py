@@ -1,9 +1,9 @@
-"""The solve of every display pixel on the GPU, for planar models: display forward, then see-through forward.
+"""The solve of every point of a lattice on the GPU, for planar models: display forward, then see-through forward.
 
-Each pixel finds the tangents t under which the viewpoint sees it from p~ = viewpoint_xy + dz t(pixel, p~), by Newton's
-method in float32. A frame starts from the last frame's t rather than from its p~: carried from the *new* viewpoint to
-the base plane along t, it misses p~ by dz times the change of t alone, which is small even after a saccade. Deviation
-and ray are a closed form of the solution.
+Each point, be it a display pixel or coarser, finds the tangents t under which the viewpoint sees it from
+p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t rather than
+from its p~: carried from the *new* viewpoint to the base plane along t, it misses p~ by dz times the change of t alone,
+which is small even after a saccade. Deviation and ray are a closed form of the solution.
 """
 
 from dataclasses import dataclass
@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, FloatArray, Status, planar_parts
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, FloatArray, Status, StatusArray, planar_parts
 from wlr_render.rendering import gl
+from wlr_render.rendering.gpu_field import SolvedGpuField
+from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.pixel_solve import checked_viewpoint
-from wlr_render.rendering.ray_field import RayField
 from wlr_render.rendering.shader_polynomial import held_source, value_source
 
 MAX_ITERATIONS = 12
@@ -26,37 +27,27 @@ change by less than 6 rad/m in a millimetre; and a thousand times what float32 l
 
 
 @dataclass(frozen=True, eq=False)
-class GlSolvedField:
-    """World rays of all pixels, as textures that the solver's next solves overwrite.
+class GlSolvedField(SolvedGpuField):
+    """A field with what else the shader found; the solver's next solves overwrite all of it.
 
     Attributes:
-        context: whose textures they are.
-        viewpoint_in_device: (3,) metres.
-        device_from_camera: (3, 3) axes of `bend`.
-        bend: RGBA32F, as `RayField.bend`; what `warp.frag` reads.
         view_tangents: RG32F, (tx, ty) of the view direction in the device frame; NaN where there is none.
         status_and_iterations: RG8UI: `mappings.Status`, and iterations.
     """
 
-    context: gl.GlContext
-    viewpoint_in_device: FloatArray
-    device_from_camera: FloatArray
-    bend: gl.Texture
     view_tangents: gl.Texture
     status_and_iterations: gl.Texture
 
-    def read(self) -> RayField:
-        """Fetch rays and status."""
-        bend = np.ascontiguousarray(np.moveaxis(self._read(self.bend, np.float32), -1, 0))
-        status = np.ascontiguousarray(self._read(self.status_and_iterations, np.uint8)[..., 0])
-        return RayField(self.viewpoint_in_device, self.device_from_camera, bend, status)
+    def read_status(self) -> StatusArray:
+        """See `SolvedGpuField`."""
+        return np.ascontiguousarray(self._read(self.status_and_iterations, np.uint8)[..., 0])
 
     def read_view_tangents(self) -> NDArray[np.float32]:
-        """Fetch the view tangents, (height, width, 2)."""
+        """Fetch the view tangents, (rows, columns, 2)."""
         return self._read(self.view_tangents, np.float32)
 
     def read_iterations(self) -> NDArray[np.uint8]:
-        """Fetch the iterations, (height, width)."""
+        """Fetch the iterations, (rows, columns)."""
         return np.asarray(self._read(self.status_and_iterations, np.uint8)[..., 1])
 
     def _read(self, texture: gl.Texture, dtype: Any) -> NDArray[Any]:
@@ -65,22 +56,22 @@ class GlSolvedField:
 
 
 class GlSolve:
-    """`PixelSolve` of one eye in a shader compiled for its models."""
+    """`GpuSolve` of one eye in a shader compiled for its models."""
 
     def __init__(
         self,
         context: gl.GlContext,
         mappings: EyeMappings,
-        size_px: tuple[int, int],
+        lattice: Lattice,
         device_from_camera: FloatArray,
     ) -> None:
-        """Prepare for (width, height) pixels that cover the panel, and for tangents in these axes (3, 3).
+        """Prepare for the points of a lattice on the mappings' panel, and for tangents in these axes (3, 3).
 
         Raises:
             BadInputError: the mappings are not planar models.
         """
         self._display, self._see_through = planar_parts(mappings)
-        self._context, self._device_from_camera = context, device_from_camera
+        self._context, self._lattice, self._device_from_camera = context, lattice, device_from_camera
         functions = held_source("display", self._display.forward) + value_source(
             "deviation", self._see_through.deviation
         )
@@ -88,14 +79,15 @@ class GlSolve:
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
         with context.drawing():
             self._solve = context.full_screen("solve.frag", "full_screen.vert", functions, **constants)
-            self._bend = context.target(size_px, 4, "f4")
-            self._status_and_iterations = context.target(size_px, 2, "u1")
+            self._bend = context.target(lattice.size, 4, "f4")
+            gl.read_between_texels(self._bend)
+            self._status_and_iterations = context.target(lattice.size, 2, "u1")
             # The shader reads one while it writes the other.
-            self._new, self._last = (self._tangents_target(size_px) for _ in range(2))
+            self._new, self._last = (self._tangents_target() for _ in range(2))
         self._has_last = False
 
-    def _tangents_target(self, size_px: tuple[int, int]) -> tuple[gl.Texture, gl.Framebuffer]:
-        tangents = self._context.target(size_px, 2, "f4")
+    def _tangents_target(self) -> tuple[gl.Texture, gl.Framebuffer]:
+        tangents = self._context.target(self._lattice.size, 2, "f4")
         return tangents, self._context.framebuffer([self._bend, tangents, self._status_and_iterations])
 
     def solve(self, viewpoint: FloatArray) -> GlSolvedField:
@@ -111,7 +103,13 @@ class GlSolve:
         # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
         self._has_last = self._in_eye_box(viewpoint)
         return GlSolvedField(
-            self._context, viewpoint, self._device_from_camera, self._bend, tangents, self._status_and_iterations
+            self._context,
+            viewpoint,
+            self._device_from_camera,
+            self._lattice,
+            self._bend,
+            tangents,
+            self._status_and_iterations,
         )
 
     def _set_uniforms(self, viewpoint: FloatArray) -> None:
@@ -119,7 +117,8 @@ class GlSolve:
         gl.set_uniforms(
             program,
             has_last=self._has_last,
-            panel_px_per_pixel=tuple(display.panel.size_px / self._bend.size),
+            first_px=tuple(self._lattice.first_px),
+            step_px=tuple(self._lattice.step_px),
             viewpoint=tuple(viewpoint),
             behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
             behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),

@@ -1,13 +1,15 @@
 """A field of world rays that has stayed on the GPU."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray
+from wlr_render.mappings import FloatArray, StatusArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import Float32Array
+from wlr_render.rendering.ray_field import Float32Array, RayField
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,3 +35,26 @@ class GpuField:
         """Fetch (4, rows, columns)."""
         with self.context.drawing():
             return np.ascontiguousarray(np.moveaxis(gl.read(self.bend, np.float32), -1, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedGpuField(GpuField, ABC):
+    """A field whose maker can say what became of each point."""
+
+    @abstractmethod
+    def read_status(self) -> StatusArray:
+        """(rows, columns), one `mappings.Status` each."""
+
+    def read(self) -> RayField:
+        """Fetch rays and status."""
+        return RayField(self.viewpoint_in_device, self.device_from_camera, self.read_bend(), self.read_status())
+
+
+class GpuSolve(Protocol):
+    """As `pixel_solve.PixelSolve`, with the field on the GPU."""
+
+    def solve(self, viewpoint: FloatArray) -> SolvedGpuField:
+        """See `PixelSolve.solve`; the field is overwritten by the next."""
+
+    def forget(self) -> None:
+        """Start the next solve cold."""

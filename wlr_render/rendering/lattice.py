@@ -41,13 +41,17 @@ class Lattice:
         """(columns, rows), as a texture's size."""
         return self.columns, self.rows
 
-    def panel_pixel(self) -> FloatArray:
-        """Panel positions of all points, (rows, columns, 2)."""
+    def axes_px(self) -> tuple[FloatArray, FloatArray]:
+        """Panel positions u (columns,) and v (rows,) of the points."""
         u, v = (
             first + step * np.arange(count)
             for first, step, count in zip(self.first_px, self.step_px, self.size, strict=True)
         )
-        return np.stack(np.meshgrid(u, v), axis=-1)
+        return u, v
+
+    def panel_pixel(self) -> FloatArray:
+        """Panel positions of all points, (rows, columns, 2)."""
+        return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
     def texture_from_picture(self, size_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """(scale, offset), (2,) each: where a pixel of a picture (width, height) is read, in normalised coordinates.

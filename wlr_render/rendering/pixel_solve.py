@@ -1,4 +1,4 @@
-"""What the solves of every display pixel have in common, on the GPU and without one."""
+"""What the solves of a field, viewpoint after viewpoint, have in common, on the GPU and without one."""
 
 from typing import Protocol
 
@@ -10,14 +10,14 @@ from wlr_render.rendering.ray_field import RayField
 
 
 class SolvedField(Protocol):
-    """World rays of all pixels at one viewpoint, wherever they lie."""
+    """World rays of all points at one viewpoint, wherever they lie."""
 
     def read(self) -> RayField:
         """As numpy arrays; without a warm start, which the solver keeps."""
 
 
 class PixelSolve(Protocol):
-    """Solves every display pixel for one viewpoint after the other, each from the last one's solution."""
+    """Solves every point of a lattice for one viewpoint after the other, each from the last one's solution."""
 
     def solve(self, viewpoint: FloatArray) -> SolvedField:
         """The field at a viewpoint (3,), device frame, metres.
@@ -43,10 +43,3 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
             " metres, and hold the last good one while the eye is not seen."
         )
     return checked
-
-
-def pixel_centres_on_panel(panel_px: FloatArray, size_px: tuple[int, int]) -> FloatArray:
-    """Centres of a picture of (width, height) that covers the panel, in panel pixels: (height, width, 2)."""
-    width, height = size_px
-    centres = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-    return np.asarray(centres * (panel_px / size_px))

@@ -1,11 +1,11 @@
 """The world ray of every display pixel at one viewpoint: display forward, then see-through forward.
 
-The field is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to all
-pixels by two thin matrix products per component. `choose_plan` finds the number of nodes from a measured error;
-`exact_field` is the slow plain version, which solves every pixel.
+The field is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to the
+points of a lattice, mostly all pixels, by two thin matrix products per component. `choose_plan` finds the number of
+nodes from a measured error; `exact_field` is the slow plain version, which solves every pixel.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.mappings import EyeMappings, FloatArray, Panel, Status, StatusArray, worst
 from wlr_render.numerics import chebyshev
+from wlr_render.rendering.lattice import Lattice
 
 Float32Array = NDArray[np.float32]
 
@@ -25,19 +26,19 @@ NEAREST_M = 0.25
 
 @dataclass(frozen=True, eq=False)
 class FieldPlan:
-    """How to get from nodes to pixels; made once per panel.
+    """How to get from nodes to the points of a lattice; made once per panel.
 
     Attributes:
-        panel: whose pixels are wanted.
         device_from_camera: (3, 3) rotation to the axes in which tangents are taken. They look at the middle of the
             field, so that a field far off the device's axis is not stretched.
+        lattice: the points where rays are wanted.
         node_pixel: (rows, columns, 2) pixel positions of the nodes.
-        from_rows: (height, rows) float32, node rows -> pixel rows.
-        from_columns: (columns, width) float32, node columns -> pixel columns.
+        from_rows: (lattice rows, rows) float32, node rows -> lattice rows.
+        from_columns: (columns, lattice columns) float32, node columns -> lattice columns.
     """
 
-    panel: Panel
     device_from_camera: FloatArray
+    lattice: Lattice
     node_pixel: FloatArray
     from_rows: Float32Array
     from_columns: Float32Array
@@ -46,14 +47,32 @@ class FieldPlan:
     def with_nodes(
         cls, panel: Panel, count: int, device_from_camera: FloatArray, offset_px: FloatArray | None = None
     ) -> "FieldPlan":
-        """A plan of count x count nodes; `offset_px` (2,) moves the pixel centres (for supersampling)."""
-        du, dv = (0.0, 0.0) if offset_px is None else offset_px
-        u, v = chebyshev.nodes(count, 0, panel.width_px), chebyshev.nodes(count, 0, panel.height_px)
-        columns = chebyshev.interpolation_matrix(count, 0, panel.width_px, np.arange(panel.width_px) + 0.5 + du)
-        rows = chebyshev.interpolation_matrix(count, 0, panel.height_px, np.arange(panel.height_px) + 0.5 + dv)
-        node_pixel = np.stack(np.meshgrid(u, v), axis=-1)
+        """A plan of count x count nodes for all pixels; `offset_px` (2,) moves their centres (for supersampling)."""
+        pixels = Lattice.of_pixels(panel)
+        if offset_px is not None:
+            pixels = replace(pixels, first_px=pixels.first_px + offset_px)
+        return cls.to_lattice(pixels, count, device_from_camera)
+
+    @classmethod
+    def to_lattice(cls, lattice: Lattice, count: int, device_from_camera: FloatArray) -> "FieldPlan":
+        """A plan of count x count nodes for the points of a lattice."""
+        panel, (u, v) = lattice.panel, lattice.axes_px()
+        columns = chebyshev.interpolation_matrix(count, 0, panel.width_px, u)
+        rows = chebyshev.interpolation_matrix(count, 0, panel.height_px, v)
+        nodes = chebyshev.nodes(count, 0, panel.width_px), chebyshev.nodes(count, 0, panel.height_px)
+        node_pixel = np.stack(np.meshgrid(*nodes), axis=-1)
         from_columns = np.ascontiguousarray(columns.T, dtype=np.float32)
-        return cls(panel, device_from_camera, node_pixel, rows.astype(np.float32), from_columns)
+        return cls(device_from_camera, lattice, node_pixel, rows.astype(np.float32), from_columns)
+
+    @property
+    def panel(self) -> Panel:
+        """Whose pixels are meant."""
+        return self.lattice.panel
+
+    @property
+    def node_count(self) -> int:
+        """Along each axis."""
+        return len(self.node_pixel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +85,7 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class RayField:
-    """World rays of all pixels at one viewpoint, in the camera frame (origin at the viewpoint).
+    """World rays of all points of a lattice, mostly the pixels, at one viewpoint; camera frame, origin there.
 
     Attributes:
         viewpoint_in_device: (3,) metres.
@@ -168,10 +187,10 @@ def ray_field(
 ) -> RayField:
     """The field at a new viewpoint, by the nodes of `plan`.
 
-    Where a node has no answer the polynomial through the nodes means nothing; then every pixel is solved.
+    Where a node has no answer the polynomial through the nodes means nothing; then every lattice point is solved.
 
     Args:
-        mappings: any pair, for the plan's panel.
+        mappings: any pair, with the plan's panel.
         viewpoint: (3,) device frame.
         plan: from `choose_plan`.
         warm_start: of the last frame's field with this plan.
@@ -179,25 +198,25 @@ def ray_field(
     axes = plan.device_from_camera
     solved = solve_pixels(mappings, axes, plan.node_pixel, viewpoint, warm_start)
     if not np.isfinite(solved.bend).all():
-        return exact_field(mappings, viewpoint, axes)
+        field = exact_field(mappings, viewpoint, axes, plan.lattice.panel_pixel())
+        return replace(field, warm_start=solved.warm_start)
     status = _spread_status(plan, solved.status)
     return RayField(viewpoint, axes, _spread(plan, solved.bend), status, solved.warm_start)
 
 
 def _spread(plan: FieldPlan, at_nodes: FloatArray) -> Float32Array:
-    """(rows, columns, k) at the nodes -> (k, height, width)."""
+    """(rows, columns, k) at the nodes -> (k, rows, columns) at the lattice's points."""
     components = np.moveaxis(at_nodes, -1, 0).astype(np.float32)
     return np.asarray(np.matmul(plan.from_rows @ components, plan.from_columns))
 
 
 def _spread_status(plan: FieldPlan, at_nodes: StatusArray) -> StatusArray:
-    """A pixel's status is the worst of the nodes around it."""
-    height, width = plan.panel.height_px, plan.panel.width_px
+    """A point's status is the worst of the nodes around it."""
+    columns, rows = plan.lattice.size
     if not at_nodes.any():
-        return np.zeros((height, width), np.uint8)
-    last = at_nodes.shape[0] - 1
-    row = np.searchsorted(plan.node_pixel[:, 0, 1], np.arange(height) + 0.5)
-    column = np.searchsorted(plan.node_pixel[0, :, 0], np.arange(width) + 0.5)
+        return np.zeros((rows, columns), np.uint8)
+    last, (u, v) = plan.node_count - 1, plan.lattice.axes_px()
+    row, column = np.searchsorted(plan.node_pixel[:, 0, 1], v), np.searchsorted(plan.node_pixel[0, :, 0], u)
     below, above = np.maximum(row - 1, 0), np.minimum(row, last)
     left, right = np.maximum(column - 1, 0), np.minimum(column, last)
     across = np.maximum(at_nodes[:, left], at_nodes[:, right])
@@ -217,7 +236,7 @@ def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan
         (n,) error at infinity plus error of the offset at the nearest depth, over the size of a pixel there;
         NaN where the exact solve has no answer.
     """
-    count, panel = plan.node_pixel.shape[0], plan.panel
+    count, panel = plan.node_count, plan.panel
     axes = plan.device_from_camera
     nodes = solve_pixels(mappings, axes, plan.node_pixel, viewpoint).bend
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
