@@ -36,11 +36,16 @@ FORBIDDEN = {
     "evaluation": {"optics", "simulation", "models"},
 }
 DOORS = {
-    "moderngl": {"rendering/gl.py", "rendering/osmesa.py", "studies/bench_baselines.py"},
+    "moderngl": {
+        "rendering/gl.py",
+        "rendering/osmesa.py",
+        "studies/speed/baselines.py",
+        "studies/speed/baselines_warp.py",
+    },
     "OpenGL": {"rendering/gl.py", "rendering/osmesa.py", "rendering/intermediate_view.py"},
     "pyrender": {"rendering/intermediate_view.py"},
     "trimesh": {"rendering/mesh_file.py"},
-    "embreex": {"rendering/raytrace.py", "studies/bench_baselines.py"},
+    "embreex": {"rendering/raytrace.py", "studies/speed/baselines.py"},
     "argparse": {"cli"},
     "rich": {"terminal"},
 }

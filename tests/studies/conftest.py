@@ -8,7 +8,7 @@ from small_photo_session import copied, made_session, make_small
 from wlr_render.files import resource
 from wlr_render.mappings import Panel
 from wlr_render.models.model_file import EyeModel, save_eye_model
-from wlr_render.studies.bench import bench_model
+from wlr_render.studies.speed.workload import bench_model
 
 SCENE = """
 format = "wlr-scene"

@@ -166,9 +166,9 @@ def _bench(args: argparse.Namespace) -> None:
         options = photographs.Options(args.session, args.calibration, seed=args.seed, out=args.out)
         tables = photographs.run(options, progress_bar)
     else:
-        from wlr_render.studies import bench
+        from wlr_render.studies.speed import study as speed
 
-        tables = bench.run(bench.Options(args.backend, args.out), progress_bar)
+        tables = speed.run(speed.Options(args.backend, args.out), progress_bar)
     for table in tables:
         print_table(table)
 

@@ -1,0 +1,27 @@
+"""Tables kept with the name of the machine's renderer, so that figures of several machines lie side by side."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.report import ReportTable
+from wlr_render.files import write_text
+
+
+def record(tables: Sequence[ReportTable], folder: str | Path, renderer: str) -> Path:
+    """Write the tables as `folder`/RENDERER.md, over what an earlier run on the same renderer has left there.
+
+    Args:
+        tables: in the order of the file.
+        folder: made if it is not there.
+        renderer: OpenGL's name of what draws, `GlContext.renderer`; in the file's name only its letters and digits.
+
+    Raises:
+        BadInputError: the name has neither letters nor digits, or the folder cannot be written.
+    """
+    slug = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")
+    if not slug:
+        raise BadInputError(f"the renderer's name '{renderer}' gives no file name; name the device in letters.")
+    text = "\n".join([f"# Measured on {renderer}\n", *(table.markdown() for table in tables)])
+    return write_text(Path(folder) / f"{slug}.md", text)
