@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.errors import MissingGlError
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
+from wlr_render.rendering import gl
 
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -79,3 +81,22 @@ def measured_data() -> Callable[[str], Path]:
         return folder
 
     return folder_of
+
+
+@pytest.fixture(scope="session")
+def opened_gl_context():
+    with gl.open_context() as context:
+        yield context
+
+
+@pytest.fixture
+def gl_context(request):
+    """The one OpenGL context of the test run, checked for errors before and after."""
+    try:
+        context = request.getfixturevalue("opened_gl_context")
+    except MissingGlError as error:
+        pytest.skip(str(error))
+    with context.drawing() as ctx:
+        assert ctx.error == "GL_NO_ERROR"
+    yield context
+    assert ctx.error == "GL_NO_ERROR"

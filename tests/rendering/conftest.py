@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from wlr_render.errors import MissingGlError
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
-from wlr_render.rendering import gl
 
 
 @dataclass(frozen=True)
@@ -61,22 +59,3 @@ def toy_headset():
 @pytest.fixture
 def toy_headset_with_hole():
     return make_headset(hole_px=5.0)
-
-
-@pytest.fixture(scope="session")
-def opened_gl_context():
-    with gl.open_context() as context:
-        yield context
-
-
-@pytest.fixture
-def gl_context(request):
-    """The one OpenGL context of the test run, checked for errors before and after."""
-    try:
-        context = request.getfixturevalue("opened_gl_context")
-    except MissingGlError as error:
-        pytest.skip(str(error))
-    with context.drawing() as ctx:
-        assert ctx.error == "GL_NO_ERROR"
-    yield context
-    assert ctx.error == "GL_NO_ERROR"
