@@ -41,6 +41,27 @@ class View:
         return self.viewpoint_in_world, transforms.rotate(self.world_from_camera, in_camera)
 
 
+def image_from_field(
+    image_view: View,
+    field_viewpoint_in_device: NDArray[np.float64],
+    field_device_from_camera: NDArray[np.float64],
+    field_world_from_device: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Camera frame of a field of rays -> camera frame of a picture, (..., 4, 4).
+
+    The picture may have been drawn from another place, or for an older head pose: a ray of the field, carried by this
+    transform, is the ray along which the picture must be read.
+
+    Args:
+        image_view: from where the picture was drawn.
+        field_viewpoint_in_device: (3,) or (..., 3) metres.
+        field_device_from_camera: (3, 3) axes of the field.
+        field_world_from_device: (4, 4) or (..., 4, 4) head poses, of a whole frame or of each row of the display.
+    """
+    device_from_field = transforms.rigid(field_device_from_camera, field_viewpoint_in_device)
+    return np.asarray(transforms.inverse(image_view.world_from_camera) @ field_world_from_device @ device_from_field)
+
+
 @dataclass(frozen=True, eq=False)
 class GeometryImage:
     """A picture and, per pixel, what is seen there. Rows run down, pixel centres at +0.5.
