@@ -1,41 +1,39 @@
 #version 430
 #include "conventions.glsl"
-// Where a bent ray meets what the intermediate image shows, and its colour there: rendering/warped_image.py has the words.
+#include "bend.glsl"
+// What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
-// Written for software renderers too: they run both sides of a branch and at least one turn of a loop, and a texture
-// read at normalised coordinates costs them less than texelFetch.
+// Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch, and
+// outputs that nobody asked for are not compiled in.
 
-uniform sampler2D bend;  // a, b, c, d
+uniform sampler2D bend[CHANNELS];
+uniform vec4 texture_from_display[CHANNELS];  // scale, offset
+uniform vec4 display_from_fragment;  // scale, offset
+#if ROWS
+uniform sampler2D row_transforms;  // three texels in each row
+#else
+uniform vec4 image_from_field[3];
+#endif
 uniform sampler2D picture;
 uniform sampler2D inverse_depth;
+uniform sampler2D ranges;
 uniform vec4 lens;
 uniform vec3 background;
 
-flat in vec2 per_bend_texel;
 flat in vec2 per_texel;  // of picture and inverse_depth
-flat in float largest;  // inverse depth in the whole image
+flat in vec2 whole_range;  // of inverse depth
 
-layout(location = 0) out vec4 colour_and_status;
-layout(location = 1) out vec2 source;
+layout(location = 0) out vec4 colour;
+#if WITH_STATUS
+layout(location = 1) out uint worst_status;
+#endif
+#if WITH_SOURCE
+layout(location = 2) out vec2 source;
+#endif
 
 const float NOWHERE = uintBitsToFloat(0x7fc00000u);
 
-float nearest_inverse_depth(vec2 pixel)
-{
-    return texture(inverse_depth, pixel * per_texel).r;
-}
-
-float smooth_inverse_depth(vec2 pixel)
-{
-    vec2 base, weight;
-    bilinear_taps(pixel, base, weight);
-    vec2 shared_corner = (base + 1.0) * per_texel;
-    vec4 taps = textureGather(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
-    float high = max(max(taps.x, taps.y), max(taps.z, taps.w));
-    float low = min(min(taps.x, taps.y), min(taps.z, taps.w));
-    weight = high - low > SURFACE_STEP * high ? step(0.5, weight) : weight;
-    return mix(mix(taps.w, taps.z, weight.x), mix(taps.x, taps.y, weight.x), weight.y);
-}
+#include "march.glsl"
 
 vec3 colour_at(vec2 pixel)
 {
@@ -49,36 +47,66 @@ vec3 colour_at(vec2 pixel)
     return mix(upper, lower, weight.y);
 }
 
-int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)
+// The mean over a display pixel, whose sides appear in the image as `across` and `down`.
+vec3 filtered_colour(vec2 pixel, vec2 across, vec2 down)
 {
-    float seen = nearest_inverse_depth(at_infinity + largest * shift);
-    pixel = at_infinity + seen * shift;
-    vec2 previous;
-    float previously_seen;
-    int steps = 0;
-    bool settled;
-    do {
-        previous = pixel;
-        previously_seen = seen;
-        seen = smooth_inverse_depth(pixel);
-        pixel = at_infinity + seen * shift;
-        settled = distance(pixel, previous) < SETTLED_PX;
-    } while (!settled && ++steps < MAX_STEPS);
-    pixel = !settled && seen < previously_seen ? previous : pixel;
-    return settled ? SEEN : DISOCCLUDED;
+#if TAPS == 1
+    return colour_at(pixel);
+#else
+    vec3 sum = vec3(0.0);
+    for (int i = 0; i < TAPS * TAPS; ++i) {
+        vec2 place = (vec2(i % TAPS, i / TAPS) + 0.5) / float(TAPS) - 0.5;
+        sum += colour_at(pixel + place.x * across + place.y * down);
+    }
+    return sum / float(TAPS * TAPS);
+#endif
+}
+
+vec4 ray_in_image_frame(int channel, vec2 display_pixel)
+{
+    vec4 place = texture_from_display[channel];
+    vec4 ray = texture(bend[channel], display_pixel * place.xy + place.zw);
+#if ROWS
+    int row = int(display_pixel.y);
+    vec4 image_from_field[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        image_from_field[axis] = texelFetch(row_transforms, ivec2(axis, row), 0);
+    }
+#endif
+    return seen_from(ray, image_from_field);
 }
 
 void main()
 {
-    vec4 ray = texture(bend, gl_FragCoord.xy * per_bend_texel);
-    bool lost = any(isnan(ray));
-    ray = lost ? vec4(0.0) : ray;
-    vec2 pixel;
-    int status = follow(pixel_of_tangents(ray.xy, lens), pixel_shift_of_offset(ray.zw, lens), pixel);
+    vec2 display_pixel = gl_FragCoord.xy * display_from_fragment.xy + display_from_fragment.zw;
+    colour = vec4(0.0, 0.0, 0.0, 1.0);
     vec2 size = vec2(textureSize(picture, 0));
-    bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size));
-    status = lost ? NO_RAY : (inside ? status : OUTSIDE);
-    bool found = inside && !lost;
-    colour_and_status = vec4(found ? colour_at(pixel) : background, float(status) / 255.0);
-    source = found ? pixel : vec2(NOWHERE);
+    int worst = SEEN;
+    vec2 seen_at;
+    for (int channel = 0; channel < CHANNELS; ++channel) {
+        vec4 ray = ray_in_image_frame(channel, display_pixel);
+        vec2 at_infinity = pixel_of_tangents(ray.xy, lens);
+        vec2 across = dFdx(at_infinity), down = dFdy(at_infinity);
+        bool at_hole = any(isnan(across + down));
+        bool lost = any(isnan(ray));
+
+        vec2 pixel;
+        vec2 shift = pixel_shift_of_offset(ray.zw, lens);
+        int status = follow(lost ? vec2(0.0) : at_infinity, lost ? vec2(0.0) : shift, pixel);
+        bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size));
+        status = lost ? NO_RAY : (inside ? status : OUTSIDE);
+        bool found = status <= DISOCCLUDED;
+
+        vec3 sampled = filtered_colour(pixel, at_hole ? vec2(0.0) : across, at_hole ? vec2(0.0) : down);
+        vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
+        colour.rgb += share * (found ? sampled : background);
+        worst = max(worst, status);
+        seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
+    }
+#if WITH_STATUS
+    worst_status = uint(worst);
+#endif
+#if WITH_SOURCE
+    source = seen_at;
+#endif
 }

@@ -1,20 +1,23 @@
-"""The only door to OpenGL: opening a context without a display, loading shaders, checking for errors.
+"""The only door to OpenGL: opening a context without a display or adopting one, loading shaders, checking for errors.
 
 Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/conventions.glsl`
 is turned over; so reading and writing textures here turns nothing.
 """
 
 import contextlib
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import moderngl
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wlr_render import files
-from wlr_render.errors import MissingGlError
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.rendering.current_context import CurrentContext, NoCurrentContextError
+from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.osmesa import OsMesaContext
 
 Texture = moderngl.Texture
@@ -22,7 +25,10 @@ Framebuffer = moderngl.Framebuffer
 Program = moderngl.Program
 VertexArray = moderngl.VertexArray
 
-_VERSION = 430
+_Object = TypeVar("_Object")
+
+_VERSION = 4, 3
+_VERSION_CODE = 430
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
 
 
@@ -30,18 +36,76 @@ class GlError(RuntimeError):
     """OpenGL refused a call: a fault of this library or of the driver, not of the input."""
 
 
+class _Host(Protocol):
+    """Whose the context is."""
+
+    def entered(self) -> contextlib.AbstractContextManager[None]:
+        """A block in which the context is current."""
+
+    def release(self, objects: list[Any]) -> None:
+        """Destroy our objects."""
+
+
+class _Own:
+    """A context that this library opened: made current by each block, and destroyed with all that is in it."""
+
+    def __init__(self, ctx: moderngl.Context) -> None:
+        self._ctx = ctx
+
+    @contextlib.contextmanager
+    def entered(self) -> Iterator[None]:
+        self._ctx.__enter__()
+        yield
+
+    def release(self, objects: list[Any]) -> None:
+        self._ctx.release()
+
+
+class _Foreign:
+    """A context of somebody else's program: its state outlives each block, and it outlives us."""
+
+    def __init__(self, current: CurrentContext, state: GlState, ctx: moderngl.Context) -> None:
+        self._current, self._state, self._ctx = current, state, ctx
+
+    @contextlib.contextmanager
+    def entered(self) -> Iterator[None]:
+        if not self._current.is_current():
+            raise BadInputError(
+                "The adopted OpenGL context is not current on this thread: make it current before drawing."
+            )
+        outermost = not self._state.inside
+        with self._state.kept():
+            if outermost:
+                self._ctx.screen.use()  # what ModernGL takes to be bound from now on
+            yield
+
+    def release(self, objects: list[Any]) -> None:
+        # In a context that is gone its objects are, too.
+        if self._current.is_current():
+            with self._state.kept():
+                for one in objects:
+                    one.release()
+                self._ctx.gc()
+
+
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
-    Several may live in one process: each `drawing` block makes its own current first.
+    Several may live in one process: each `drawing` block makes its own current first. An adopted one is made current
+    by the program that it belongs to, which gets it back from each block as it was.
 
     Attributes:
-        backend: "egl" or "osmesa".
+        backend: "egl", "osmesa", or an adopted context's platform.
     """
 
-    def __init__(self, ctx: moderngl.Context, backend: str) -> None:
+    def __init__(
+        self, ctx: moderngl.Context, backend: str, host: _Host | None = None, caller: moderngl.Context | None = None
+    ) -> None:
+        """Wrap a context of this library's own, or by `host` and ModernGL's `caller` that of a program around it."""
         self._ctx = ctx
-        self._make_current: Callable[[], object] = ctx.__enter__
+        self._host: _Host = _Own(ctx) if host is None else host
+        self._caller = caller
+        self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
         # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
@@ -71,16 +135,16 @@ class GlContext:
 
         Raises:
             GlError: a call in the block failed.
+            BadInputError: an adopted context is not current.
         """
-        self._make_current()
-        self._ctx.gc()
-        self._ctx.enable_only(moderngl.NOTHING)
-        while self._ctx.error != "GL_NO_ERROR":
-            pass
-        yield self._ctx
-        error = self._ctx.error
-        if error != "GL_NO_ERROR":
-            raise GlError(f"OpenGL reports {error} ({self.renderer}).")
+        with self._host.entered():
+            self._ctx.gc()
+            self._ctx.enable_only(moderngl.NOTHING)
+            self._ctx.clear_errors()
+            yield self._ctx
+            error = self._ctx.error
+            if error != "GL_NO_ERROR":
+                raise GlError(f"OpenGL reports {error} ({self.renderer}).")
 
     def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
         """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
@@ -93,20 +157,21 @@ class GlContext:
         """
         key = vertex, fragment, functions, *sorted(constants.items())
         if key not in self._programs:
-            self._programs[key] = self._ctx.program(
+            program = self._ctx.program(
                 vertex_shader=_source(vertex, constants), fragment_shader=_source(fragment, constants, functions)
             )
+            self._programs[key] = self._mine(program)
         return self._programs[key]
 
     def full_screen(
         self, fragment: str, vertex: str = "full_screen.vert", functions: str = "", /, **constants: float
     ) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self._ctx.vertex_array(self.program(vertex, fragment, functions, **constants), [])
+        return self._mine(self._ctx.vertex_array(self.program(vertex, fragment, functions, **constants), []))
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
         """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4", "i4" or "u1"."""
-        texture = self._ctx.texture(size, components, dtype=dtype)
+        texture = self._mine(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False
         return texture
@@ -118,20 +183,20 @@ class GlContext:
         """
         height, width = image.shape[:2]
         pixels = np.ascontiguousarray(image)
-        texture = self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8)
+        texture = self._mine(self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8))
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
         texture.repeat_x = texture.repeat_y = True
         return texture
 
     def depth_target(self, size: tuple[int, int]) -> Texture:
         """An empty depth texture of (width, height), 24 bits, read as plain values."""
-        texture = self._ctx.depth_texture(size)
+        texture = self._mine(self._ctx.depth_texture(size))
         texture.compare_func = ""
         return texture
 
     def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
         """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
-        return self._ctx.framebuffer(textures, depth)
+        return self._mine(self._ctx.framebuffer(textures, depth))
 
     def copy_foreign_framebuffer(self, number: int, target: Framebuffer) -> None:
         """Copy colour and depth of a framebuffer that other software made in this context."""
@@ -142,11 +207,11 @@ class GlContext:
     ) -> VertexArray:
         """An indexed triangle mesh; attributes (vertices, n) become float32, unused ones are left out."""
         content = [
-            (self._ctx.buffer(np.ascontiguousarray(values, np.float32)), f"{values.shape[1]}f4", name)
+            (self._buffer(values, np.float32), f"{values.shape[1]}f4", name)
             for name, values in attributes.items()
             if name in program
         ]
-        return self._ctx.vertex_array(program, content, self._ctx.buffer(np.ascontiguousarray(indices, np.uint32)))
+        return self._mine(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
 
     def depth_test(self) -> None:
         """Draw what is nearest, and at equal depth what comes last, until the end of the `drawing` block."""
@@ -154,9 +219,16 @@ class GlContext:
         self._ctx.depth_func = "<="
 
     def release(self) -> None:
-        """Destroy the context and everything in it."""
+        """Destroy an own context and everything in it; of an adopted one, what this object has made."""
         self._programs.clear()
-        self._ctx.release()
+        self._host.release(list(self._objects))
+
+    def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:
+        return self._mine(self._ctx.buffer(np.ascontiguousarray(values, dtype)))
+
+    def _mine(self, made: _Object) -> _Object:
+        self._objects.add(made)
+        return made
 
 
 def _source(name: str, constants: dict[str, float], functions: str = "") -> str:
@@ -187,11 +259,18 @@ def set_array(program: Program, name: str, rows: Sequence[NDArray[Any]]) -> None
         uniform.write(np.ascontiguousarray(rows, dtype=np.float32))
 
 
-def bind_textures(program: Program, **textures: Texture) -> None:
-    """Give each sampler of a program its texture."""
-    for unit, (name, texture) in enumerate(textures.items()):
-        texture.use(unit)
-        set_uniforms(program, **{name: unit})
+def bind_textures(program: Program, **textures: Texture | Sequence[Texture]) -> None:
+    """Give each sampler of a program its texture, and each array of samplers its textures."""
+    free = 0
+    for name, given in textures.items():
+        bound = [given] if isinstance(given, Texture) else given
+        units = np.arange(free, free + len(bound), dtype=np.int32)
+        for unit, texture in zip(units, bound, strict=True):
+            texture.use(int(unit))
+        if name in program:
+            uniform: Any = program[name]
+            uniform.write(units)
+        free += len(bound)
 
 
 def read_between_texels(texture: Texture) -> None:
@@ -200,6 +279,11 @@ def read_between_texels(texture: Texture) -> None:
     The filter weights have 8 bits on some hardware and on llvmpipe: see `srgb_texture`.
     """
     texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+
+
+def read_at_texels(texture: Texture) -> None:
+    """Sample a texture by the nearest texel from now on, as `GlContext.target` makes it."""
+    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
 
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
@@ -233,8 +317,57 @@ def open_context(backend: str = "auto") -> GlContext:
     )
 
 
+def adopt_context(context: moderngl.Context | None = None) -> GlContext:
+    """Draw in the OpenGL context of a program around this library, e.g. a viewer's or pyrender's.
+
+    Each `drawing` block finds the context current and leaves its state as it was, up to what `gl_state` names. Neither
+    ModernGL's record of that state nor its settings change, because the blocks have a ModernGL context of their own.
+
+    Args:
+        context: ModernGL's, which is made current; None for the one that is current on this thread, whoever made it.
+
+    Raises:
+        MissingGlError: none is current, or its version is below 4.3; it stays as it was.
+    """
+    if context is not None:
+        _check_version(divmod(context.version_code // 10, 10))
+        context.__enter__()
+    try:
+        current = CurrentContext()
+    except NoCurrentContextError as error:
+        raise MissingGlError(
+            f"{error}: make yours current before adopting it, or let open_context() open one."
+        ) from error
+    _check_version(current.version())
+    state = GlState(current)
+    with state.kept(), _default_context_kept():
+        ctx = moderngl.create_context(require=_VERSION_CODE, context=current)
+    # ModernGL makes textures on its last unit unless told otherwise.
+    ctx.default_texture_unit = UNITS - 1
+    return GlContext(ctx, current.platform, _Foreign(current, state, ctx), context)
+
+
+def _check_version(found: tuple[int, int]) -> None:
+    if found < _VERSION:
+        raise MissingGlError(
+            f"The OpenGL context has version {found[0]}.{found[1]}, the renderer needs 4.3: ask for a 4.3 core profile "
+            "when it is made (moderngl.create_context(require=430)), or let open_context() open one."
+        )
+
+
+@contextlib.contextmanager
+def _default_context_kept() -> Iterator[None]:
+    """What `moderngl.get_context()` gives stays the caller's."""
+    store = moderngl._store
+    before = store.default_context
+    try:
+        yield
+    finally:
+        store.default_context = before
+
+
 def _open(**settings: Any) -> moderngl.Context:
-    return moderngl.create_context(standalone=True, require=_VERSION, **settings)
+    return moderngl.create_context(standalone=True, require=_VERSION_CODE, **settings)
 
 
 _OPENERS: dict[str, Callable[[], moderngl.Context]] = {

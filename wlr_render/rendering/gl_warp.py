@@ -1,43 +1,142 @@
 """Warping an intermediate image along bent rays, on the GPU; the rule is in `warped_image.py`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import FloatArray, Panel
 from wlr_render.rendering import gl
+from wlr_render.rendering.gl_depth_ranges import GlDepthRanges
+from wlr_render.rendering.gpu_field import GpuField
 from wlr_render.rendering.gpu_image import GpuImage, lens_of, rgb_of_rgba
-from wlr_render.rendering.warped_image import MAX_STEPS, SETTLED_PX, SURFACE_STEP, WarpedImage, WarpStatus
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.warped_image import (
+    MAX_MARCH,
+    MAX_STEPS,
+    SETTLED_PX,
+    STEP_PX,
+    SURFACE_STEP,
+    TILE,
+    WarpedImage,
+    WarpStatus,
+)
 
-_TILE, _ALL = 16, 1 << 15
 _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
+    "STEP_PX": STEP_PX,
+    "MAX_MARCH": MAX_MARCH,
     "MAX_STEPS": MAX_STEPS,
     "SETTLED_PX": SETTLED_PX,
     "SURFACE_STEP": SURFACE_STEP,
+    "TILE": TILE,
 }
 
 
 @dataclass(frozen=True, eq=False)
-class _Targets:
-    interleaved: NDArray[np.float32]
-    bend: gl.Texture
+class WarpTarget:
+    """Where in a framebuffer a warped picture goes.
+
+    Attributes:
+        framebuffer: of one colour; alpha becomes 1.
+        first_px: (x, y) of the picture's corner with the smallest window coordinates.
+        size_px: (width, height) of the picture; nothing else of the framebuffer is touched.
+        top_row_first: whether the picture's top row has the smallest window y, as in our own textures. False gives a
+            picture that is upright in OpenGL's sense.
+    """
+
+    framebuffer: gl.Framebuffer
+    first_px: tuple[int, int]
+    size_px: tuple[int, int]
+    top_row_first: bool
+
+
+@dataclass(frozen=True, eq=False)
+class GpuWarped:
+    """A picture in display pixels, as textures that the warp's next pictures overwrite; see `WarpedImage`.
+
+    Attributes:
+        context: whose textures they are.
+        colour: RGBA8 sRGB, alpha 1, top row first.
+        status: R8UI.
+        source: RG32F, or None when not asked for.
+    """
+
+    context: gl.GlContext
     colour: gl.Texture
-    source: gl.Texture
-    without_source: gl.Framebuffer
-    with_source: gl.Framebuffer
+    status: gl.Texture
+    source: gl.Texture | None
+
+    def read(self) -> WarpedImage:
+        """Fetch it."""
+        with self.context.drawing():
+            colour = rgb_of_rgba(gl.read(self.colour, np.uint8))
+            source = None if self.source is None else gl.read(self.source, np.float32)
+            return WarpedImage(colour, gl.read(self.status, np.uint8), source)
 
 
 class GlWarp:
     """Warps pictures that lie on the GPU; its textures are kept between frames of one size."""
 
-    def __init__(self, context: gl.GlContext) -> None:
-        self._context = context
-        self._targets: _Targets | None = None
-        self._tiles: tuple[gl.Texture, gl.Texture] | None = None
-        with context.drawing():
-            self._warp = context.full_screen("warp.frag", "warp.vert", **_CONSTANTS)
-            self._largest = context.full_screen("largest.frag")
+    def __init__(self, context: gl.GlContext, channels: int = 1) -> None:
+        """Prepare for one field of rays, or for 3: one for each colour channel (red, green, blue)."""
+        self._context, self._channels = context, channels
+        self._ranges = GlDepthRanges(context)
+        self._textures: dict[tuple[str, tuple[int, int]], gl.Texture] = {}
+        self._passes: dict[tuple[tuple[str, int], ...], gl.VertexArray] = {}
+
+    def draw(
+        self,
+        image: GpuImage,
+        fields: Sequence[GpuField],
+        image_from_field: FloatArray,
+        size_px: tuple[int, int],
+        background: tuple[int, int, int] = (0, 0, 0),
+        taps: int = 1,
+        with_source: bool = False,
+    ) -> GpuWarped:
+        """The picture that the display must show, left on the GPU.
+
+        Args:
+            image: in this object's context.
+            fields: world rays, one for each channel.
+            image_from_field: rigid, from the camera frame of the fields to that of the image, (4, 4), or
+                (height, 4, 4) with one for each row of the display.
+            size_px: (width, height) of the picture, which covers the panel.
+            background: sRGB for pixels that show nothing of the image.
+            taps: samples per pixel along each axis, see `map_shrink.taps_for`.
+            with_source: make the pull map as well.
+
+        Raises:
+            BadInputError: the number of fields or the shape of the transforms does not fit.
+        """
+        with self._context.drawing():
+            colour = self._texture("colour", size_px, 4, "f1")
+            status = self._texture("status", size_px, 1, "u1")
+            source = self._texture("source", size_px, 2, "f4") if with_source else None
+            framebuffer = self._context.framebuffer([x for x in (colour, status, source) if x is not None])
+            target = WarpTarget(framebuffer, (0, 0), size_px, True)
+            outputs = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
+            self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
+        return GpuWarped(self._context, colour, status, source)
+
+    def draw_into(
+        self,
+        target: WarpTarget,
+        image: GpuImage,
+        fields: Sequence[GpuField],
+        image_from_field: FloatArray,
+        background: tuple[int, int, int] = (0, 0, 0),
+        taps: int = 1,
+    ) -> None:
+        """The colour of the same picture into a caller's framebuffer; arguments and faults as `draw`."""
+        with self._context.drawing():
+            before = target.framebuffer.viewport
+            outputs = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
+            self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
+            target.framebuffer.viewport = before
 
     def warp(
         self,
@@ -46,62 +145,90 @@ class GlWarp:
         background: tuple[int, int, int] = (0, 0, 0),
         with_source: bool = False,
     ) -> WarpedImage:
-        """The picture that the display must show.
-
-        Args:
-            image: drawn from the viewpoint of the ray field, in this object's context.
-            bend: (4, height, width) float32, (a, b, c, d) of each display pixel, as `RayField.bend`.
-            background: sRGB for pixels that show nothing of the image.
-            with_source: fetch the pull map as well.
-        """
+        """As `draw` along rays (4, height, width) of each display pixel in the image's own frame; fetched."""
+        _, height, width = bend.shape
         with self._context.drawing():
-            targets = self._targets_for(bend.shape[2], bend.shape[1])
+            texture = self._texture("bend", (width, height), 4, "f4")
             # One read of four components costs the shader much less than four reads.
-            targets.bend.write(cv2.merge(list(bend), targets.interleaved))
-            largest = self._largest_inverse_depth(image)
-            (targets.with_source if with_source else targets.without_source).use()
-            textures = {
-                "bend": targets.bend,
-                "picture": image.colour,
-                "inverse_depth": image.inverse_depth,
-                "largest_inverse_depth": largest,
-            }
-            gl.bind_textures(self._warp.program, **textures)
-            gl.set_uniforms(
-                self._warp.program, lens=lens_of(image.camera), background=tuple(x / 255 for x in background)
+            texture.write(cv2.merge(list(bend)))
+        lattice = Lattice.of_pixels(Panel(width, height))
+        field = GpuField(self._context, np.zeros(3), np.eye(3), lattice, texture)
+        fields = [field] * self._channels
+        return self.draw(image, fields, np.eye(4), (width, height), background, with_source=with_source).read()
+
+    def _draw(
+        self,
+        image: GpuImage,
+        fields: Sequence[GpuField],
+        image_from_field: FloatArray,
+        target: WarpTarget,
+        background: tuple[int, int, int],
+        **constants: int,
+    ) -> None:
+        _check(len(fields), self._channels, image_from_field, target.size_px)
+        ranges = self._ranges.of(image)
+        by_rows = image_from_field.ndim == 3
+        warp = self._pass(ROWS=int(by_rows), **constants)
+        textures: dict[str, gl.Texture | Sequence[gl.Texture]] = {
+            "bend": [field.bend for field in fields],
+            "picture": image.colour,
+            "inverse_depth": image.inverse_depth,
+            "ranges": ranges.around_tiles,
+            "coarse_ranges": ranges.coarse,
+        }
+        if by_rows:
+            textures["row_transforms"] = self._row_transforms(image_from_field)
+        else:
+            gl.set_array(warp.program, "image_from_field", image_from_field[:3])
+        gl.bind_textures(warp.program, **textures)
+        for field in fields:
+            # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.
+            (gl.read_at_texels if field.lattice.size == target.size_px else gl.read_between_texels)(field.bend)
+        places = [np.concatenate(field.lattice.texture_from_picture(target.size_px)) for field in fields]
+        gl.set_array(warp.program, "texture_from_display", places)
+        gl.set_uniforms(
+            warp.program,
+            lens=lens_of(image.camera),
+            background=tuple(x / 255 for x in background),
+            display_from_fragment=_display_from_fragment(target),
+        )
+        target.framebuffer.viewport = (*target.first_px, *target.size_px)
+        target.framebuffer.use()
+        warp.render(vertices=3)
+
+    def _pass(self, **constants: int) -> gl.VertexArray:
+        key = tuple(constants.items())
+        if key not in self._passes:
+            self._passes[key] = self._context.full_screen(
+                "warp.frag", "warp.vert", "", CHANNELS=self._channels, **_CONSTANTS, **constants
             )
-            self._warp.render(vertices=3)
-            rgba = gl.read(targets.colour, np.uint8)
-            source = gl.read(targets.source, np.float32) if with_source else None
-        return WarpedImage(rgb_of_rgba(rgba), np.ascontiguousarray(rgba[..., 3]), source)
+        return self._passes[key]
 
-    def _largest_inverse_depth(self, image: GpuImage) -> gl.Texture:
-        """A texture of one texel, made in two steps: tiles, then all."""
-        values = image.inverse_depth
-        for texture, tile in zip(self._tiles_for(values.size), (_TILE, _ALL), strict=True):
-            self._context.framebuffer([texture]).use()
-            gl.bind_textures(self._largest.program, values=values)
-            gl.set_uniforms(self._largest.program, tile=tile)
-            self._largest.render(vertices=3)
-            values = texture
-        return values
+    def _row_transforms(self, image_from_field: FloatArray) -> gl.Texture:
+        texture = self._texture("row_transforms", (3, len(image_from_field)), 4, "f4")
+        texture.write(np.ascontiguousarray(image_from_field[:, :3], np.float32))
+        return texture
 
-    def _targets_for(self, width: int, height: int) -> _Targets:
-        if self._targets is None or self._targets.colour.size != (width, height):
-            colour = self._context.target((width, height), 4, "f1")
-            source = self._context.target((width, height), 2, "f4")
-            self._targets = _Targets(
-                np.empty((height, width, 4), np.float32),
-                self._context.target((width, height), 4, "f4"),
-                colour,
-                source,
-                self._context.framebuffer([colour]),
-                self._context.framebuffer([colour, source]),
-            )
-        return self._targets
+    def _texture(self, name: str, size: tuple[int, int], components: int, dtype: str) -> gl.Texture:
+        texture = self._textures.get(name)
+        if texture is None or texture.size != size:
+            texture = self._textures[name] = self._context.target(size, components, dtype)
+        return texture
 
-    def _tiles_for(self, size: tuple[int, int]) -> tuple[gl.Texture, gl.Texture]:
-        of_tiles = -(-size[0] // _TILE), -(-size[1] // _TILE)
-        if self._tiles is None or self._tiles[0].size != of_tiles:
-            self._tiles = self._context.target(of_tiles, 1, "f4"), self._context.target((1, 1), 1, "f4")
-        return self._tiles
+
+def _check(fields: int, channels: int, image_from_field: FloatArray, size_px: tuple[int, int]) -> None:
+    if fields != channels:
+        raise BadInputError(f"{fields} ray fields for a warp of {channels} channels; give one field for each channel.")
+    if image_from_field.shape not in ((4, 4), (size_px[1], 4, 4)):
+        raise BadInputError(
+            f"image_from_field has the shape {image_from_field.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with one "
+            "transform for each row of the display."
+        )
+
+
+def _display_from_fragment(target: WarpTarget) -> tuple[float, float, float, float]:
+    """Scale and offset from window coordinates to display pixels, rows down."""
+    x, y = target.first_px
+    if target.top_row_first:
+        return 1.0, 1.0, float(-x), float(-y)
+    return 1.0, -1.0, float(-x), float(y + target.size_px[1])

@@ -1,0 +1,23 @@
+#version 430
+// The smallest and the largest value in each tile of an image, whose channels LOW and HIGH hold them so far.
+
+uniform sampler2D values;
+
+layout(location = 0) out vec2 range;
+
+void main()
+{
+    ivec2 size = textureSize(values, 0);
+    ivec2 first = ivec2(gl_FragCoord.xy) * TILE;
+    ivec2 end = min(first + TILE, size);
+    vec4 low = vec4(uintBitsToFloat(0x7f800000u));
+    vec4 high = vec4(0.0);
+    for (int y = first.y; y < end.y; y += 2) {
+        for (int x = first.x; x < end.x; x += 2) {
+            vec2 shared_corner = vec2(x + 1, y + 1) / vec2(size);
+            low = min(low, textureGather(values, shared_corner, LOW));
+            high = max(high, textureGather(values, shared_corner, HIGH));
+        }
+    }
+    range = vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));
+}
