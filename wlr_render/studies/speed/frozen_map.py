@@ -1,0 +1,180 @@
+"""What a map that is computed once gets wrong: between its points, and when the pupil is elsewhere.
+
+Runtimes such as Monado (src/xrt/auxiliary/util/u_distortion_mesh.c, src/xrt/compositor/shaders) compute a distortion
+map once: for points on the panel, where in the picture each colour is read. Between the points it is interpolated. The
+map knows neither depth nor pupil, and the picture is drawn from the eye position for which the map was computed.
+
+How wrong that is. Let v0 be that position and R the picture's axes, so that the picture shows at tangents t the points
+X(t, Z) = v0 + R (Z tx, Z ty, -Z). At pixel p the interpolated map has tangents m(p): the panel's pixel p shows
+X(m(p), Z), if a surface stands there. An eye at v sees the light of pixel p in the direction d(p, v) of the display
+mapping, and the real X in the direction s(X, v) of the see-through mapping. The error is the angle between d(p, v) and
+s(X(m(p), Z), v): the misalignment of `evaluation.misalignment`, for the world at depth Z.
+
+With v = v0, and at the map's points, the error is zero if m is the place at which the exact ray (a, b, c, d) of
+`RayField` passes the depth Z, m = (a + c / Z, b + d / Z): what remains is interpolation. A runtime's map is that for
+Z = infinity, and is then wrong for nearer points by the rays' offset (c, d), even at v0.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.geometry import transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.ray_field import middle_axes, solve_pixels
+
+Interpolation = Callable[[FloatArray, FloatArray], FloatArray]
+"""(values (rows, columns, k), place (..., 2) in cells from the first point) -> (..., k)."""
+
+DEPTHS_M = (0.5, 2.0, np.inf)
+_FAR_M = 1e6  # stands in for infinity: a centimetre beside the line of sight is 3e-5 arcminutes there
+_PIXELS, _VIEWPOINTS = 2000, 8
+
+
+def on_triangles(values: FloatArray, place: FloatArray) -> FloatArray:
+    """As a mesh of triangles interpolates: each cell is cut from its upper right to its lower left corner."""
+    (first, right, lower, last), (x, y) = _corners(values, place)
+    upper = first + x * (right - first) + y * (lower - first)
+    return np.where(x + y <= 1.0, upper, last + (1.0 - x) * (lower - last) + (1.0 - y) * (right - last))
+
+
+def bilinear(values: FloatArray, place: FloatArray) -> FloatArray:
+    """As a texture is filtered, with exact weights."""
+    (first, right, lower, last), (x, y) = _corners(values, place)
+    return np.asarray((1 - y) * ((1 - x) * first + x * right) + y * ((1 - x) * lower + x * last))
+
+
+def _corners(values: FloatArray, place: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+    """The four values around each place, first, right, lower, last, and how far it lies right and down, (..., 1)."""
+    rows, columns = values.shape[:2]
+    cell = np.clip(np.floor(place).astype(int), 0, [columns - 2, rows - 2])
+    column, row = cell[..., 0], cell[..., 1]
+    corners = [values[row + down, column + right] for down in (0, 1) for right in (0, 1)]
+    return corners, np.split(place - cell, 2, axis=-1)
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """How a runtime carries its map from points to pixels: so many points each way, edge to edge, and in between."""
+
+    name: str
+    points: int
+    between: Interpolation
+
+
+MESH = Scheme("mesh of 64 x 64 cells", 65, on_triangles)
+IMAGE_MAPS = Scheme("maps of 128 x 128 texels", 128, bilinear)
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenMap:
+    """A map computed for one viewpoint.
+
+    Attributes:
+        scheme: how it is interpolated.
+        viewpoint: (3,) device frame, for which it was computed and from which its picture is drawn.
+        device_from_camera: (3, 3) axes of the picture.
+        lattice: the points.
+        tangents: (points, points, 2) at which the picture is read, at the lattice's points.
+    """
+
+    scheme: Scheme
+    viewpoint: FloatArray
+    device_from_camera: FloatArray
+    lattice: Lattice
+    tangents: FloatArray
+
+    def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
+        """Where the scheme reads the picture for pixels (..., 2), tangents (..., 2)."""
+        place = (pixel - self.lattice.first_px) / self.lattice.step_px
+        return self.scheme.between(self.tangents, place)
+
+    def texture_uv(self, camera: Pinhole) -> NDArray[np.float32]:
+        """The points' texture coordinates in a picture of that camera, top row first: (points, points, 2)."""
+        return (camera.pixel_of_tangents(self.tangents) / [camera.width_px, camera.height_px]).astype(np.float32)
+
+
+def frozen_map(
+    mappings: EyeMappings,
+    scheme: Scheme,
+    viewpoint: FloatArray,
+    device_from_camera: FloatArray,
+    depth_m: float = np.inf,
+) -> FrozenMap:
+    """The map for a viewpoint (3,), exact at its points for what stands at `depth_m` before it.
+
+    Raises:
+        BadInputError: the eye does not see the world through some point of the panel.
+    """
+    lattice = Lattice.edge_to_edge(mappings.display.panel, scheme.points, scheme.points)
+    bend = solve_pixels(mappings, device_from_camera, lattice.panel_pixel(), viewpoint).bend
+    if not np.isfinite(bend).all():
+        raise BadInputError(
+            f"{mappings.name}: parts of the panel have no ray from {np.round(viewpoint * 1e3, 2)} mm, so that a map of "
+            f"{scheme.points} x {scheme.points} points has holes; choose a headset whose whole panel is seen."
+        )
+    return FrozenMap(scheme, viewpoint, device_from_camera, lattice, bend[..., :2] + bend[..., 2:] / depth_m)
+
+
+def frozen_map_error_arcmin(
+    truth: EyeMappings, shown: FrozenMap, viewpoint: FloatArray, pixel: FloatArray, depth_m: float
+) -> FloatArray:
+    """The angle between where the eye sees what a pixel shows and where it sees the real thing: see the module.
+
+    Args:
+        truth: what the eye looks through.
+        shown: the scheme's map.
+        viewpoint: (..., 3) where the eye is.
+        pixel: (..., 2).
+        depth_m: at which the world stands, along the picture's axis from where it is drawn; may be infinite.
+
+    Returns:
+        (...) arcminutes; NaN where the eye sees the pixel or the point not at all.
+    """
+    tangents = shown.tangents_of_pixel(pixel)
+    in_camera = np.concatenate([tangents, -np.ones((*tangents.shape[:-1], 1))], axis=-1) * min(depth_m, _FAR_M)
+    point = transforms.apply(transforms.rigid(shown.device_from_camera, shown.viewpoint), in_camera)
+    return misalignment_arcmin(truth, viewpoint, pixel, point)
+
+
+def frozen_map_table(mappings: EyeMappings) -> ReportTable:
+    """What both schemes get wrong on a headset whose exact mappings are `mappings`: rms and largest, in arcminutes."""
+    rows = [row for scheme in (MESH, IMAGE_MAPS) for row in (_interpolation(mappings, scheme), _swim(mappings, scheme))]
+    columns = ("map", *(f"{what} at {depth:g} m" for depth in DEPTHS_M for what in ("rms", "max")))
+    notes = (
+        f"Arcminutes at {_PIXELS} pixels. At its own viewpoint: a map for each depth, seen from where it was computed.",
+        f"Frozen: the map for infinity at the eye box's centre, seen from {_VIEWPOINTS} other places in the eye box.",
+    )
+    return ReportTable(f"What a map computed once gets wrong: {mappings.name}", columns, rows, notes)
+
+
+def _interpolation(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
+    centre, axes, pixel = mappings.eye_box.centre, middle_axes(mappings), _judged_pixels(mappings)
+    maps = {depth: frozen_map(mappings, scheme, centre, axes, depth) for depth in DEPTHS_M}
+    errors = [frozen_map_error_arcmin(mappings, shown, centre, pixel, depth) for depth, shown in maps.items()]
+    return [f"{scheme.name}, at its own viewpoint", *_rms_and_max(errors)]
+
+
+def _swim(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
+    box, pixel = mappings.eye_box, _judged_pixels(mappings)
+    viewpoint = box.at(np.random.default_rng(9).uniform(-1, 1, (_VIEWPOINTS, 1, 3)))
+    shown = frozen_map(mappings, scheme, box.centre, middle_axes(mappings))
+    errors = [frozen_map_error_arcmin(mappings, shown, viewpoint, pixel, depth) for depth in DEPTHS_M]
+    return [f"{scheme.name}, frozen", *_rms_and_max(errors)]
+
+
+def _judged_pixels(mappings: EyeMappings) -> FloatArray:
+    """Pseudo-random, so that they do not fall into step with any map's points; half a pixel from the panel's edges."""
+    return np.random.default_rng(8).uniform(0.5, mappings.display.panel.size_px - 0.5, (_PIXELS, 2))
+
+
+def _rms_and_max(errors: list[FloatArray]) -> list[Cell]:
+    return [figure for each in map(summary, errors) for figure in (each.rms, each.maximum)]
