@@ -6,6 +6,7 @@ from numpy.random import Generator
 from wlr_render.geometry import directions
 from wlr_render.mappings import FloatArray
 from wlr_render.tracking.eye_model import EyeModel
+from wlr_render.tracking.minimum_jerk import minimum_jerk
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, HeadTrajectory
 
 _SWAY_M = np.array([0.05, 0.02, 0.04])
@@ -93,7 +94,7 @@ def _fixated_point(rng: Generator, time_s: FloatArray) -> FloatArray:
     amplitude_deg = np.rad2deg(directions.angle_between(view_dir[:-1], view_dir[1:]))
     duration_s = 0.021 + 0.0022 * amplitude_deg
     x = np.clip((time_s[:, None] - onset_s) / duration_s, 0, 1)
-    eased = x**3 * (10 - 15 * x + 6 * x * x)
+    eased = minimum_jerk(x)
     here = tangents[0] + eased @ np.diff(tangents, axis=0)
     distance = 1 / (inverse_distance[0] + eased @ np.diff(inverse_distance))
     return np.asarray(directions.dir_of_tangents(here) * distance[:, None])

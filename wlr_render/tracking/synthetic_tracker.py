@@ -1,0 +1,74 @@
+"""A made-up eye tracker: what it delivers of a known eye movement. For tests and demonstrations, not evidence."""
+
+import numpy as np
+from numpy.random import Generator
+
+from wlr_render.mappings import FloatArray
+from wlr_render.tracking.samples import require_ascending
+from wlr_render.tracking.trajectory import EYES, EyeTrajectory
+
+_BLINK_INTERVAL_S = (1.0, 60.0 / 17.0)  # shortest (ours); mean at rest (Bentivoglio et al. 1997)
+_PUPIL_HIDDEN_S = (0.1, 0.3)  # a blink covers the eye for at most 300 ms (Stern, Walrath & Goldstein 1984)
+_PUPIL_RADIUS_M = 0.002
+_CLOSING_S = 0.025  # 4 mm at 17-20 cm/s (Doane 1980)
+_OPENING_S = 0.04  # closing is 40-47 % quicker (Sforza et al. 2008)
+_DROPOUT_INTERVAL_S = (1.0, 5.0)  # shortest, mean; ours
+_DROPOUT_S = (0.005, 0.05)  # ours
+
+
+def tracker_samples(eyes: EyeTrajectory, time_s: FloatArray, seed: int) -> dict[str, list[FloatArray | None]]:
+    """What a tracker says at moments (n,), per eye: the entrance pupil (3,), device frame, metres, or None.
+
+    Both eyes blink together. A lid that comes down or goes up across the pupil at a constant speed shifts the centre of
+    what is seen of it down (-y), by the pupil's radius when all is covered; then there is no sample. Each eye has short
+    dropouts of its own besides. Blinks and dropouts follow from the seed and the first moment, not from the other
+    moments.
+
+    Args:
+        eyes: the true movement.
+        time_s: (n,) ascending moments within the trajectory, n >= 2.
+        seed: of blinks and dropouts.
+
+    Raises:
+        BadInputError: moments that do not ascend, fewer than two, or outside the trajectory.
+    """
+    require_ascending(time_s, "moments of the eye tracker")
+    truth = {eye: eyes.viewpoint_at(eye, time_s) for eye in eyes.tracks}
+    since_start_s = time_s - time_s[0]
+    blinks = _spells(np.random.default_rng(seed), since_start_s[-1], _BLINK_INTERVAL_S, _PUPIL_HIDDEN_S)
+    covered = _covered_share(since_start_s, blinks)
+    samples: dict[str, list[FloatArray | None]] = {}
+    for eye, viewpoint in truth.items():
+        own_rng = np.random.default_rng([seed, 1 + EYES.index(eye)])
+        dropouts = _spells(own_rng, since_start_s[-1], _DROPOUT_INTERVAL_S, _DROPOUT_S)
+        lost = (covered >= 1.0) | (since_start_s <= _end_before(since_start_s, dropouts))
+        seen = viewpoint - covered[:, None] * [0.0, _PUPIL_RADIUS_M, 0.0]
+        samples[eye] = [None if gone else point for gone, point in zip(lost, seen, strict=True)]
+    return samples
+
+
+def _spells(
+    rng: Generator, span_s: float, interval_s: tuple[float, float], length_s: tuple[float, float]
+) -> FloatArray:
+    """Starts and ends (m, 2) of what befalls at random: exponential intervals over a shortest one."""
+    shortest_s, mean_s = interval_s
+    uniform = rng.random((int(span_s / shortest_s) + 1, 2))  # row by row, so that a longer span begins alike
+    start_s = np.cumsum(shortest_s - (mean_s - shortest_s) * np.log1p(-uniform[:, 0]))
+    return np.stack([start_s, start_s + length_s[0] + uniform[:, 1] * (length_s[1] - length_s[0])], axis=1)
+
+
+def _end_before(time_s: FloatArray, spells: FloatArray) -> FloatArray:
+    """(n,) when the last spell that began by each moment ends; -inf before the first."""
+    return np.concatenate([[-np.inf], spells[:, 1]])[np.searchsorted(spells[:, 0], time_s, side="right")]
+
+
+def _start_after(time_s: FloatArray, spells: FloatArray) -> FloatArray:
+    """(n,) when the next spell begins after each moment; inf after the last."""
+    return np.concatenate([spells[:, 0], [np.inf]])[np.searchsorted(spells[:, 0], time_s, side="right")]
+
+
+def _covered_share(time_s: FloatArray, blinks: FloatArray) -> FloatArray:
+    """How much of the pupil's height the lid covers, (n,): 1 from the start to the end of a blink."""
+    closing = 1.0 - (_start_after(time_s, blinks) - time_s) / _CLOSING_S
+    opening = 1.0 - (time_s - _end_before(time_s, blinks)) / _OPENING_S
+    return np.clip(np.maximum(closing, opening), 0.0, 1.0)
