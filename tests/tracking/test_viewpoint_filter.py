@@ -30,7 +30,7 @@ def dragged_into_a_blink(viewpoint, drag_m=0.002):
     """A filter whose eye rested 0.3 s and was then dragged down by the lid for 25 ms; the last time and sample."""
     viewpoint_filter = new_filter()
     rest_s = fixate(viewpoint_filter, viewpoint, 0.0, 0.3)
-    for share in (0.2, 0.4, 0.6, 0.8, 1.0):
+    for share in np.arange(1, 25) / 24:
         last_s, last = rest_s + 0.025 * share, viewpoint - [0, drag_m * share, 0]
         viewpoint_filter.update(last_s, last)
     return viewpoint_filter, last_s, last
@@ -110,7 +110,7 @@ def test_held_then_fading_then_lost_exactly_where_the_eye_was_before_the_lid_cam
 def test_single_wild_samples_do_not_move_the_place_that_the_fade_ends_at():
     viewpoint_filter = new_filter()
     for index, time_s in enumerate(np.arange(60) * 0.005):
-        viewpoint_filter.update(time_s, NOMINAL + [0.015 if index % 5 == 0 else 0.001, 0, 0])
+        viewpoint_filter.update(time_s, NOMINAL + [0.015 if index % 5 == 4 else 0.001, 0, 0])
     np.testing.assert_allclose(viewpoint_filter.update(5.0, None).viewpoint, NOMINAL + [0.001, 0, 0], atol=1e-16)
 
 
@@ -129,8 +129,8 @@ def test_samples_while_the_lid_goes_up_are_followed_but_not_trusted():
     viewpoint_filter, last_s, _ = dragged_into_a_blink(NOMINAL)
     viewpoint_filter.update(last_s + 0.2, None)
     opening_s = last_s + 0.25
-    for delay_s in np.arange(0.0, LID_S - 0.001, 0.005):
-        viewpoint_filter.update(opening_s + delay_s, NOMINAL - [0, 0.002, 0])
+    open_s = fixate(viewpoint_filter, NOMINAL - [0, 0.002, 0], opening_s, opening_s + LID_S - 0.001)
+    fixate(viewpoint_filter, NOMINAL + [0.004, 0, 0], open_s + 0.005, open_s + 0.04)
     np.testing.assert_array_equal(viewpoint_filter.update(opening_s + 5.0, None).viewpoint, NOMINAL)
 
 
@@ -191,9 +191,9 @@ def test_the_counts_are_of_the_states_that_were_returned():
     before = viewpoint_filter.counts
     for gap_s in (0.01, 0.02, 0.1, 0.2, 0.3, 0.4):
         viewpoint_filter.update(last_s + gap_s, None)
-    assert dict(viewpoint_filter.counts.by_state) == {TRACKED: 65, HELD: 2, FADING: 1, LOST: 3}
-    assert viewpoint_filter.counts.sentence == "71 updates: 65 tracked, 2 held, 1 fading, 3 lost"
-    assert before.total == 65
+    assert dict(viewpoint_filter.counts.by_state) == {TRACKED: 84, HELD: 2, FADING: 1, LOST: 3}
+    assert viewpoint_filter.counts.sentence == "90 updates: 84 tracked, 2 held, 1 fading, 3 lost"
+    assert before.total == 84
     assert len({state.sentence for state in TrackingState}) == 4
 
 
