@@ -136,6 +136,7 @@ def test_samples_while_the_lid_goes_up_are_followed_but_not_trusted():
 
 def test_after_the_lid_went_up_the_new_place_is_trusted():
     viewpoint_filter, last_s, _ = dragged_into_a_blink(NOMINAL)
+    viewpoint_filter.update(last_s + 0.2, None)
     place = NOMINAL + [0.004, 0, 0]
     end_s = fixate(viewpoint_filter, place, last_s + 0.25, last_s + 0.55)
     np.testing.assert_array_equal(viewpoint_filter.update(end_s + 5.0, None).viewpoint, place)
