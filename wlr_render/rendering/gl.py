@@ -39,7 +39,7 @@ class GlError(RuntimeError):
 class _Host(Protocol):
     """Whose the context is."""
 
-    def entered(self) -> contextlib.AbstractContextManager[None]:
+    def entered(self, by_others: bool) -> contextlib.AbstractContextManager[None]:
         """A block in which the context is current."""
 
     def release(self, objects: list[Any]) -> None:
@@ -54,7 +54,7 @@ class _Own:
         self._make_current: Callable[[], object] = ctx.__enter__
 
     @contextlib.contextmanager
-    def entered(self) -> Iterator[None]:
+    def entered(self, by_others: bool) -> Iterator[None]:
         self._make_current()
         yield
 
@@ -69,13 +69,13 @@ class _Foreign:
         self._current, self._state, self._ctx = current, state, ctx
 
     @contextlib.contextmanager
-    def entered(self) -> Iterator[None]:
+    def entered(self, by_others: bool) -> Iterator[None]:
         if not self._current.is_current():
             raise BadInputError(
                 "The adopted OpenGL context is not current on this thread: make it current before drawing."
             )
         outermost = not self._state.inside
-        with self._state.kept():
+        with self._state.kept(by_others):
             if outermost:
                 self._ctx.screen.use()  # what ModernGL takes to be bound from now on
             yield
@@ -128,17 +128,20 @@ class GlContext:
         return str(self._ctx.info["GL_RENDERER"])
 
     @contextlib.contextmanager
-    def drawing(self) -> Iterator[moderngl.Context]:
+    def drawing(self, by_others: bool = False) -> Iterator[moderngl.Context]:
         """A block of OpenGL calls: this context current, all switches off, errors raised at the end.
 
         Other users of OpenGL in the process leave their context current and blending on, and ModernGL would then
         draw silently wrong pixels.
 
+        Args:
+            by_others: other software draws in the block, so that more of an adopted context's state has to be kept.
+
         Raises:
             GlError: a call in the block failed.
             BadInputError: an adopted context is not current.
         """
-        with self._host.entered():
+        with self._host.entered(by_others):
             self._ctx.gc()
             self._ctx.enable_only(moderngl.NOTHING)
             self._ctx.clear_errors()
@@ -343,7 +346,7 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
     _check_version(current.version())
     state = GlState(current)
     loader: Any = current
-    with state.kept(), _default_context_kept():
+    with state.kept(by_others=True), _default_context_kept():
         ctx = moderngl.create_context(require=_VERSION_CODE, context=loader)
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1

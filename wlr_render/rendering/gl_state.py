@@ -1,7 +1,8 @@
 """The state of an OpenGL context that belongs to somebody else: read before we draw, put back afterwards.
 
-What no block of this library touches is left out: bindings of uniform, storage and transform buffers, images,
-textures other than 2D, and units past the first eight.
+What no block of this library touches or minds is left out: bindings of uniform, storage and transform buffers, of
+images, of textures other than 2D, and units past the first eight; and of a row of viewports and scissor boxes only the
+first is put back.
 """
 
 import contextlib
@@ -16,11 +17,11 @@ from wlr_render.rendering.current_context import CurrentContext
 UNITS = 8
 """Texture units that are kept; a block must use no others."""
 
-_DRAW_BUFFERS, _VIEWPORTS = 8, 16  # the least that OpenGL 4.3 has of each
+_DRAW_BUFFERS = 8  # every OpenGL has as many
 _UINT, _INT, _BYTE = ctypes.c_uint, ctypes.c_int, ctypes.c_ubyte
 _FLOAT, _DOUBLE = ctypes.c_float, ctypes.c_double
 _GETTER = {_INT: "glGetIntegerv", _FLOAT: "glGetFloatv", _DOUBLE: "glGetDoublev"}
-_INDEXED_GETTER = {_INT: "glGetIntegeri_v", _FLOAT: "glGetFloati_v", _BYTE: "glGetBooleani_v"}
+_INDEXED_GETTER = {_INT: "glGetIntegeri_v", _BYTE: "glGetBooleani_v"}
 _TEXTURE0, _TEXTURE_2D = 0x84C0, 0x0DE1
 
 
@@ -35,7 +36,7 @@ class _Value:
         kind: C type of the numbers.
         first: the setter's fixed arguments.
         neutral: what our own drawing needs; None if it does not matter or every drawing sets it.
-        count: how many draw buffers or viewports have one each; the setter then takes the index first.
+        count: how many draw buffers have one each, 0 if it exists once; the setter takes the buffer's index first.
     """
 
     setter: str
@@ -50,7 +51,7 @@ class _Value:
 # (enum, number of them: 0 for a switch that exists once). All are off while we draw, but for those of _ON.
 _SWITCHES = {
     "BLEND": (0x0BE2, _DRAW_BUFFERS),
-    "SCISSOR_TEST": (0x0C11, _VIEWPORTS),
+    "SCISSOR_TEST": (0x0C11, 0),
     "DEPTH_TEST": (0x0B71, 0),
     "CULL_FACE": (0x0B44, 0),
     "STENCIL_TEST": (0x0B90, 0),
@@ -89,8 +90,8 @@ _VALUES = (
     _Value("glBindRenderbuffer", (0x8CA7,), first=(0x8D41,)),
     _Value("glBindFramebuffer", (0x8CAA,), first=(0x8CA8,)),  # read
     _Value("glBindFramebuffer", (0x8CA6,), first=(0x8CA9,)),  # draw
-    _Value("glViewportIndexedf", (0x0BA2,), 4, _FLOAT, count=_VIEWPORTS),
-    _Value("glScissorIndexed", (0x0C10,), 4, count=_VIEWPORTS),
+    _Value("glViewport", (0x0BA2,), 4),
+    _Value("glScissor", (0x0C10,), 4),
     _Value("glDepthRange", (0x0B70,), 2, _DOUBLE, neutral=(0.0, 1.0)),
     _Value("glClipControl", (0x935C, 0x935D), neutral=(0x8CA1, 0x935E)),  # lower left, -1 to 1
     _Value("glDepthFunc", (0x0B74,), neutral=(0x0203,)),  # <=
@@ -98,27 +99,26 @@ _VALUES = (
     _Value("glColorMaski", (0x0C23,), 4, _BYTE, neutral=(1, 1, 1, 1), count=_DRAW_BUFFERS),
     _Value("glClearColor", (0x0C22,), 4, _FLOAT),
     _Value("glClearDepth", (0x0B73,), 1, _DOUBLE),
-    _Value("glBlendFuncSeparatei", (0x80C9, 0x80C8, 0x80CB, 0x80CA), count=_DRAW_BUFFERS),
-    _Value("glBlendEquationSeparatei", (0x8009, 0x883D), neutral=(0x8006, 0x8006), count=_DRAW_BUFFERS),  # sums
     _Value("glPolygonMode", (0x0B40,), first=(0x0408,), neutral=(0x1B02,)),  # both faces filled
-    _Value("glCullFace", (0x0B45,)),
-    _Value("glFrontFace", (0x0B46,), neutral=(0x0901,)),  # counter-clockwise
-    _Value("glPrimitiveRestartIndex", (0x8F9E,)),
-    _Value("glProvokingVertex", (0x8E4F,), neutral=(0x8E4E,)),  # the last
-    _Value("glClampColor", (0x891C,), first=(0x891C,)),
-    _Value("glPointSize", (0x0B11,), 1, _FLOAT),
-    _Value("glLineWidth", (0x0B21,), 1, _FLOAT),
     *(_Value("glPixelStorei", (enum,), first=(enum,), neutral=(usual,)) for enum, usual in _PIXEL_STORE),
 )
-
+_VALUES_OF_OTHERS = (
+    _Value("glBlendFuncSeparatei", (0x80C9, 0x80C8, 0x80CB, 0x80CA), count=_DRAW_BUFFERS),
+    _Value("glBlendEquationSeparatei", (0x8009, 0x883D), neutral=(0x8006, 0x8006), count=_DRAW_BUFFERS),  # sums
+    _Value("glCullFace", (0x0B45,), neutral=(0x0405,)),  # back
+    _Value("glFrontFace", (0x0B46,), neutral=(0x0901,)),  # counter-clockwise
+    _Value("glPrimitiveRestartIndex", (0x8F9E,)),
+    _Value("glPointSize", (0x0B11,), 1, _FLOAT, neutral=(1.0,)),
+    _Value("glLineWidth", (0x0B21,), 1, _FLOAT, neutral=(1.0,)),
+)
 _ACTIVE_TEXTURE = _Value("glActiveTexture", (0x84E0,))
-_TEXTURE = _Value("glBindTexture", (0x8069,), first=(_TEXTURE_2D,), neutral=(0,))
+_TEXTURE = _Value("glBindTexture", (0x8069,), first=(_TEXTURE_2D,))
 _SAMPLERS = [_Value("glBindSampler", (0x8919,), first=(unit,), neutral=(0,)) for unit in range(UNITS)]
 
 
 class _Part(Protocol):
     def read(self) -> Any: ...
-    def neutralise(self) -> None: ...
+    def neutralise(self, state: Any) -> None: ...
     def write(self, state: Any) -> None: ...
 
 
@@ -132,23 +132,24 @@ class _Kept:
         )
         self._size = value.size * len(value.read)
         self._numbers = (value.kind * (self._size + 4))()  # some drivers write two polygon modes
-        part_bytes = ctypes.sizeof(value.kind) * value.size
+        address, part_bytes = ctypes.addressof(self._numbers), ctypes.sizeof(value.kind) * value.size
         self._read = [
-            functools.partial(getter, enum, *indices, ctypes.byref(self._numbers, k * part_bytes))
+            functools.partial(getter, _UINT(enum), *indices, ctypes.c_void_p(address + k * part_bytes))
             for k, enum in enumerate(value.read)
         ]
         first = (*indices, *value.first)
         setter = current.function(value.setter, *[_UINT] * len(first), *[value.kind] * self._size)
         self._set = functools.partial(setter, *first)
-        self._neutral = value.neutral
+        self._neutral = None if value.neutral is None else list(value.neutral)
 
     def read(self) -> list[float]:
         for read in self._read:
             read()
-        return list(self._numbers[: self._size])
+        numbers: list[float] = self._numbers[: self._size]
+        return numbers
 
-    def neutralise(self) -> None:
-        if self._neutral is not None:
+    def neutralise(self, state: list[float]) -> None:
+        if self._neutral is not None and state != self._neutral:
             self._set(*self._neutral)
 
     def write(self, state: list[float]) -> None:
@@ -171,8 +172,9 @@ class _Switch:
     def read(self) -> bool:
         return bool(self._is_on())
 
-    def neutralise(self) -> None:
-        self._turn[self._neutral]()
+    def neutralise(self, state: bool) -> None:
+        if state != self._neutral:
+            self._turn[self._neutral]()
 
     def write(self, state: bool) -> None:
         self._turn[state]()
@@ -195,9 +197,9 @@ class _Units:
         active = self._active.read()
         return [active, *(numbers for sampler in self._each() for numbers in (self._texture.read(), sampler.read()))]
 
-    def neutralise(self) -> None:
-        for sampler in self._each():
-            sampler.neutralise()
+    def neutralise(self, state: list[list[float]]) -> None:
+        for sampler, found in zip(self._samplers, state[2::2], strict=True):
+            sampler.neutralise(found)
 
     def write(self, state: list[list[float]]) -> None:
         active, *bound = state
@@ -205,6 +207,15 @@ class _Units:
             self._texture.write(texture)
             sampler.write(of_sampler)
         self._active.write(active)
+
+
+def _kept_values(current: CurrentContext, table: tuple[_Value, ...]) -> list[_Kept]:
+    return [
+        _Kept(current, value, index)
+        for value in table
+        if current.load_opengl_function(value.setter)  # glClipControl is younger than OpenGL 4.3
+        for index in range(max(value.count, 1))
+    ]
 
 
 class GlState:
@@ -215,12 +226,7 @@ class GlState:
     """
 
     def __init__(self, current: CurrentContext) -> None:
-        values = [
-            _Kept(current, value, index)
-            for value in _VALUES
-            if current.load_opengl_function(value.setter)  # glClipControl is younger than OpenGL 4.3
-            for index in range(max(value.count, 1))
-        ]
+        values, self._parts_of_others = (_kept_values(current, table) for table in (_VALUES, _VALUES_OF_OTHERS))
         switches = [
             _Switch(current, enum, name in _ON, index if count else None)
             for name, (enum, count) in _SWITCHES.items()
@@ -231,23 +237,25 @@ class GlState:
         self.inside = False
 
     @contextlib.contextmanager
-    def kept(self) -> Iterator[None]:
+    def kept(self, by_others: bool = False) -> Iterator[None]:
         """A block that starts from OpenGL's usual state and leaves, also by an exception, the state that it found.
 
-        Errors that OpenGL holds are dropped. A block within a block is a part of it.
+        Errors that OpenGL holds are dropped. A block within a block is a part of it and costs nothing.
+
+        Args:
+            by_others: software that draws in the block, ModernGL's start or pyrender, sets more than we do.
         """
-        if self.inside:
-            yield
-            return
-        found = [part.read() for part in self._parts]
+        outer = self.inside
+        parts: list[_Part] = [*([] if outer else self._parts), *(self._parts_of_others if by_others else [])]
+        found = [part.read() for part in parts]
         self.inside = True
         try:
-            for part in self._parts:
-                part.neutralise()
+            for part, state in zip(parts, found, strict=True):
+                part.neutralise(state)
             yield
         finally:
-            self.inside = False
-            for part, state in zip(self._parts, found, strict=True):
+            self.inside = outer
+            for part, state in zip(parts, found, strict=True):
                 part.write(state)
             while self._error():
                 pass
