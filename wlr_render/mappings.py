@@ -6,6 +6,7 @@ along -z), metres, and have any leading axes; `pixel`, `viewpoint`, `view_dir` a
 each other.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol, runtime_checkable
@@ -57,6 +58,14 @@ def worst(*statuses: StatusArray) -> StatusArray:
     for status in statuses[1:]:
         result = np.maximum(result, status)
     return result
+
+
+def count_unsolved(statuses: Iterable[StatusArray]) -> dict[str, int]:
+    """How often each status but OK occurs in some status arrays, by its name in words: {"not converged": 12}."""
+    counts = np.zeros(len(Status), dtype=np.int64)
+    for status in statuses:
+        counts += np.bincount(status.reshape(-1), minlength=len(Status))
+    return {each.name.lower().replace("_", " "): int(counts[each]) for each in Status if each and counts[each]}
 
 
 @dataclass(frozen=True)

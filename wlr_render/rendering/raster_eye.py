@@ -56,7 +56,7 @@ class RasterEye:
         ]
         shift = transforms.rotate(device_from_camera, np.array(shift_in_camera))
         coefficients, *_ = np.linalg.lstsq(basis(viewpoints, _DEGREE, self._box), shift)
-        self._shift = Polynomial(_DEGREE, self._box, coefficients)
+        self._shift = Polynomial(_DEGREE, self._box, coefficients.astype(np.float64))
 
     def at(self, viewpoint: FloatArray) -> FloatArray:
         """The place (..., 3) for viewpoints (..., 3), both in the device frame.
