@@ -1,12 +1,25 @@
 """A headset as the user names it: a device (its exact optics) or a fitted model."""
 
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+
+PRIMARIES_UM = (0.6149, 0.5442, 0.4642)
+"""Dominant wavelengths of the red, green and blue primaries of DCI-P3 (chromaticities: SMPTE RP 431-2), micrometres.
+
+They stand for a panel's light: DCI-P3 is the gamut that makers of headset panels commonly state, and sRGB's primaries
+lie within 5 nm of these. A real primary is a band some tens of nanometres wide, of which one map serves the middle.
+"""
+
+Channels = tuple[EyeMappings, EyeMappings, EyeMappings]
+"""One eye in red, green and blue light, with one panel and one eye box."""
 
 
 def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
@@ -21,6 +34,39 @@ def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
     if mappings.eye != eye:
         raise BadInputError(f"{spec}: is a model of the {mappings.eye} eye; the {eye} eye was asked for.")
     return mappings
+
+
+def open_channels(specs: Sequence[str | Path], eye: str = "right") -> Channels:
+    """Mappings of one eye for each colour of its panel.
+
+    Args:
+        specs: one device, which is traced at `PRIMARIES_UM`, or three model files, for red, green and blue.
+        eye: "left" or "right".
+
+    Raises:
+        BadInputError: as `open_eye`, or another number of files, or models that differ in panel or eye box.
+    """
+    if len(specs) == 1 and Path(specs[0]).suffix != ".json":
+        device = load_device(specs[0])
+        red, green, blue = (traced_eye(device, eye, wavelength_um) for wavelength_um in PRIMARIES_UM)
+    elif len(specs) == 3:
+        red, green, blue = (open_eye(spec, eye) for spec in specs)
+    else:
+        raise BadInputError(
+            f"{', '.join(map(str, specs)) or 'no headset'}: give one device, or three model files that were fitted in "
+            "red, green and blue light."
+        )
+    for other, spec in ((red, specs[0]), (blue, specs[-1])):
+        _require_same_eye(green, other, spec)
+    return red, green, blue
+
+
+def _require_same_eye(green: EyeMappings, other: EyeMappings, spec: str | Path) -> None:
+    first, second = (np.stack([mappings.eye_box.centre, mappings.eye_box.size]) for mappings in (green, other))
+    if green.display.panel != other.display.panel or not np.allclose(first, second, rtol=0, atol=1e-9):
+        raise BadInputError(
+            f"{spec}: has another panel or eye box than the green model; fit all three colours to one calibration."
+        )
 
 
 def require_in_eye_box(mappings: EyeMappings, viewpoint: FloatArray, where: str) -> None:

@@ -12,6 +12,7 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.scene import Instance, Light, Scene
 from wlr_render.rendering.shapes.sculpture import sculpture
 from wlr_render.studies.alignment_demo import simulated_captures
+from wlr_render.studies.headset import Channels, open_channels
 from wlr_render.studies.speed.timing import ROUNDS
 
 HEAD_POSE = np.eye(4)
@@ -38,6 +39,24 @@ def workload() -> Workload:
 def bench_model(panel: Panel) -> EyeMappings:
     """A planar model of northstar whose panel has been given another number of pixels."""
     return _planar(traced_eye(load_device("northstar"), "right"), panel, _SEED)
+
+
+def fit_channels(device: str, eye: str = "right", panel: Panel | None = None) -> Channels:
+    """Planar models of one eye in red, green and blue light, each from a simulated calibration with noise of its own.
+
+    Args:
+        device: a shipped device or a device file.
+        eye: "left" or "right".
+        panel: another number of pixels for its panel; its own if None.
+
+    Raises:
+        BadInputError: as `headset.open_channels`.
+    """
+    truths = open_channels([device], eye)
+    red, green, blue = (
+        _planar(truth, panel or truth.display.panel, _SEED + number) for number, truth in enumerate(truths)
+    )
+    return red, green, blue
 
 
 def _planar(truth: EyeMappings, panel: Panel, seed: int) -> EyeMappings:

@@ -1,0 +1,75 @@
+"""How far apart an eye sees the colours of one headset: what one map for all colours would get wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.geometry import directions, rays
+from wlr_render.mappings import EyeMappings, FloatArray
+
+DEPTH_M = 2.0
+"""At which the world is looked at: about where headsets put their virtual image."""
+_COLUMNS, _ROWS = 41, 31
+
+
+@dataclass(frozen=True, eq=False)
+class LateralColour:
+    """Angles between one colour and green, (n,) arcminutes, NaN where either is not seen.
+
+    Attributes:
+        display: between the directions in which a pixel is seen.
+        see_through: between the directions in which a real point is seen.
+        world_ray: between the places at `DEPTH_M` that a pixel's rays lead to, as seen from the viewpoint: what one map
+            for both colours would get wrong in the picture.
+    """
+
+    display: FloatArray
+    see_through: FloatArray
+    world_ray: FloatArray
+
+
+def lateral_colour(green: EyeMappings, other: EyeMappings, viewpoint: FloatArray, pixel: FloatArray) -> LateralColour:
+    """Compare one colour with green at pixels (n, 2) from a viewpoint (3,).
+
+    The real points are those at `DEPTH_M` that the pixels' green rays lead to.
+    """
+    seen = [colour.display.view_dir_of_pixel(pixel, viewpoint).value for colour in (green, other)]
+    points = [_met(colour, view_dir, viewpoint) for colour, view_dir in zip((green, other), seen, strict=True)]
+    through = [colour.see_through.view_dir_of_real_point(points[0], viewpoint).value for colour in (green, other)]
+    places = [directions.normalised(point - viewpoint) for point in points]
+    return LateralColour(*(directions.arcmin_between(*pair) for pair in (seen, through, places)))
+
+
+def _met(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Points (n, 3) at `DEPTH_M` before the viewpoint that are seen in directions (n, 3)."""
+    real = mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value
+    return rays.split(rays.at_z(real, viewpoint[2] - DEPTH_M))[0]
+
+
+def lateral_colour_table(headsets: Sequence[tuple[EyeMappings, EyeMappings, EyeMappings]]) -> ReportTable:
+    """For headsets in red, green and blue: rms and largest angles over the field from the eye box's centre."""
+    rows: list[list[Cell]] = []
+    for red, green, blue in headsets:
+        pixel = _judged_pixels(green)
+        for name, other in (("red", red), ("blue", blue)):
+            found = lateral_colour(green, other, green.eye_box.centre, pixel)
+            figures = map(summary, (found.display, found.see_through, found.world_ray))
+            rows.append([green.name, name, *(each for kind in figures for each in (kind.rms, kind.maximum))])
+    kinds = ("display", "see-through", "world ray")
+    columns = ("headset", "against green", *(f"{kind} {what}" for kind in kinds for what in ("rms", "max")))
+    notes = (
+        f"Arcminutes; {_COLUMNS} x {_ROWS} directions over the nominal field, or pixels where none is stated.",
+        f"The world is at {DEPTH_M:g} m.",
+        "A device file that gives a medium one constant index has no colour in it, whatever its glass has.",
+    )
+    return ReportTable("Lateral colour", columns, rows, notes)
+
+
+def _judged_pixels(mappings: EyeMappings) -> FloatArray:
+    """Pixels (n, 2) over the nominal field, or over the whole panel where there is none."""
+    if mappings.field is None:
+        return mappings.display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
+    view_dir = mappings.field.directions(_COLUMNS, _ROWS)
+    shown = mappings.display.pixel_of_view_dir(view_dir, mappings.eye_box.centre)
+    return shown.value[shown.usable]
