@@ -4,6 +4,7 @@ import pytest
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.mappings import Status
 from wlr_render.rendering import ray_field
+from wlr_render.rendering.lattice import Lattice
 
 
 def test_chosen_nodes_give_the_exact_field_within_tolerance_at_every_pixel(toy_headset):
@@ -98,3 +99,21 @@ def test_asked_tangents_reach_the_corner_pixels(toy_headset):
     # The interpolated field is float32.
     assert asked[:, 0].max() >= field.bend[0].max() - 1e-6
     assert asked[:, 1].min() <= field.bend[1].min() + 1e-6
+
+
+@pytest.mark.parametrize("make", [Lattice.edge_to_edge, lambda panel, *size: Lattice.of_pixels(panel, size)])
+def test_nodes_are_carried_to_the_points_of_any_lattice(toy_headset, make):
+    lattice, viewpoint = make(toy_headset.display.panel, 13, 7), toy_headset.eye_box.at(np.array([0.5, 0.1, -0.7]))
+    field = ray_field.ray_field(toy_headset, viewpoint, ray_field.FieldPlan.to_lattice(lattice, 17, np.eye(3)))
+    exact = ray_field.exact_field(toy_headset, viewpoint, np.eye(3), lattice.panel_pixel())
+    np.testing.assert_allclose(field.bend, exact.bend, atol=1e-6)
+    np.testing.assert_array_equal(field.status, exact.status)
+
+
+def test_around_a_hole_moved_pixel_centres_are_asked_where_they_are(toy_headset_with_hole):
+    offset, viewpoint = np.array([0.25, -0.5]), toy_headset_with_hole.eye_box.centre
+    panel = toy_headset_with_hole.display.panel
+    plan = ray_field.FieldPlan.with_nodes(panel, 9, np.eye(3), offset)
+    field = ray_field.ray_field(toy_headset_with_hole, viewpoint, plan)
+    exact = ray_field.exact_field(toy_headset_with_hole, viewpoint, np.eye(3), panel.pixel_centres() + offset)
+    np.testing.assert_array_equal(field.bend, exact.bend)
