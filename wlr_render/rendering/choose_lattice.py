@@ -1,7 +1,8 @@
 """How coarse a lattice may be for its bilinear reading to stay within a tolerance of the exact solve, by measurement.
 
 Between four points the reading of a smooth field errs most at the middle of the cell, by an eighth of the second
-differences there: with the square of the cell's size.
+differences there: with the square of the cell's size. What a GPU's coarse filter weights add (`gl.read_between_texels`)
+is not in the bound.
 """
 
 from dataclasses import dataclass

@@ -280,7 +280,8 @@ def bind_textures(program: Program, **textures: Texture | Sequence[Texture]) -> 
 def read_between_texels(texture: Texture) -> None:
     """From now on shaders that sample the texture see values between its texels, bilinear.
 
-    The filter weights have 8 bits on some hardware and on llvmpipe: see `srgb_texture`.
+    Most GPUs filter with weights of 8 bits, so that a sample errs by up to 1/512 of the step to the next texel, along
+    each axis; llvmpipe filters floats in float32.
     """
     texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
 
