@@ -14,8 +14,8 @@ from wlr_render.optics.traced_mappings import traced_eye
 PRIMARIES_UM = (0.6149, 0.5442, 0.4642)
 """Dominant wavelengths of the red, green and blue primaries of DCI-P3 (chromaticities: SMPTE RP 431-2), micrometres.
 
-They stand for a panel's light: DCI-P3 is the gamut that makers of headset panels commonly state, and sRGB's primaries
-lie within 5 nm of these. A real primary is a band some tens of nanometres wide, of which one map serves the middle.
+They stand for a panel's light by our choice; sRGB's primaries lie within 5 nm of them. A real primary is a band some
+tens of nanometres wide, of which one map serves the middle.
 """
 
 Channels = tuple[EyeMappings, EyeMappings, EyeMappings]
