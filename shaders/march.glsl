@@ -1,8 +1,10 @@
 // Where a bent ray meets what the intermediate image shows: rendering/warped_image.py has the rule.
 //
-// Needs STEP_PX, MAX_MARCH, MAX_STEPS, SETTLED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`, `ranges`,
-// `per_texel` and `whole_range`. One loop with one texture read in each turn, tested at its head: software renderers
-// run both sides of a branch, and mix the turns of neighbouring pixels in a loop that is left from within.
+// Needs STEP_PX, MAX_MARCH, MAX_STEPS, SETTLED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`,
+// `ranges`, `per_texel` and `whole_range`. One loop with one texture read in each round, whether it marches or refines:
+// software renderers run both sides of a branch, and one round too many of a loop tested at its head. A loop tested at
+// its end they leave for all neighbours at once, and may mix their last rounds: so what the result is made of (asked,
+// passed, settled) stays as it is once a pixel has stopped searching.
 
 float nearest_inverse_depth(vec2 pixel)
 {
@@ -37,40 +39,42 @@ int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)
     float turns = clamp(ceil(px_per_inverse_depth * (range.y - range.x) / STEP_PX), 1.0, float(MAX_MARCH));
     float stride = (range.y - range.x) / turns;
 
-    float before = nearest_inverse_depth(at_infinity + range.y * shift);
     float turn = 1.0;
     float far_end = range.y - stride;
+    float seen_near = nearest_inverse_depth(at_infinity + range.y * shift);  // from the turn's two ends
+    float seen_far = seen_near;
+    bool in_front = true;  // at its near end
     bool refining = turns == 1.0;
-    float asked = refining ? before : far_end;
-    float ahead = asked;  // what is seen at the far end
-    bool in_front = true;
-    bool settled = false;
+    float asked = refining ? seen_near : far_end;
     float passed = range.y;
     int steps = 0;
-    while (!settled && turn <= turns) {
+    bool settled = false;
+    bool searching;
+    do {
+        searching = !settled && turn <= turns;
         float seen = smooth_inverse_depth(at_infinity + asked * shift);
-        // While marching:
-        ahead = refining ? ahead : seen;
-        bool reached = in_front && (max(before, seen) >= far_end || turn == turns);
-        bool before_fits = abs(before - far_end - 0.5 * stride) <= 1.5 * stride;
-        float start = before_fits ? before : seen;
-        // While refining:
-        settled = refining && abs(seen - asked) * px_per_inverse_depth < SETTLED_PX;
-        steps = refining ? steps + 1 : 0;
+        bool closes = abs(seen - asked) * px_per_inverse_depth < SETTLED_PX;
+        settled = settled || searching && refining && closes;
 
+        seen_far = refining ? seen_far : seen;
+        bool may_meet = in_front && (max(seen_near, seen_far) >= far_end || turn == turns);
+        float middle = far_end + 0.5 * stride;
+        float start = abs(seen_near - middle) <= 1.5 * stride ? seen_near : seen_far;
         float next = refining ? seen : start;
-        bool fits = abs(next - far_end - 0.5 * stride) <= 1.5 * stride || turns == 1.0;
-        bool goes_on = fits && (refining ? steps < MAX_STEPS : reached);
-        bool failed = !goes_on && (refining || reached);
-        passed = failed ? max(next, refining ? asked : before) : passed;
-        bool next_turn = !settled && !goes_on;
-        in_front = next_turn ? ahead < far_end : in_front;
-        before = next_turn ? ahead : before;
-        turn += next_turn ? 1.0 : 0.0;
-        far_end = next_turn ? range.y - turn * stride : far_end;
-        refining = !next_turn;
-        asked = next_turn ? far_end : next;
-    }
+        steps = refining ? steps + 1 : 0;
+        bool within = turns == 1.0 || abs(next - middle) <= 1.5 * stride;
+        bool goes_on = within && (refining ? steps < MAX_STEPS : may_meet);
+        bool fails = !goes_on && (refining || may_meet);
+        passed = searching && fails ? max(next, refining ? asked : seen_near) : passed;
+
+        bool turns_over = !settled && !goes_on;
+        in_front = turns_over ? seen_far < far_end : in_front;
+        seen_near = turns_over ? seen_far : seen_near;
+        turn += turns_over ? 1.0 : 0.0;
+        far_end = turns_over ? range.y - turn * stride : far_end;
+        refining = !turns_over;
+        asked = !searching ? asked : turns_over ? far_end : next;
+    } while (!settled && turn <= turns);
     pixel = at_infinity + (settled ? asked : passed) * shift;
     return settled ? SEEN : DISOCCLUDED;
 }

@@ -68,12 +68,13 @@ vec4 ray_in_image_frame(int channel, vec2 display_pixel)
     vec4 ray = texture(bend[channel], display_pixel * place.xy + place.zw);
 #if ROWS
     int row = int(display_pixel.y);
-    vec4 image_from_field[3];
-    for (int axis = 0; axis < 3; ++axis) {
-        image_from_field[axis] = texelFetch(row_transforms, ivec2(axis, row), 0);
-    }
+    vec4 x = texelFetch(row_transforms, ivec2(0, row), 0);
+    vec4 y = texelFetch(row_transforms, ivec2(1, row), 0);
+    vec4 z = texelFetch(row_transforms, ivec2(2, row), 0);
+    return seen_from(ray, x, y, z);
+#else
+    return seen_from(ray, image_from_field[0], image_from_field[1], image_from_field[2]);
 #endif
-    return seen_from(ray, image_from_field);
 }
 
 void main()

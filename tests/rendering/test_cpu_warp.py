@@ -43,7 +43,7 @@ def source_at(bend, inverse_depth):
 @pytest.mark.parametrize("depth", [0.3, 2.0])
 def test_a_frontal_plane_at_known_depth(depth):
     bend = bend_over()
-    warped = warp_on_cpu(flat_image(1 / depth), CAMERA, bend)
+    warped = warp_on_cpu(flat_image(1 / depth), CAMERA, [bend])
     assert (warped.status == WarpStatus.SEEN).all()
     np.testing.assert_allclose(warped.source, source_at(bend, 1 / depth), atol=1e-4)
 
@@ -52,7 +52,7 @@ def test_a_tilted_plane_at_known_depth():
     # In front of the viewpoint the plane n . p = 1 has inverse depth n . (tx, ty, -1) in every direction.
     normal = np.array([0.5, -0.3, -0.8])
     bend = bend_over()
-    warped = warp_on_cpu(flat_image(CAMERA.pixel_centre_tangents() @ normal[:2] - normal[2]), CAMERA, bend)
+    warped = warp_on_cpu(flat_image(CAMERA.pixel_centre_tangents() @ normal[:2] - normal[2]), CAMERA, [bend])
     a, b, c, d = bend.astype(float)
     expected = (normal[0] * a + normal[1] * b - normal[2]) / (1 - normal[0] * c - normal[1] * d)
     assert (warped.status == WarpStatus.SEEN).all()
@@ -63,7 +63,7 @@ def test_straight_rays_through_pixel_centres_change_no_bit():
     colour = np.random.default_rng(0).integers(0, 256, (CAMERA.height_px, CAMERA.width_px, 3)).astype(np.uint8)
     tangents = CAMERA.pixel_centre_tangents()
     bend = np.concatenate([tangents, 0 * tangents], axis=-1).transpose(2, 0, 1).astype(np.float32)
-    warped = warp_on_cpu(flat_image(0.7, colour), CAMERA, bend)
+    warped = warp_on_cpu(flat_image(0.7, colour), CAMERA, [bend])
     # Float32 puts centres off by 1e-5 px, worth no code but at a tie.
     assert np.abs(warped.colour.astype(int) - colour).max() <= 1
     assert (warped.colour == colour).mean() > 0.99
@@ -71,7 +71,7 @@ def test_straight_rays_through_pixel_centres_change_no_bit():
 
 def test_the_background_is_met_where_the_tangents_point():
     bend = bend_over()
-    warped = warp_on_cpu(flat_image(0.0), CAMERA, bend)
+    warped = warp_on_cpu(flat_image(0.0), CAMERA, [bend])
     np.testing.assert_allclose(warped.source, source_at(bend, 0.0), atol=1e-4)
 
 
@@ -79,7 +79,7 @@ def test_pixels_without_a_ray_and_rays_that_lead_outside():
     bend = bend_over()
     bend[:, 4:8, 5:9] = np.nan
     bend[0, 20:25] = 3.0
-    warped = warp_on_cpu(flat_image(1.0), CAMERA, bend, background=(9, 8, 7))
+    warped = warp_on_cpu(flat_image(1.0), CAMERA, [bend], background=(9, 8, 7))
     expected = np.full(bend.shape[1:], WarpStatus.SEEN)
     expected[4:8, 5:9] = WarpStatus.NO_RAY
     expected[20:25] = WarpStatus.OUTSIDE
@@ -97,7 +97,7 @@ def step_image():
 
 def test_at_an_edge_the_near_surface_hides_and_the_uncovered_shows_the_far_one():
     bend = bend_over(offset=(-OFFSET, 0.0))
-    warped = warp_on_cpu(step_image(), CAMERA, bend)
+    warped = warp_on_cpu(step_image(), CAMERA, [bend])
     on_near, on_far = source_at(bend, 2.0)[..., 0] < 100, source_at(bend, 0.5)[..., 0] > 100
     both = on_near & on_far
     assert both.any()
@@ -106,7 +106,7 @@ def test_at_an_edge_the_near_surface_hides_and_the_uncovered_shows_the_far_one()
     assert (warped.status == WarpStatus.SEEN).all()
     # From the other side the rays pass the near edge, and meet what the image does not show.
     bend = bend_over(offset=(OFFSET, 0.0))
-    warped = warp_on_cpu(step_image(), CAMERA, bend)
+    warped = warp_on_cpu(step_image(), CAMERA, [bend])
     hidden = (source_at(bend, 2.0)[..., 0] > 100.01) & (source_at(bend, 0.5)[..., 0] < 99.99)
     assert hidden.any()
     np.testing.assert_array_equal(warped.status == WarpStatus.DISOCCLUDED, hidden)
@@ -129,9 +129,9 @@ def test_inverse_depth_is_not_mixed_across_an_edge():
 def test_blocks_and_threads_change_no_bit(monkeypatch):
     bend = bend_over()
     bend[:, 3, 5] = np.nan
-    whole = warp_on_cpu(step_image(), CAMERA, bend)
+    whole = warp_on_cpu(step_image(), CAMERA, [bend])
     monkeypatch.setattr(cpu_warp, "_PIXELS_PER_BLOCK", 100)
-    cut = warp_on_cpu(step_image(), CAMERA, bend)
+    cut = warp_on_cpu(step_image(), CAMERA, [bend])
     for name in ("colour", "status", "source"):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name), err_msg=name)
 
@@ -145,7 +145,7 @@ def test_it_warps_as_opengl_does(gl_context):
     bend[:, 10:14, 30:50] = np.nan
     image = GlRaster(gl_context, scene).draw_on_gpu(view(CAMERA))
     theirs = GlWarp(gl_context).warp(image, bend, with_source=True)
-    ours = warp_on_cpu(image.read(), CAMERA, bend)
+    ours = warp_on_cpu(image.read(), CAMERA, [bend])
     same = ours.status == theirs.status
     assert same.mean() > 0.999
     assert {int(WarpStatus.SEEN), int(WarpStatus.DISOCCLUDED), int(WarpStatus.NO_RAY)} <= set(ours.status[same])
@@ -160,7 +160,7 @@ def test_it_warps_as_opengl_does(gl_context):
 def test_raster_and_warp_give_the_traced_picture_of_a_plane():
     scene = unlit((quad((-3, -3), (3, 3), texture=TEXTURE), at(0, 0, -2)))
     bend = bend_over()
-    warped = warp_on_cpu(CpuRaster(scene).draw(view(CAMERA)), CAMERA, bend)
+    warped = warp_on_cpu(CpuRaster(scene).draw(view(CAMERA)), CAMERA, [bend])
     a, b, c, d = bend
     origin = np.stack([c, d, 0 * c], axis=-1)
     direction = np.stack([a, b, -np.ones_like(a)], axis=-1)

@@ -143,7 +143,7 @@ def test_the_cpu_path_finds_the_same_sources(gl_context, busy_picture):
     bend = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
     bend[:, 3:9, 5:8] = np.nan
     fast = GlWarp(gl_context).warp(busy_picture, bend, (9, 8, 7), with_source=True)
-    slow = warp_on_cpu(busy_picture.read(), CAMERA, bend, (9, 8, 7))
+    slow = warp_on_cpu(busy_picture.read(), CAMERA, [bend], background=(9, 8, 7))
     same = fast.status == slow.status
     assert same.mean() > 0.995
     found = same & (fast.status == WarpStatus.SEEN)

@@ -84,7 +84,7 @@ class GlWarp:
         """Prepare for one field of rays, or for 3: one for each colour channel (red, green, blue)."""
         self._context, self._channels = context, channels
         self._ranges = GlDepthRanges(context)
-        self._textures: dict[tuple[str, tuple[int, int]], gl.Texture] = {}
+        self._textures: dict[str, gl.Texture] = {}
         self._passes: dict[tuple[tuple[str, int], ...], gl.VertexArray] = {}
 
     def draw(

@@ -21,8 +21,8 @@ meets it where D(s(w)) = w. The rule:
 4. If w leaves the turn (by more than a turn) or does not settle in MAX_STEPS, the ray has passed an edge: it is now
    behind the near surface, or beside it. The search goes on with the next turns; behind something, the ray must come in
    front of what the image shows before it can meet it.
-5. If nothing is met, the ray ended behind the edge that it passed last, where the image shows nothing of it: DISOCCLUDED.
-   The farther side of that edge stands in: s at the nearer of the last two w that were tried.
+5. If nothing is met, the ray ended behind the edge that it passed last, where the image shows nothing of it:
+   DISOCCLUDED. The farther side of that edge stands in: s at the nearer of the last two w that were tried.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the field, or a ray that does not lead forwards, is
    NO_RAY.
 

@@ -1,0 +1,241 @@
+"""Where bent rays meet what an intermediate image shows, without a GPU; the rule is in `warped_image.py`."""
+
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering import sampling
+from wlr_render.rendering.scene import Float32Array
+from wlr_render.rendering.warped_image import (
+    MAX_MARCH,
+    MAX_STEPS,
+    SETTLED_PX,
+    STEP_PX,
+    SURFACE_STEP,
+    TILE,
+    WarpStatus,
+)
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Where rays appear in the image: s(w) = at_infinity + w shift.
+
+    Attributes:
+        at_infinity, shift: (2, n) float32 pixels, and pixels times metres; 0 where there is no ray.
+        missing: (n,) where there is no ray.
+    """
+
+    at_infinity: Float32Array
+    shift: Float32Array
+    missing: BoolArray
+
+    @classmethod
+    def of(cls, camera: Pinhole, bend: Float32Array) -> "Lines":
+        """Of rays (4, ...) in the image's camera frame."""
+        flat = bend.reshape(4, -1)
+        missing = np.asarray(~np.isfinite(flat).all(axis=0))
+        if missing.any():
+            flat = np.where(missing, np.float32(0), flat)
+        focal = (camera.focal_px * [1, -1]).astype(np.float32)[:, None]
+        return cls(focal * flat[:2] + camera.centre_px.astype(np.float32)[:, None], focal * flat[2:], missing)
+
+    def at(self, inverse_depth: Float32Array) -> Float32Array:
+        """Positions (2, n)."""
+        return np.asarray(self.at_infinity + inverse_depth * self.shift)
+
+    def some(self, index: NDArray[np.intp]) -> "Lines":
+        """Those of a selection."""
+        return Lines(self.at_infinity.take(index, axis=1), self.shift.take(index, axis=1), self.missing.take(index))
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDepths:
+    """An inverse depth image that is read without mixing surfaces.
+
+    Attributes:
+        image: (height, width) float32.
+        is_edge: (height + 1, width + 1); entry (i, j) says that the texels that touch the corner (j, i), counted from
+            the image's outer corner, belong to several surfaces.
+        low, high: (rows, columns) smallest and largest value in each tile of TILE px and the eight around it.
+        whole: the same of the image.
+    """
+
+    image: Float32Array
+    is_edge: BoolArray
+    low: Float32Array
+    high: Float32Array
+    whole: tuple[np.float32, np.float32]
+
+    @classmethod
+    def of(cls, image: Float32Array) -> "InverseDepths":
+        """Prepare an inverse depth image."""
+        padded = cv2.copyMakeBorder(image, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+        square = np.ones((2, 2), np.uint8)
+        low = np.asarray(cv2.erode(padded, square, anchor=(0, 0)))[:-1, :-1]
+        high = np.asarray(cv2.dilate(padded, square, anchor=(0, 0)))[:-1, :-1]
+        is_edge = high - low > np.float32(SURFACE_STEP) * high
+        return cls(image, is_edge, *_around_tiles(image), (image.min(), image.max()))
+
+    def at(self, pixel: Float32Array) -> Float32Array:
+        """Bilinear within a surface, the nearest texel at its edges; beyond the image its outermost texels.
+
+        (2, n) positions -> (n,).
+        """
+        height, width = self.image.shape
+        u = np.clip(pixel[0], np.float32(0), np.float32(width))
+        v = np.clip(pixel[1], np.float32(0), np.float32(height))
+        value = sampling.bilinear_at(self.image, u, v)
+        corner = (v + np.float32(0.5)).astype(np.intp) * (width + 1) + (u + np.float32(0.5)).astype(np.intp)
+        edge = np.flatnonzero(self.is_edge.reshape(-1).take(corner))
+        value[edge] = self.nearest(pixel.take(edge, axis=1))
+        return value
+
+    def nearest(self, pixel: Float32Array) -> Float32Array:
+        """The texel at (2, n) positions -> (n,)."""
+        height, width = self.image.shape
+        column = np.clip(pixel[0], 0, width - 1).astype(np.intp)
+        row = np.clip(pixel[1], 0, height - 1).astype(np.intp)
+        return self.image.reshape(-1).take(row * width + column)
+
+    def range_along(self, lines: Lines, px_per_inverse_depth: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Smallest and largest value that the image shows along the paths, (n,) each."""
+        height, width = self.image.shape
+        u, v = lines.at(np.float32(0.5) * self.whole[1])
+        column = (np.clip(u, 0, width - 1) / np.float32(TILE)).astype(np.intp)
+        row = (np.clip(v, 0, height - 1) / np.float32(TILE)).astype(np.intp)
+        tile = row * self.low.shape[1] + column
+        short = px_per_inverse_depth * self.whole[1] <= np.float32(2 * TILE)
+        low = np.where(short, self.low.reshape(-1).take(tile), self.whole[0])
+        return low, np.where(short, self.high.reshape(-1).take(tile), self.whole[1])
+
+
+def _around_tiles(image: Float32Array) -> tuple[Float32Array, Float32Array]:
+    height, width = image.shape
+    whole_tiles = np.pad(image, ((0, -height % TILE), (0, -width % TILE)), mode="edge")
+    tiles = whole_tiles.reshape(whole_tiles.shape[0] // TILE, TILE, -1, TILE)
+    square = np.ones((3, 3), np.uint8)
+    low, high = (np.ascontiguousarray(x) for x in (tiles.min(axis=(1, 3)), tiles.max(axis=(1, 3))))
+    return np.asarray(cv2.erode(low, square)), np.asarray(cv2.dilate(high, square))
+
+
+def follow(depths: InverseDepths, lines: Lines) -> tuple[Float32Array, NDArray[np.uint8]]:
+    """Positions (2, n) and status (n,): SEEN, or DISOCCLUDED where nothing that the image shows is met."""
+    px_per_inverse_depth = np.sqrt(np.square(lines.shift).sum(axis=0))
+    low, high = depths.range_along(lines, px_per_inverse_depth)
+    first = depths.nearest(lines.at(high))
+    turns = np.clip(np.ceil(px_per_inverse_depth * (high - low) / np.float32(STEP_PX)), 1, MAX_MARCH)
+    # Most paths are one turn long, and met in its first step: those need no search.
+    met_at = depths.at(lines.at(first))
+    settled = (turns == 1) & (np.abs(met_at - first) * px_per_inverse_depth < np.float32(SETTLED_PX))
+    status = np.full(settled.size, WarpStatus.SEEN, np.uint8)
+    left = np.flatnonzero(~settled)
+    if left.size:
+        search = _Search.start(turns.take(left), low.take(left), high.take(left), first.take(left))
+        found, met_at[left] = _searched(depths, lines.some(left), search)
+        status[left] = np.where(found, WarpStatus.SEEN, WarpStatus.DISOCCLUDED)
+    return lines.at(met_at), status
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Rays that have not met anything yet, (m,) each; names as in `shaders/march.glsl`.
+
+    Attributes:
+        ray: index among all that are searched for.
+        turns, nearest_end, stride: the path's turns; `nearest_end` and `stride` are inverse depths.
+        turn: the present one, from 1.
+        seen_near, seen_far: inverse depths that the image shows where the ray is at the ends of the turn.
+        in_front: whether the ray is in front of what is shown at the near end.
+        refining: whether the meeting within the turn is looked for; else its far end is.
+        asked: the inverse depth at which the image is read next.
+        passed: the one that stands in if nothing is met.
+        steps: of the refinement so far.
+    """
+
+    ray: NDArray[np.intp]
+    turns: Float32Array
+    nearest_end: Float32Array
+    stride: Float32Array
+    turn: Float32Array
+    seen_near: Float32Array
+    seen_far: Float32Array
+    in_front: BoolArray
+    refining: BoolArray
+    asked: Float32Array
+    passed: Float32Array
+    steps: NDArray[np.int32]
+
+    @classmethod
+    def start(cls, turns: Float32Array, low: Float32Array, high: Float32Array, first: Float32Array) -> "_Search":
+        """At the near ends of paths; `first` is what the image shows there."""
+        stride = (high - low) / turns
+        refining = turns == 1
+        return cls(
+            ray=np.arange(turns.size),
+            turns=turns,
+            nearest_end=high,
+            stride=stride,
+            turn=np.ones_like(turns),
+            seen_near=first,
+            seen_far=first,
+            in_front=np.ones(turns.size, bool),
+            refining=refining,
+            asked=np.where(refining, first, high - stride),
+            passed=high,
+            steps=np.zeros(turns.size, np.int32),
+        )
+
+    def some(self, index: NDArray[np.intp]) -> "_Search":
+        return _Search(**{field.name: getattr(self, field.name).take(index) for field in fields(self)})
+
+    def advanced(self, seen: Float32Array) -> "_Search":
+        """After the image was read where the rays are at `asked`, for rays that did not settle there."""
+        far_end = self.nearest_end - self.turn * self.stride
+        middle = far_end + np.float32(0.5) * self.stride
+        reach = np.float32(1.5) * self.stride
+        seen_far = np.where(self.refining, self.seen_far, seen)
+        may_meet = self.in_front & ((np.maximum(self.seen_near, seen_far) >= far_end) | (self.turn == self.turns))
+        start = np.where(np.abs(self.seen_near - middle) <= reach, self.seen_near, seen_far)
+        following = np.where(self.refining, seen, start)
+        steps = np.where(self.refining, self.steps + 1, 0)
+        within = (self.turns == 1) | (np.abs(following - middle) <= reach)
+        goes_on = within & np.where(self.refining, steps < MAX_STEPS, may_meet)
+        fails = ~goes_on & (self.refining | may_meet)
+        last_tried = np.maximum(following, np.where(self.refining, self.asked, self.seen_near))
+        turn = self.turn + ~goes_on
+        return replace(
+            self,
+            turn=turn,
+            seen_near=np.where(goes_on, self.seen_near, seen_far),
+            seen_far=seen_far,
+            in_front=np.where(goes_on, self.in_front, seen_far < far_end),
+            refining=goes_on,
+            asked=np.where(goes_on, following, self.nearest_end - turn * self.stride),
+            passed=np.where(fails, last_tried, self.passed),
+            steps=steps,
+        )
+
+
+def _searched(depths: InverseDepths, lines: Lines, search: _Search) -> tuple[BoolArray, Float32Array]:
+    """Whether each ray met something, and at which inverse depth; else at which it passed an edge."""
+    met = np.zeros(search.ray.size, bool)
+    inverse_depth = np.empty(search.ray.size, np.float32)
+    px_per_inverse_depth = np.sqrt(np.square(lines.shift).sum(axis=0))
+    while search.ray.size:
+        seen = depths.at(lines.at(search.asked))
+        settled = search.refining & (np.abs(seen - search.asked) * px_per_inverse_depth < np.float32(SETTLED_PX))
+        met[search.ray[settled]] = True
+        inverse_depth[search.ray[settled]] = seen[settled]
+        search = search.advanced(seen)
+        ended = ~settled & (search.turn > search.turns)
+        inverse_depth[search.ray[ended]] = search.passed[ended]
+        left = np.flatnonzero(~settled & ~ended)
+        search, lines = search.some(left), lines.some(left)
+        px_per_inverse_depth = px_per_inverse_depth.take(left)
+    return met, inverse_depth
