@@ -4,6 +4,7 @@ import numpy as np
 
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import raster_error
+from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_map, write_png
@@ -23,7 +24,8 @@ write_png("raster.png", warped.colour)
 write_png("raytrace.png", traced.colour)
 write_map("warp.tiff", warped.source)  # u, v in the intermediate image, inverse depth there; float32, NaN for nothing
 
-error = raster_error(warped.view, warped.intermediate.inverse_depth, warped.position, traced.position)
+eye_in_world = transforms.apply(world_from_device, viewpoint)
+error = raster_error(warped.view, warped.intermediate.inverse_depth, warped.position, traced.position, eye_in_world)
 seen = summary(error.registration_arcmin[~error.disoccluded])
 print(f"drawn by {rasteriser.backend}: registration {seen.median:.5f} arcmin median, {seen.p95:.5f} at 95 %")
 print(f"{error.disoccluded.mean():.3%} of the pixels are disoccluded")

@@ -7,11 +7,15 @@ this error; here it is measured.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import directions, transforms
 from wlr_render.rendering.view import View
+
+EDGE_STEP = 0.02
+"""Relative difference of inverse distance between neighbouring pixels from which they belong to different surfaces."""
 
 SAME_DEPTH = 0.01
 """Relative difference of inverse depth up to which the intermediate image is taken to show the same point."""
@@ -38,16 +42,18 @@ def raster_error(
     inverse_depth: NDArray[np.float32],
     warped_position: NDArray[np.floating],
     traced_position: NDArray[np.floating],
+    eye_in_world: NDArray[np.float64],
 ) -> RasterError:
     """Compare a warped frame with the ray-traced frame of the same viewpoint.
 
     Args:
-        view: of the intermediate image.
+        view: of the intermediate image, which need not have been drawn from the viewpoint, nor at the same time.
         inverse_depth: (rows, columns) of the intermediate image, 1/m.
         warped_position: (height, width, 3) world points that the warped frame shows, NaN where nothing.
         traced_position: (height, width, 3) world points that the ray-traced frame shows.
+        eye_in_world: (3,) the viewpoint, where angles are measured.
     """
-    eye = view.viewpoint_in_world
+    eye = eye_in_world
     warped, traced = np.asarray(warped_position, np.float64), np.asarray(traced_position, np.float64)
     has_warped, has_traced = np.isfinite(warped[..., 0]), np.isfinite(traced[..., 0])
     both = has_warped & has_traced
@@ -58,6 +64,28 @@ def raster_error(
     disoccluded = np.zeros(both.shape, bool)
     disoccluded[has_traced] = _hidden(view, inverse_depth, traced[has_traced])
     return RasterError(angle, disoccluded, has_warped != has_traced)
+
+
+def near_silhouettes(
+    position: NDArray[np.floating], eye_in_world: NDArray[np.float64], reach_px: int
+) -> NDArray[np.bool_]:
+    """Where a pixel lies within some pixels of an edge between surfaces that are at different distances.
+
+    Args:
+        position: (height, width, 3) world points that a frame shows, NaN where nothing.
+        eye_in_world: (3,) from where.
+        reach_px: how far, along rows and columns.
+
+    Returns:
+        (height, width). Neighbours belong to two surfaces if the inverses of their distances differ by more than
+        `EDGE_STEP` of the larger, nothing being at infinity.
+    """
+    distance = np.linalg.norm(np.asarray(position, np.float64) - eye_in_world, axis=-1)
+    nearness = np.where(np.isfinite(distance), 1.0 / distance, 0.0).astype(np.float32)
+    square = np.ones((3, 3), np.uint8)
+    low, high = np.asarray(cv2.erode(nearness, square)), np.asarray(cv2.dilate(nearness, square))
+    edge = (high - low > EDGE_STEP * high).astype(np.uint8)
+    return np.asarray(cv2.dilate(edge, np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8))) > 0
 
 
 def _hidden(view: View, inverse_depth: NDArray[np.float32], point: NDArray[np.float64]) -> NDArray[np.bool_]:

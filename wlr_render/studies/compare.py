@@ -10,6 +10,7 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text, written_whole
+from wlr_render.geometry import transforms
 from wlr_render.mappings import FloatArray
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
@@ -111,7 +112,8 @@ def _error(frame: Frame, traced: Frame) -> RasterError:
     assert frame.intermediate is not None
     assert frame.position is not None
     assert traced.position is not None
-    return raster_error(frame.view, frame.intermediate.inverse_depth, frame.position, traced.position)
+    eye_in_world = transforms.apply(HEAD_POSE, frame.field.viewpoint_in_device)
+    return raster_error(frame.view, frame.intermediate.inverse_depth, frame.position, traced.position, eye_in_world)
 
 
 def _row(way: str, error: RasterError, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> list[Cell]:
