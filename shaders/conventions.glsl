@@ -14,10 +14,19 @@ vec4 clip_of_point(vec3 point, vec4 lens, vec2 size_px, float near)
     return vec4(2.0 * pixel_times_depth / size_px - depth, depth - 2.0 * near, depth);
 }
 
-// 1 / depth of a depth buffer value drawn with clip_of_point's or an equal projection; 0 on the far plane.
-float inverse_depth_of_depth_buffer(float stored, float near)
+// 1 / depth of a depth buffer's value, which runs evenly between those of 0 and 1; 0 on the far plane, also if that is
+// at a finite distance, and for what is no depth.
+float inverse_depth_of_depth_buffer(float stored, vec2 of_0_and_1)
 {
-    return (1.0 - stored) / near;
+    float far = of_0_and_1.x < of_0_and_1.y ? 0.0 : 1.0;
+    float inverse = (1.0 - stored) * of_0_and_1.x + stored * of_0_and_1.y;
+    return stored != far && inverse > 0.0 ? inverse : 0.0;
+}
+
+// 1 / depth of metres along the viewing axis; 0 for what is no depth.
+float inverse_depth_of_metres(float depth)
+{
+    return depth > 0.0 && !isinf(depth) ? 1.0 / depth : 0.0;
 }
 
 // Tangents (x, y) / -z -> pixel.

@@ -5,6 +5,7 @@ is turned over; so reading and writing textures here turns nothing.
 """
 
 import contextlib
+import ctypes
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
@@ -24,12 +25,14 @@ Texture = moderngl.Texture
 Framebuffer = moderngl.Framebuffer
 Program = moderngl.Program
 VertexArray = moderngl.VertexArray
+Sampler = moderngl.Sampler
 
 _Object = TypeVar("_Object")
 
 _VERSION = 4, 3
 _VERSION_CODE = 430
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
+_SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # of GL_EXT_texture_sRGB_decode, which every desktop driver has
 
 
 class GlError(RuntimeError):
@@ -100,17 +103,15 @@ class GlContext:
     """
 
     def __init__(
-        self, ctx: moderngl.Context, backend: str, host: _Host | None = None, caller: moderngl.Context | None = None
+        self, ctx: moderngl.Context, current: CurrentContext, host: _Host, caller: moderngl.Context | None = None
     ) -> None:
-        """Wrap a context of this library's own, or by `host` and ModernGL's `caller` that of a program around it."""
-        self._ctx = ctx
-        self._host: _Host = _Own(ctx) if host is None else host
-        self._caller = caller
+        """Wrap ModernGL's context of the current one; `caller` is another of ModernGL's for the same."""
+        self._ctx, self._current, self._host, self._caller = ctx, current, host, caller
         self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
         # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
-        self.backend = backend
+        self.backend = current.platform
         for path in files.resource("shaders").glob("*.glsl"):
             self._ctx.includes[path.name] = path.read_text(encoding="utf-8")
 
@@ -149,6 +150,14 @@ class GlContext:
             error = self._ctx.error
             if error != "GL_NO_ERROR":
                 raise GlError(f"OpenGL reports {error} ({self.renderer}).")
+
+    def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
+        """An OpenGL function with C types from `ctypes`, to be called in a drawing block: for what ModernGL hides."""
+        return self._current.function(name, *argument_types, result=result)
+
+    def has(self, thing: Texture | Framebuffer) -> bool:
+        """Whether it was made in this context, by us or by the ModernGL context that was adopted."""
+        return thing.ctx is self._ctx or thing.ctx is self._caller
 
     def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
         """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
@@ -192,6 +201,15 @@ class GlContext:
         texture.repeat_x = texture.repeat_y = True
         return texture
 
+    def plain_sampler(self) -> Sampler:
+        """Reads what a texture holds, whatever its settings say: the nearest texel, undecoded and uncompared."""
+        nearest = moderngl.NEAREST, moderngl.NEAREST
+        sampler = self._mine(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
+        if "GL_EXT_texture_sRGB_decode" in self._ctx.extensions:
+            number = vars(sampler)["_glo"]
+            self.function("glSamplerParameteri", *[ctypes.c_uint] * 3)(number, _SRGB_DECODE, _SKIP_DECODE)
+        return sampler
+
     def depth_target(self, size: tuple[int, int]) -> Texture:
         """An empty depth texture of (width, height), 24 bits, read as plain values."""
         texture = self._mine(self._ctx.depth_texture(size))
@@ -201,10 +219,6 @@ class GlContext:
     def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
         """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
         return self._mine(self._ctx.framebuffer(textures, depth))
-
-    def copy_foreign_framebuffer(self, number: int, target: Framebuffer) -> None:
-        """Copy colour and depth of a framebuffer that other software made in this context."""
-        self._ctx.copy_framebuffer(target, self._ctx.detect_framebuffer(number))
 
     def triangles(
         self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]
@@ -313,7 +327,8 @@ def open_context(backend: str = "auto") -> GlContext:
     reasons = []
     for name in _OPENERS if backend == "auto" else (backend,):
         try:
-            return GlContext(_OPENERS[name](), name)
+            ctx = _OPENERS[name]()
+            return GlContext(ctx, CurrentContext(), _Own(ctx))
         except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
@@ -351,7 +366,7 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
         ctx = moderngl.create_context(require=_VERSION_CODE, context=loader)
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
-    return GlContext(ctx, current.platform, _Foreign(current, state, ctx), context)
+    return GlContext(ctx, current, _Foreign(current, state, ctx), context)
 
 
 def _check_version(found: tuple[int, int]) -> None:

@@ -1,14 +1,14 @@
 """The intermediate image drawn by pyrender: glTF's metallic-roughness materials instead of our Lambert shading.
 
 Geometry agrees with `raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender has
-neither window nor context of its own here: its renderer draws inside ours, and `gl.GlContext.drawing` clears up the
-switches that it leaves on.
+neither window nor context of its own here: its renderer draws inside ours or an adopted one, and
+`gl.GlContext.drawing` clears up the switches that it leaves on.
 """
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,22 +21,45 @@ from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.raster import NEAR_M
 from wlr_render.rendering.scene import Light, Mesh, Scene
 from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.submitted import DepthKind, PictureImport, StoredDepth
 from wlr_render.rendering.view import GeometryImage, View
 
 _FAR_M = 1e9  # in float32 the same as infinity
+_PLATFORMS = {"egl", "osmesa"}  # that PyOpenGL does not choose by itself
 _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model does not
 
 
-@dataclass(frozen=True, eq=False)
-class _Targets:
-    """pyrender's picture as textures, then the same turned over, with inverse depth."""
+class PyrenderDrawing:
+    """Draws a caller's pyrender scene from any view, in a context of ours or in one that was adopted.
 
-    upward: gl.Framebuffer
-    upward_colour: gl.Texture
-    upward_depth: gl.Texture
-    result: gl.Framebuffer
-    colour: gl.Texture
-    inverse_depth: gl.Texture
+    What it loads is freed with the context. pyrender loads a mesh once, into the context that it is first drawn in: a
+    scene that another context has drawn must be drawn in that one, adopted.
+
+    Raises:
+        BadInputError: the node has no camera or is not in the scene, or PyOpenGL already serves another kind of context
+            in this process.
+    """
+
+    def __init__(self, context: gl.GlContext, graph: Any, camera_node: Any) -> None:
+        """Prepare to draw `graph` (pyrender.Scene, in the world frame) with one of its camera nodes (pyrender.Node)."""
+        self._context, self._graph, self._node = context, graph, camera_node
+        self._pyrender = _import_pyrender(context.backend)
+        if camera_node not in graph.camera_nodes:
+            raise BadInputError("The node is no camera of the pyrender scene: add it with scene.add(camera).")
+        self._renderer = _renderer(self._pyrender)
+        self._import = PictureImport(context)
+
+    def draw_on_gpu(self, view: View) -> GpuImage:
+        """Draw and leave the picture on the GPU; the next drawing of this object overwrites it.
+
+        The node keeps its pose and its camera, which gives the near and far planes. pyrender computes in float32: far
+        from the world's origin a picture is less exact.
+        """
+        with _standing_at(self._pyrender, self._graph, self._node, view) as planes:
+            self._renderer.viewport_width, self._renderer.viewport_height = view.camera.width_px, view.camera.height_px
+            with self._context.drawing(by_others=True), _without_multisampling(self._pyrender.renderer):
+                self._renderer.render(self._graph, self._pyrender.RenderFlags.OFFSCREEN)
+        return self._import.from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
 
 
 class PyrenderView:
@@ -47,21 +70,16 @@ class PyrenderView:
     """
 
     def __init__(self, context: gl.GlContext, scene: Scene) -> None:
-        self._context = context
         self._scene = scene
-        self._pyrender = _import_pyrender(context.backend)
-        self._renderer = _renderer(self._pyrender)
-        self._targets: _Targets | None = None
-        self._graph = self._pyrender.Scene(
+        pyrender = _import_pyrender(context.backend)
+        self._graph = pyrender.Scene(
             bg_color=encode_srgb(scene.background) / 255, ambient_light=np.array(scene.ambient, np.float64)
         )
-        self._camera = self._pyrender.IntrinsicsCamera(1, 1, 0, 0, znear=NEAR_M, zfar=_FAR_M)
-        self._graph.add(self._camera)
-        meshes = [_mesh(self._pyrender, mesh) for mesh in scene.meshes]
+        camera = self._graph.add(pyrender.IntrinsicsCamera(1, 1, 0, 0, znear=NEAR_M, zfar=_FAR_M))
+        meshes = [_mesh(pyrender, mesh) for mesh in scene.meshes]
         self._instance_nodes = [self._graph.add(meshes[instance.mesh]) for instance in scene.instances]
-        self._light_nodes = [self._graph.add(_light(self._pyrender, light)) for light in scene.lights]
-        with context.drawing():
-            self._import = context.full_screen("import_picture.frag")
+        self._light_nodes = [self._graph.add(_light(pyrender, light)) for light in scene.lights]
+        self._drawing = PyrenderDrawing(context, self._graph, camera)
 
     def draw(self, view: View) -> GeometryImage:
         """Draw and fetch colour and inverse depth."""
@@ -69,60 +87,48 @@ class PyrenderView:
 
     def draw_on_gpu(self, view: View) -> GpuImage:
         """Draw and leave the picture on the GPU; the next drawing of this object overwrites it."""
-        self._place(view)
-        flags = self._pyrender.RenderFlags
-        with self._context.drawing(), _without_multisampling(self._pyrender.renderer):
-            self._renderer.render(self._graph, flags.OFFSCREEN | flags.SKIP_CULL_FACES)
-        with self._context.drawing():
-            targets = self._targets_for(view)
-            self._context.copy_foreign_framebuffer(int(self._renderer._main_fb_ms), targets.upward)
-            targets.result.use()
-            gl.bind_textures(
-                self._import.program, upward_colour=targets.upward_colour, upward_depth=targets.upward_depth
-            )
-            gl.set_uniforms(self._import.program, near=NEAR_M)
-            self._import.render(vertices=3)
-        return GpuImage(self._context, view.camera, targets.colour, targets.inverse_depth)
-
-    def _place(self, view: View) -> None:
-        """Put the camera at the origin and the scene before it, in float64: pyrender computes in float32."""
-        pinhole = view.camera
-        self._renderer.viewport_width, self._renderer.viewport_height = pinhole.width_px, pinhole.height_px
-        self._camera.fx, self._camera.fy = pinhole.focal_px
-        self._camera.cx, self._camera.cy = pinhole.centre_px
+        # The scene is put before a camera at the origin, in float64: pyrender computes in float32.
         camera_from_world = transforms.inverse(view.world_from_camera)
         for node, instance in zip(self._instance_nodes, self._scene.instances, strict=True):
             self._graph.set_pose(node, camera_from_world @ instance.world_from_mesh)
         for node, light in zip(self._light_nodes, self._scene.lights, strict=True):
             self._graph.set_pose(node, camera_from_world @ _world_from_light(light))
+        return self._drawing.draw_on_gpu(View(view.camera, np.zeros(3), np.eye(4)))
 
-    def _targets_for(self, view: View) -> _Targets:
-        size = view.camera.width_px, view.camera.height_px
-        if self._targets is None or self._targets.colour.size != size:
-            context = self._context
-            upward_colour, upward_depth = context.target(size, 4, "f1"), context.depth_target(size)
-            colour, inverse_depth = context.target(size, 4, "f1"), context.target(size, 1, "f4")
-            self._targets = _Targets(
-                context.framebuffer([upward_colour], upward_depth),
-                upward_colour,
-                upward_depth,
-                context.framebuffer([colour, inverse_depth]),
-                colour,
-                inverse_depth,
-            )
-        return self._targets
+
+@contextlib.contextmanager
+def _standing_at(pyrender: Any, graph: Any, node: Any, view: View) -> Iterator[StoredDepth]:
+    """Give a camera node a view's pose and intrinsics for a while; what its depth buffer then holds."""
+    camera, pose, main = node.camera, node.matrix.copy(), graph.main_camera_node
+    (focal_u, focal_v), (centre_u, centre_v) = view.camera.focal_px, view.camera.centre_px
+    far = _FAR_M if camera.zfar is None else camera.zfar
+    try:
+        node.camera = pyrender.IntrinsicsCamera(focal_u, focal_v, centre_u, centre_v, znear=camera.znear, zfar=far)
+        parent_from_world = pose @ np.linalg.inv(graph.get_pose(node))
+        graph.set_pose(node, parent_from_world @ view.world_from_camera)
+        graph.main_camera_node = node
+        yield StoredDepth(DepthKind.WINDOW, camera.znear, far)
+    finally:
+        node.camera = camera
+        graph.set_pose(node, pose)
+        graph.main_camera_node = main
 
 
 def _import_pyrender(backend: str) -> Any:
+    if backend not in _PLATFORMS:  # a window's, where PyOpenGL needs no telling
+        import pyrender
+
+        return pyrender
     # pyrender imports its window, which wants X11 unless told otherwise; PyOpenGL chooses its library at import.
     if os.environ.setdefault("PYOPENGL_PLATFORM", backend) != backend:
         raise BadInputError(
             f"PyOpenGL is set to {os.environ['PYOPENGL_PLATFORM']}, the OpenGL context is {backend}: "
             f"set the environment variable PYOPENGL_PLATFORM={backend}."
         )
-    import pyglet
+    if "pyrender" not in sys.modules:
+        import pyglet
 
-    pyglet.options["headless"] = True
+        pyglet.options["headless"] = True
     import pyrender
 
     return pyrender

@@ -1,0 +1,234 @@
+"""Pictures drawn by somebody else, brought to the GPU images that the warp reads."""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering import gl
+from wlr_render.rendering.framebuffer_copy import FramebufferCopy
+from wlr_render.rendering.gpu_image import GpuImage
+
+
+class DepthKind(Enum):
+    """What a stored depth means; all are measured along the camera's -z axis."""
+
+    METRES = auto()
+    """0 and infinity where nothing is, as pyrender's arrays."""
+    WINDOW = auto()
+    """A depth buffer's value in 0..1 of a perspective projection; nothing is where it has the far plane's value."""
+    INVERSE = auto()
+    """1/m, 0 where nothing is."""
+
+
+class Rows(Enum):
+    """Which row of an array or a texture comes first in memory."""
+
+    TOP_FIRST = auto()
+    BOTTOM_FIRST = auto()
+
+
+@dataclass(frozen=True)
+class StoredDepth:
+    """How a picture's depth is to be read.
+
+    Attributes:
+        kind: of number.
+        near_m, far_m: for WINDOW, the distances stored as 0 and as 1; `far_m` may be infinite. For a reversed depth
+            buffer they change places: (inf, 0.05) stores the near plane as 1.
+
+    Raises:
+        BadInputError: WINDOW without two different positive distances, one of them finite.
+    """
+
+    kind: DepthKind = DepthKind.METRES
+    near_m: float = 0.0
+    far_m: float = np.inf
+
+    def __post_init__(self) -> None:
+        if self.kind is DepthKind.WINDOW and not (self.near_m > 0 and self.far_m > 0 and self.near_m != self.far_m):
+            raise BadInputError(
+                f"Depth buffer values need two different positive distances, not near_m = {self.near_m} and "
+                f"far_m = {self.far_m}: give those of the projection that drew them."
+            )
+
+    @property
+    def inverse_of_0_and_1(self) -> tuple[float, float]:
+        """1/m of the stored values 0 and 1, for WINDOW and INVERSE."""
+        return (1 / self.near_m, 1 / self.far_m) if self.kind is DepthKind.WINDOW else (0.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    framebuffer: gl.Framebuffer
+    colour: gl.Texture
+    inverse_depth: gl.Texture
+
+
+class PictureImport:
+    """Makes GPU images of other programs' pictures; its textures are kept, and each picture overwrites the last."""
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context = context
+        self._copy = FramebufferCopy(context)
+        self._targets: _Targets | None = None
+        self._uploads: dict[int, tuple[gl.Texture, gl.Texture]] = {}
+        with context.drawing():
+            self._import = context.full_screen("import_picture.frag")
+            self._sampler = context.plain_sampler()
+
+    def from_arrays(
+        self,
+        camera: Pinhole,
+        colour: NDArray[np.uint8],
+        depth: NDArray[np.float32],
+        stored: StoredDepth,
+        rows: Rows = Rows.TOP_FIRST,
+    ) -> GpuImage:
+        """A picture in memory.
+
+        Args:
+            camera: drawn with.
+            colour: (height, width, 3 or 4) sRGB; alpha is not read.
+            depth: (height, width).
+            stored: what `depth` holds.
+            rows: their order, of both.
+
+        Raises:
+            BadInputError: shape, type or size is another, or a depth is negative or NaN.
+        """
+        size = camera.width_px, camera.height_px
+        _check_arrays(colour, depth, size)
+        with self._context.drawing():
+            textures = self._uploads_for(size, colour.shape[2])
+            for texture, pixels in zip(textures, (colour, depth), strict=True):
+                texture.write(np.ascontiguousarray(pixels), alignment=1)
+            return self._take(camera, *textures, stored, rows)
+
+    def from_textures(
+        self,
+        camera: Pinhole,
+        colour: gl.Texture,
+        depth: gl.Texture,
+        stored: StoredDepth,
+        rows: Rows = Rows.BOTTOM_FIRST,
+    ) -> GpuImage:
+        """A picture in textures of the image's context: colours as sRGB bytes, depth in the first channel.
+
+        Raises:
+            BadInputError: a texture of another context or size, of other numbers, or of several samples.
+        """
+        size = camera.width_px, camera.height_px
+        for name, texture, least_components in (("colour", colour, 3), ("depth", depth, 1)):
+            _check_texture(self._context, name, texture, size, least_components)
+        with self._context.drawing():
+            return self._take(camera, colour, depth, stored, rows)
+
+    def from_framebuffer(
+        self,
+        camera: Pinhole,
+        framebuffer: gl.Framebuffer | int,
+        stored: StoredDepth,
+        rows: Rows = Rows.BOTTOM_FIRST,
+    ) -> GpuImage:
+        """A picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
+
+        It is copied, on the GPU. Of several samples per pixel OpenGL takes one for the depth, which need not lie at the
+        pixel's centre.
+
+        Raises:
+            BadInputError: a framebuffer of another context or size, or whose colour or depth is missing or of a kind
+                that cannot be copied.
+        """
+        if isinstance(framebuffer, int):
+            number = framebuffer
+        else:
+            _check_context(self._context, "framebuffer", framebuffer)
+            number = int(framebuffer.glo)
+        with self._context.drawing():
+            colour, depth = self._copy.copy(number, (camera.width_px, camera.height_px))
+            return self._take(camera, colour, depth, stored, rows)
+
+    def _take(
+        self, camera: Pinhole, colour: gl.Texture, depth: gl.Texture, stored: StoredDepth, rows: Rows
+    ) -> GpuImage:
+        targets = self._targets_for((camera.width_px, camera.height_px))
+        targets.framebuffer.use()
+        program = self._import.program
+        gl.bind_textures(program, stored_colour=colour, stored_depth=depth)
+        gl.set_uniforms(
+            program,
+            bottom_first=rows is Rows.BOTTOM_FIRST,
+            in_metres=stored.kind is DepthKind.METRES,
+            inverse_depth_of_0_and_1=stored.inverse_of_0_and_1,
+        )
+        for unit in range(2):
+            self._sampler.use(unit)
+        self._import.render(vertices=3)
+        for unit in range(2):
+            self._sampler.clear(unit)
+        return GpuImage(self._context, camera, targets.colour, targets.inverse_depth)
+
+    def _targets_for(self, size: tuple[int, int]) -> _Targets:
+        if self._targets is None or self._targets.colour.size != size:
+            colour, inverse_depth = self._context.target(size, 4, "f1"), self._context.target(size, 1, "f4")
+            self._targets = _Targets(self._context.framebuffer([colour, inverse_depth]), colour, inverse_depth)
+        return self._targets
+
+    def _uploads_for(self, size: tuple[int, int], components: int) -> tuple[gl.Texture, gl.Texture]:
+        old = self._uploads.get(components)
+        if old is None or old[0].size != size:
+            self._uploads[components] = (
+                self._context.target(size, components, "f1"),
+                self._context.target(size, 1, "f4"),
+            )
+        return self._uploads[components]
+
+
+def _check_arrays(colour: NDArray[Any], depth: NDArray[Any], size: tuple[int, int]) -> None:
+    shape = size[1], size[0]
+    if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] not in (3, 4):
+        raise BadInputError(
+            f"The colours must be (height, width, 3 or 4) of uint8, not {colour.shape} of {colour.dtype}."
+        )
+    if depth.dtype != np.float32 or depth.ndim != 2:
+        raise BadInputError(f"The depth must be (height, width) of float32, not {depth.shape} of {depth.dtype}.")
+    for name, found in (("colours", colour.shape[:2]), ("depth", depth.shape)):
+        if found != shape:
+            raise BadInputError(
+                f"The {name} have {found[1]}x{found[0]} pixels, the camera {size[0]}x{size[1]}: draw with that camera."
+            )
+    if not (depth >= 0).all():
+        row, column = np.argwhere(~(depth >= 0))[0]
+        raise BadInputError(
+            f"The depth at row {row}, column {column} is {depth[row, column]}: it must be 0 (nothing) or positive."
+        )
+
+
+def _check_context(context: gl.GlContext, name: str, thing: gl.Texture | gl.Framebuffer) -> None:
+    if not context.has(thing):
+        raise BadInputError(
+            f"The {name} belongs to another ModernGL context: adopt that one, or hand the picture over as arrays."
+        )
+
+
+def _check_texture(
+    context: gl.GlContext, name: str, texture: gl.Texture, size: tuple[int, int], least_components: int
+) -> None:
+    _check_context(context, f"{name} texture", texture)
+    if texture.size != size:
+        raise BadInputError(
+            f"The {name} texture has {texture.size[0]}x{texture.size[1]} pixels, the camera {size[0]}x{size[1]}: draw "
+            "with that camera."
+        )
+    if texture.dtype[0] != "f" or texture.components < least_components:
+        raise BadInputError(
+            f"The {name} texture has {texture.components} components of '{texture.dtype}': it needs {least_components} "
+            "that are read as fractions ('f1', 'f2' or 'f4')."
+        )
+    if texture.samples:
+        raise BadInputError(f"The {name} texture has {texture.samples} samples: hand over the framebuffer instead.")
