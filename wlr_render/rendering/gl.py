@@ -87,9 +87,10 @@ class _Foreign:
         # In a context that is gone its objects are, too.
         if self._current.is_current():
             with self._state.kept():
+                self._ctx.gc()
                 for one in objects:
                     one.release()
-                self._ctx.gc()
+        self._ctx.gc_mode = None
 
 
 class GlContext:
