@@ -57,15 +57,16 @@ int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)
         settled = settled || searching && refining && closes;
 
         seen_far = refining ? seen_far : seen;
-        bool may_meet = in_front && (max(seen_near, seen_far) >= far_end || turn == turns);
+        float nearer = max(seen_near, seen_far), farther = min(seen_near, seen_far);
         float middle = far_end + 0.5 * stride;
-        float start = abs(seen_near - middle) <= 1.5 * stride ? seen_near : seen_far;
+        bool comes_past = in_front ? nearer >= far_end || turn == turns : abs(seen_far - middle) <= 0.51 * stride;
+        float start = abs(nearer - middle) <= 1.5 * stride ? nearer : farther;
         float next = refining ? seen : start;
         steps = refining ? steps + 1 : 0;
         bool within = turns == 1.0 || abs(next - middle) <= 1.5 * stride;
-        bool goes_on = within && (refining ? steps < MAX_STEPS : may_meet);
-        bool fails = !goes_on && (refining || may_meet);
-        passed = searching && fails ? max(next, refining ? asked : seen_near) : passed;
+        bool goes_on = within && (refining ? steps < MAX_STEPS : comes_past);
+        bool fails = !goes_on && (refining || comes_past);
+        passed = searching && fails ? (refining ? max(seen, asked) : nearer) : passed;
 
         bool turns_over = !settled && !goes_on;
         in_front = turns_over ? seen_far < far_end : in_front;

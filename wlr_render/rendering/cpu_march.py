@@ -101,12 +101,12 @@ class InverseDepths:
         height, width = self.image.shape
         column = np.clip(pixel[0], 0, width - 1).astype(np.intp)
         row = np.clip(pixel[1], 0, height - 1).astype(np.intp)
-        return self.image.reshape(-1).take(row * width + column)
+        return np.asarray(self.image.reshape(-1).take(row * width + column))
 
     def range_along(self, lines: Lines, px_per_inverse_depth: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Smallest and largest value that the image shows along the paths, (n,) each."""
         height, width = self.image.shape
-        u, v = lines.at(np.float32(0.5) * self.whole[1])
+        u, v = lines.at_infinity + np.float32(0.5) * self.whole[1] * lines.shift
         column = (np.clip(u, 0, width - 1) / np.float32(TILE)).astype(np.intp)
         row = (np.clip(v, 0, height - 1) / np.float32(TILE)).astype(np.intp)
         tile = row * self.low.shape[1] + column
@@ -200,14 +200,16 @@ class _Search:
         middle = far_end + np.float32(0.5) * self.stride
         reach = np.float32(1.5) * self.stride
         seen_far = np.where(self.refining, self.seen_far, seen)
-        may_meet = self.in_front & ((np.maximum(self.seen_near, seen_far) >= far_end) | (self.turn == self.turns))
-        start = np.where(np.abs(self.seen_near - middle) <= reach, self.seen_near, seen_far)
+        nearer, farther = np.maximum(self.seen_near, seen_far), np.minimum(self.seen_near, seen_far)
+        from_front = (nearer >= far_end) | (self.turn == self.turns)
+        comes_past = np.where(self.in_front, from_front, np.abs(seen_far - middle) <= np.float32(0.51) * self.stride)
+        start = np.where(np.abs(nearer - middle) <= reach, nearer, farther)
         following = np.where(self.refining, seen, start)
         steps = np.where(self.refining, self.steps + 1, 0)
         within = (self.turns == 1) | (np.abs(following - middle) <= reach)
-        goes_on = within & np.where(self.refining, steps < MAX_STEPS, may_meet)
-        fails = ~goes_on & (self.refining | may_meet)
-        last_tried = np.maximum(following, np.where(self.refining, self.asked, self.seen_near))
+        goes_on = within & np.where(self.refining, steps < MAX_STEPS, comes_past)
+        fails = ~goes_on & (self.refining | comes_past)
+        last_tried = np.where(self.refining, np.maximum(seen, self.asked), nearer)
         turn = self.turn + ~goes_on
         return replace(
             self,

@@ -179,7 +179,7 @@ class GlWarp:
         if by_rows:
             textures["row_transforms"] = self._row_transforms(image_from_field)
         else:
-            gl.set_array(warp.program, "image_from_field", image_from_field[:3])
+            gl.set_array(warp.program, "image_from_field", list(image_from_field[:3]))
         gl.bind_textures(warp.program, **textures)
         for field in fields:
             # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.

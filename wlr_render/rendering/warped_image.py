@@ -13,14 +13,15 @@ meets it where D(s(w)) = w. The rule:
    most STEP_PX in the image (and at most MAX_MARCH turns). Both bounds come from tiles of TILE px: those within one
    tile of the path's middle if the path from the whole image's largest w to 0 is at most 2 TILE long, else from the
    whole image. Most paths are one turn long, because most tiles show one smooth surface.
-2. A turn may hold the meeting if the ray is in front at its near end, and at its far end is not, or has come past the
-   surface seen from its near end (which may end before the far end does: thin things).
-3. There w <- D(s(w)), from the surface seen from the near end if that is within the turn, else from that seen from the
-   far end. When s moves by less than SETTLED_PX, that place is the source, SEEN. On a surface whose inverse depth
-   rises by g per pixel the step shrinks by |f c g| (about 1e-3) each time: one step mostly does.
-4. If w leaves the turn (by more than a turn) or does not settle in MAX_STEPS, the ray has passed an edge: it is now
-   behind the near surface, or beside it. The search goes on with the next turns; behind something, the ray must come in
-   front of what the image shows before it can meet it.
+2. A turn may hold the meeting if the ray is in front at its near end and comes past one of the two surfaces seen from
+   its ends (either may end within the turn: thin things), or if it is behind at its near end and comes past the surface
+   seen from its far end (it leaves what hid it and meets what is there).
+3. There w <- D(s(w)), from the nearer of those two surfaces if its w is within the turn or a turn beside it, else from
+   the farther one: the near one hides the far one. When s moves by less than SETTLED_PX, that place is the source, SEEN.
+   On a surface whose inverse depth rises by g per pixel the step shrinks by |f c g| (about 1e-3) each time: one step
+   mostly does.
+4. If w leaves the turn and its neighbours, or does not settle in MAX_STEPS, the ray has passed an edge: it is now behind
+   the near surface, or beside it. The search goes on with the next turns.
 5. If nothing is met, the ray ended behind the edge that it passed last, where the image shows nothing of it:
    DISOCCLUDED. The farther side of that edge stands in: s at the nearer of the last two w that were tried.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the field, or a ray that does not lead forwards, is

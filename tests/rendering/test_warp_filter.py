@@ -1,0 +1,91 @@
+"""Where the map shrinks, the mean over what a display pixel covers: against the exact mean of the picture."""
+
+import numpy as np
+import pytest
+from warping import BACKENDS, uploaded, uploaded_field, warped
+
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering.gl_warp import GlWarp
+from wlr_render.rendering.map_shrink import taps_for
+from wlr_render.rendering.view import GeometryImage
+
+pytestmark = pytest.mark.gl
+
+CAMERA = Pinhole(360, 360, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
+
+
+def picture_of(code):
+    """A grey picture (360, 360) at 2 m."""
+    colour = np.repeat(np.rint(code)[..., None], 3, axis=-1).astype(np.uint8)
+    return GeometryImage(colour, np.full(code.shape, 0.5, np.float32))
+
+
+def zone_plate():
+    """Rings that are the finer the further out, to half a cycle per pixel at the sides."""
+    x, y = np.meshgrid(np.arange(360) - 179.5, np.arange(360) - 179.5)
+    return 127.5 + 127.5 * np.cos(np.pi * (x**2 + y**2) / 360)
+
+
+def checkerboard():
+    """Squares of one pixel."""
+    return 255.0 * (np.indices((360, 360)).sum(axis=0) % 2)
+
+
+def shrinking(times, phase=0.37):
+    """Rays of a display that shows the whole picture `times` smaller; its pixels cover times x times pixels."""
+    count = round(360 / times)
+    u = (np.arange(count) + 0.5) * times + phase
+    tangents = CAMERA.tangents_of_pixel(np.stack(np.meshgrid(u, u), axis=-1))
+    return np.concatenate([tangents, 0 * tangents], axis=-1).transpose(2, 0, 1).astype(np.float32)
+
+
+def exact_mean(code, times, phase=0.37):
+    """Means over the display pixels of the picture, which is constant over each of its own pixels; (n, n)."""
+    edges = np.minimum(np.arange(round(360 / times) + 1) * times + phase, 360.0)
+    cumulated = np.concatenate([np.zeros((1, 360)), np.cumsum(code, axis=0)])
+
+    def along_first(sums):
+        at = np.stack([np.interp(edges, np.arange(361), column) for column in sums.T], axis=-1)
+        return np.diff(at, axis=0) / np.diff(edges)[:, None]
+
+    rows = along_first(cumulated)
+    return along_first(np.concatenate([np.zeros((1, rows.shape[0])), np.cumsum(rows.T, axis=0)])).T
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("code", [zone_plate, checkerboard])
+@pytest.mark.parametrize(("times", "gain"), [(1.5, 10.0), (2, 1000.0), (2.4, 100.0), (3, 200.0)])
+def test_taps_cut_the_energy_of_aliases(backend, request, code, times, gain):
+    image, bend = picture_of(code()), shrinking(times)
+    exact = exact_mean(code(), times)
+    inner = slice(2, -2)
+
+    def energy(taps):
+        result = warped(backend, request, image, CAMERA, [bend], taps=taps).colour[..., 1]
+        return np.square(result - exact)[inner, inner].mean()
+
+    assert energy(taps_for(times)) * gain < energy(1)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_taps_change_nothing_where_the_picture_is_linear_and_leave_holes_alone(backend, request):
+    ramp = np.add.outer(0.3 * np.arange(360), 0.4 * np.arange(360))
+    bend = shrinking(2)
+    bend[:, 50:60, 70:81] = np.nan
+    one, three = (warped(backend, request, picture_of(ramp), CAMERA, [bend], taps=n) for n in (1, 3))
+    np.testing.assert_array_equal(one.status, three.status)
+    difference = np.abs(one.colour.astype(int) - three.colour)
+    assert difference[2:-2, 2:-2].max() <= 1
+
+
+def test_both_backends_filter_alike(gl_context):
+    rng = np.random.default_rng(3)
+    image = GeometryImage(rng.integers(0, 256, (360, 360, 3)).astype(np.uint8), np.full((360, 360), 0.5, np.float32))
+    bend = shrinking(2)
+    bend[2:] = 0.013
+    for taps in (2, 3, 4):
+        ours = warped("cpu", None, image, CAMERA, [bend], taps=taps)
+        theirs = GlWarp(gl_context).draw(
+            uploaded(gl_context, image, CAMERA), [uploaded_field(gl_context, bend)], np.eye(4), (180, 180), taps=taps
+        )
+        assert np.abs(ours.colour.astype(int) - theirs.read().colour).max() <= 1

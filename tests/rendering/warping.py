@@ -1,0 +1,46 @@
+"""One picture warped by either backend, for tests that hold both to the same rule."""
+
+import numpy as np
+
+from wlr_render.mappings import Panel
+from wlr_render.rendering.cpu_warp import warp_on_cpu
+from wlr_render.rendering.gl_warp import GlWarp
+from wlr_render.rendering.gpu_field import GpuField
+from wlr_render.rendering.gpu_image import GpuImage
+from wlr_render.rendering.lattice import Lattice
+
+BACKENDS = ("cpu", "gl")
+
+
+def uploaded(context, image, camera):
+    """A `GeometryImage` as a `GpuImage`."""
+    size = image.colour.shape[1::-1]
+    with context.drawing():
+        colour, inverse_depth = context.target(size, 4, "f1"), context.target(size, 1, "f4")
+        alpha = np.full((*image.colour.shape[:2], 1), 255, np.uint8)
+        colour.write(np.ascontiguousarray(np.concatenate([image.colour, alpha], axis=-1)))
+        inverse_depth.write(np.ascontiguousarray(image.inverse_depth))
+    return GpuImage(context, camera, colour, inverse_depth)
+
+
+def uploaded_field(context, bend, lattice=None):
+    """Rays (4, rows, columns) as a `GpuField`; of each pixel of a display if no lattice is given."""
+    _, rows, columns = bend.shape
+    with context.drawing():
+        texture = context.target((columns, rows), 4, "f4")
+        texture.write(np.ascontiguousarray(np.moveaxis(bend, 0, -1), np.float32))
+    return GpuField(context, np.zeros(3), np.eye(3), lattice or Lattice.of_pixels(Panel(columns, rows)), texture)
+
+
+def warped(backend, request, image, camera, bends, image_from_field=None, **options):
+    """A `WarpedImage` with its pull map, along rays (4, height, width): one field, or one for each channel."""
+    if backend == "cpu":
+        return warp_on_cpu(image, camera, bends, image_from_field, **options)
+    context = request.getfixturevalue("gl_context")
+    fields = [uploaded_field(context, bend) for bend in bends]
+    transform = np.eye(4) if image_from_field is None else image_from_field
+    return (
+        GlWarp(context, len(bends))
+        .draw(uploaded(context, image, camera), fields, transform, bends[0].shape[:0:-1], with_source=True, **options)
+        .read()
+    )
