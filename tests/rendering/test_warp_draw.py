@@ -10,7 +10,6 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
 from wlr_render.rendering.gl_warp import GlWarp, WarpTarget
 from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.moved_rays import seen_from
 from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warped_image import WarpStatus
 

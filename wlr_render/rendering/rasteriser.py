@@ -113,7 +113,9 @@ class _CpuRasteriser:
         from wlr_render.rendering.cpu_warp import warp_on_cpu
 
         image = self._raster.draw(view)
-        return Warped(warp_on_cpu(image, view.camera, [bend], background=self._background), image if with_geometry else None)
+        return Warped(
+            warp_on_cpu(image, view.camera, [bend], background=self._background), image if with_geometry else None
+        )
 
 
 def _background_code(scene: Scene) -> tuple[int, int, int]:

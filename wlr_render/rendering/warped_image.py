@@ -16,12 +16,12 @@ meets it where D(s(w)) = w. The rule:
 2. A turn may hold the meeting if the ray is in front at its near end and comes past one of the two surfaces seen from
    its ends (either may end within the turn: thin things), or if it is behind at its near end and comes past the surface
    seen from its far end (it leaves what hid it and meets what is there).
-3. There w <- D(s(w)), from the nearer of those two surfaces if its w is within the turn or a turn beside it, else from
-   the farther one: the near one hides the far one. When s moves by less than SETTLED_PX, that place is the source, SEEN.
-   On a surface whose inverse depth rises by g per pixel the step shrinks by |f c g| (about 1e-3) each time: one step
-   mostly does.
-4. If w leaves the turn and its neighbours, or does not settle in MAX_STEPS, the ray has passed an edge: it is now behind
-   the near surface, or beside it. The search goes on with the next turns.
+3. There w <- D(s(w)), from the nearer of those two surfaces, which hides the other, if its w is within the turn or a
+   turn beside it, else from the farther one. When s moves by less than SETTLED_PX, that place is the source, SEEN. On a
+   surface whose inverse depth rises by g per pixel the step shrinks by |f c g| (about 1e-3) each time: one step mostly
+   does.
+4. If w leaves the turn and its neighbours, or does not settle in MAX_STEPS, the ray has passed an edge: it is now
+   behind the near surface, or beside it. The search goes on with the next turns.
 5. If nothing is met, the ray ended behind the edge that it passed last, where the image shows nothing of it:
    DISOCCLUDED. The farther side of that edge stands in: s at the nearer of the last two w that were tried.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the field, or a ray that does not lead forwards, is
