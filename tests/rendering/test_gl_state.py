@@ -10,9 +10,13 @@ import gl_scenes
 import moderngl
 import numpy as np
 import pytest
+from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
+from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.gl_warp import GlWarp
+from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.raster import GlRaster
 
 pytestmark = pytest.mark.gl
@@ -184,6 +188,13 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller):
     assert_same(caller.state(), before)
     picture.read()
     assert_same(caller.state(), before)
+    GlWarp(context).warp(picture, np.zeros((4, 6, 7), np.float32))
+    assert_same(caller.state(), before)
+    eye = fitted_eye("northstar", 3)
+    field = GlSolve(context, eye, Lattice.of_pixels(eye.display.panel, (8, 9)), np.eye(3)).solve(eye.eye_box.centre)
+    assert_same(caller.state(), before)
+    field.read()
+    assert_same(caller.state(), before)
     with context.drawing(by_others=True) as ctx, context.drawing():
         ctx.enable(moderngl.BLEND)
         ctx.blend_func, ctx.blend_equation = (moderngl.ONE, moderngl.ONE), moderngl.MAX
@@ -312,6 +323,7 @@ def test_inside_a_plain_pyrender_program(gl_context):
     script = """
         import gl_scenes, numpy as np, pyrender, trimesh
         from wlr_render.rendering import gl
+        from wlr_render.rendering.intermediate_view import PyrenderDrawing
         from wlr_render.rendering.raster import GlRaster
         scene = pyrender.Scene(ambient_light=[0.1] * 3)
         pose = np.eye(4)
@@ -324,10 +336,15 @@ def test_inside_a_plain_pyrender_program(gl_context):
         context = gl.adopt_context()
         ours = GlRaster(context, gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))).draw(gl_scenes.view())
         assert (ours.inverse_depth > 0).sum() > 100
-        for _ in range(2):
+        own_scene = PyrenderDrawing(context, scene, scene.main_camera_node)
+        for _ in range(3):
             again = viewer.render(scene)
             assert (again[0] == colour).all() and (again[1] == depth).all() and depth.max() > 0.5
-            context.release()
+            bent = own_scene.draw_on_gpu(gl_scenes.view()).read()
+            assert (bent.inverse_depth > 1.2).sum() > 100
+        context.release()
+        again = viewer.render(scene)
+        assert (again[0] == colour).all() and (again[1] == depth).all()
         print("same")
     """
     assert run(script, PYOPENGL_PLATFORM=gl_context.backend) == "same\n"

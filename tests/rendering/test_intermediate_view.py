@@ -6,7 +6,7 @@ from gl_scenes import at, cube, lit, quad, unlit, view
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.intermediate_view import PyrenderView
+from wlr_render.rendering.intermediate_view import PyrenderDrawing, PyrenderView
 from wlr_render.rendering.raster import GlRaster
 
 pytestmark = pytest.mark.gl
@@ -74,3 +74,52 @@ def test_another_platform_of_pyopengl_is_refused_in_a_sentence(gl_context, scene
     monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
     with pytest.raises(BadInputError, match=f"set the environment variable PYOPENGL_PLATFORM={gl_context.backend}"):
         PyrenderView(gl_context, scene)
+
+
+@pytest.fixture
+def graph(gl_context):
+    """A caller's pyrender scene, with a camera of another kind under a node."""
+    PyrenderView(gl_context, unlit())  # pyrender is imported in its own way
+    import pyrender
+
+    graph = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 1.0], ambient_light=[0.5] * 3)
+    box = cube(0.5)
+    mesh = pyrender.Mesh([pyrender.Primitive(box.position, normals=box.normal, indices=box.triangles)])
+    graph.add(mesh, pose=at(0.1, 0.1, -2.5, transforms.rotation_about("y", 0.5)))
+    stand = pyrender.Node(matrix=at(1, 2, 3, transforms.rotation_about("x", 0.4)))
+    graph.add_node(stand)
+    graph.add(pyrender.PerspectiveCamera(1.0, znear=0.1), parent_node=stand, name="eye")
+    return graph
+
+
+def camera_node(graph):
+    return next(node for node in graph.camera_nodes if node.name == "eye")
+
+
+STEP = view(gl_scenes.OFF_CENTRE, (0.02, -0.01, 0.01), at(0.1, 0.05, 0.2, transforms.rotation_about("y", 0.1)))
+
+
+def test_a_callers_scene_is_seen_from_the_view(gl_context, graph):
+    placed = at(0.1, 0.1, -2.5, transforms.rotation_about("y", 0.5))
+    own = GlRaster(gl_context, lit((cube(0.5), placed))).draw(STEP)
+    other = PyrenderDrawing(gl_context, graph, camera_node(graph)).draw_on_gpu(STEP).read()
+    both = (own.inverse_depth > 0) & (other.inverse_depth > 0)
+    assert both.sum() > 100
+    np.testing.assert_allclose(other.inverse_depth[both], own.inverse_depth[both], rtol=1e-4)
+    assert ((own.inverse_depth > 0) != (other.inverse_depth > 0)).sum() <= 2
+
+
+def test_a_callers_scene_gets_its_camera_back(gl_context, graph):
+    node = camera_node(graph)
+    camera, pose, in_world, main = node.camera, node.matrix.copy(), graph.get_pose(node).copy(), graph.main_camera_node
+    drawing = PyrenderDrawing(gl_context, graph, node)
+    drawing.draw_on_gpu(STEP)
+    assert node.camera is camera
+    assert graph.main_camera_node is main
+    np.testing.assert_array_equal(node.matrix, pose)
+    np.testing.assert_array_equal(graph.get_pose(node), in_world)
+
+
+def test_a_node_that_is_no_camera_of_the_scene_is_refused(gl_context, graph):
+    with pytest.raises(BadInputError, match="no camera of the pyrender scene"):
+        PyrenderDrawing(gl_context, graph, next(iter(graph.mesh_nodes)))

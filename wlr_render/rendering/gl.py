@@ -9,15 +9,16 @@ import ctypes
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wlr_render import files
-from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.errors import MissingGlError
 from wlr_render.rendering.current_context import CurrentContext, NoCurrentContextError
+from wlr_render.rendering.gl_host import Foreign, Host, Own
 from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.osmesa import OsMesaContext
 
@@ -39,60 +40,6 @@ class GlError(RuntimeError):
     """OpenGL refused a call: a fault of this library or of the driver, not of the input."""
 
 
-class _Host(Protocol):
-    """Whose the context is."""
-
-    def entered(self, by_others: bool) -> contextlib.AbstractContextManager[None]:
-        """A block in which the context is current."""
-
-    def release(self, objects: list[Any]) -> None:
-        """Destroy our objects."""
-
-
-class _Own:
-    """A context that this library opened: made current by each block, and destroyed with all that is in it."""
-
-    def __init__(self, ctx: moderngl.Context) -> None:
-        self._ctx = ctx
-        self._make_current: Callable[[], object] = ctx.__enter__
-
-    @contextlib.contextmanager
-    def entered(self, by_others: bool) -> Iterator[None]:
-        self._make_current()
-        yield
-
-    def release(self, objects: list[Any]) -> None:
-        self._ctx.release()
-
-
-class _Foreign:
-    """A context of somebody else's program: its state outlives each block, and it outlives us."""
-
-    def __init__(self, current: CurrentContext, state: GlState, ctx: moderngl.Context) -> None:
-        self._current, self._state, self._ctx = current, state, ctx
-
-    @contextlib.contextmanager
-    def entered(self, by_others: bool) -> Iterator[None]:
-        if not self._current.is_current():
-            raise BadInputError(
-                "The adopted OpenGL context is not current on this thread: make it current before drawing."
-            )
-        outermost = not self._state.inside
-        with self._state.kept(by_others):
-            if outermost:
-                self._ctx.screen.use()  # what ModernGL takes to be bound from now on
-            yield
-
-    def release(self, objects: list[Any]) -> None:
-        # In a context that is gone its objects are, too.
-        if self._current.is_current():
-            with self._state.kept():
-                self._ctx.gc()
-                for one in objects:
-                    one.release()
-        self._ctx.gc_mode = None
-
-
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
@@ -104,7 +51,7 @@ class GlContext:
     """
 
     def __init__(
-        self, ctx: moderngl.Context, current: CurrentContext, host: _Host, caller: moderngl.Context | None = None
+        self, ctx: moderngl.Context, current: CurrentContext, host: Host, caller: moderngl.Context | None = None
     ) -> None:
         """Wrap ModernGL's context of the current one; `caller` is another of ModernGL's for the same."""
         self._ctx, self._current, self._host, self._caller = ctx, current, host, caller
@@ -329,7 +276,7 @@ def open_context(backend: str = "auto") -> GlContext:
     for name in _OPENERS if backend == "auto" else (backend,):
         try:
             ctx = _OPENERS[name]()
-            return GlContext(ctx, CurrentContext(), _Own(ctx))
+            return GlContext(ctx, CurrentContext(), Own(ctx))
         except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
@@ -367,7 +314,7 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
         ctx = moderngl.create_context(require=_VERSION_CODE, context=loader)
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
-    return GlContext(ctx, current, _Foreign(current, state, ctx), context)
+    return GlContext(ctx, current, Foreign(current, state, ctx), context)
 
 
 def _check_version(found: tuple[int, int]) -> None:

@@ -21,7 +21,8 @@ from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.raster import NEAR_M
 from wlr_render.rendering.scene import Light, Mesh, Scene
 from wlr_render.rendering.srgb import encode_srgb
-from wlr_render.rendering.submitted import DepthKind, PictureImport, StoredDepth
+from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
+from wlr_render.rendering.submitted import PictureImport
 from wlr_render.rendering.view import GeometryImage, View
 
 _FAR_M = 1e9  # in float32 the same as infinity
@@ -32,8 +33,9 @@ _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model 
 class PyrenderDrawing:
     """Draws a caller's pyrender scene from any view, in a context of ours or in one that was adopted.
 
-    What it loads is freed with the context. pyrender loads a mesh once, into the context that it is first drawn in: a
-    scene that another context has drawn must be drawn in that one, adopted.
+    What it loads is freed with the context. A pyrender mesh lives in one context, and a renderer of pyrender's refuses
+    one that it has not loaded itself: a caller who draws the scene with a renderer of his own does so first, and adopts
+    its context.
 
     Raises:
         BadInputError: the node has no camera or is not in the scene, or PyOpenGL already serves another kind of context
@@ -138,9 +140,27 @@ def _renderer(pyrender: Any) -> Any:
     renderer = pyrender.Renderer(1, 1)
     # The picture stays on the GPU; pyrender would read it back, and depth in two passes over the image.
     renderer._read_main_framebuffer = lambda scene, flags: None
+    renderer._update_context = _Loader()
     # Python's garbage collection would delete objects of these numbers in whichever context is current then.
     renderer.delete = lambda: None
     return renderer
+
+
+class _Loader:
+    """Loads a scene's meshes and textures into the context, but for those that a caller's renderer has loaded."""
+
+    def __init__(self) -> None:
+        self._loaded: set[Any] = set()
+
+    def __call__(self, graph: Any, flags: int) -> None:
+        primitives = {primitive for mesh in graph.meshes for primitive in mesh.primitives}
+        wanted = primitives.union(*(primitive.material.textures for primitive in primitives))
+        for thing in self._loaded - wanted:
+            thing.delete()
+        missing = {thing for thing in wanted if not thing._in_context()}
+        for thing in missing:
+            thing._add_to_context()
+        self._loaded = (self._loaded & wanted) | missing
 
 
 @contextlib.contextmanager
