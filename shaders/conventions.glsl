@@ -29,16 +29,16 @@ float inverse_depth_of_metres(float depth)
     return depth > 0.0 && !isinf(depth) ? 1.0 / depth : 0.0;
 }
 
-// Tangents (x, y) / -z -> pixel.
-vec2 pixel_of_tangents(vec2 tangents, vec4 lens)
+// Where a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, appears in an image:
+// its point at inverse depth w at at_infinity + w shift. NaN if it does not lead forwards there. The rows of the image's
+// camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the ray's frame.
+void project_ray(vec4 ray, vec4 row_u, vec4 row_v, vec4 row_depth, out vec2 at_infinity, out vec2 shift)
 {
-    return lens.xy * vec2(tangents.x, -tangents.y) + lens.zw;
-}
-
-// How far a pixel moves per unit of inverse depth for a ray offset by (c, d) metres.
-vec2 pixel_shift_of_offset(vec2 offset, vec4 lens)
-{
-    return lens.xy * vec2(offset.x, -offset.y);
+    float depth = dot(row_depth.xy, ray.xy) - row_depth.z;
+    vec2 forwards = vec2(dot(row_u.xy, ray.xy) - row_u.z, dot(row_v.xy, ray.xy) - row_v.z);
+    at_infinity = forwards * (depth > 0.0 ? 1.0 / depth : uintBitsToFloat(0x7fc00000u));
+    vec2 start = vec2(dot(row_u.xy, ray.zw) + row_u.w, dot(row_v.xy, ray.zw) + row_v.w);
+    shift = start - (dot(row_depth.xy, ray.zw) + row_depth.w) * at_infinity;
 }
 
 // The four texels around a pixel position: the upper left one is `base`, `weight` the share of the right, lower ones.

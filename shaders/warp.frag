@@ -1,23 +1,21 @@
 #version 430
 #include "conventions.glsl"
-#include "bend.glsl"
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch, and
 // outputs that nobody asked for are not compiled in.
 
 uniform sampler2D bend[CHANNELS];
-uniform vec4 texture_from_display[CHANNELS];  // scale, offset
-uniform vec4 display_from_fragment;  // scale, offset
+uniform vec4 texture_from_fragment[CHANNELS];  // of bend; scale, offset
 #if ROWS
-uniform sampler2D row_transforms;  // three texels in each row
+uniform sampler2D camera_matrices;  // from the field, for each row of the display; three texels in each row
+uniform vec2 row_from_fragment;  // scale, offset
 #else
-uniform vec4 image_from_field[3];
+uniform vec4 camera_matrix[3];  // from the field
 #endif
 uniform sampler2D picture;
 uniform sampler2D inverse_depth;
 uniform sampler2D ranges;
-uniform vec4 lens;
 uniform vec3 background;
 
 flat in vec2 per_texel;  // of picture and inverse_depth
@@ -62,37 +60,34 @@ vec3 filtered_colour(vec2 pixel, vec2 across, vec2 down)
 #endif
 }
 
-vec4 ray_in_image_frame(int channel, vec2 display_pixel)
+void path_of_ray(vec4 ray, out vec2 at_infinity, out vec2 shift)
 {
-    vec4 place = texture_from_display[channel];
-    vec4 ray = texture(bend[channel], display_pixel * place.xy + place.zw);
 #if ROWS
-    int row = int(display_pixel.y);
-    vec4 x = texelFetch(row_transforms, ivec2(0, row), 0);
-    vec4 y = texelFetch(row_transforms, ivec2(1, row), 0);
-    vec4 z = texelFetch(row_transforms, ivec2(2, row), 0);
-    return seen_from(ray, x, y, z);
+    int row = int(gl_FragCoord.y * row_from_fragment.x + row_from_fragment.y);
+    vec4 row_u = texelFetch(camera_matrices, ivec2(0, row), 0);
+    vec4 row_v = texelFetch(camera_matrices, ivec2(1, row), 0);
+    vec4 row_depth = texelFetch(camera_matrices, ivec2(2, row), 0);
+    project_ray(ray, row_u, row_v, row_depth, at_infinity, shift);
 #else
-    return seen_from(ray, image_from_field[0], image_from_field[1], image_from_field[2]);
+    project_ray(ray, camera_matrix[0], camera_matrix[1], camera_matrix[2], at_infinity, shift);
 #endif
 }
 
 void main()
 {
-    vec2 display_pixel = gl_FragCoord.xy * display_from_fragment.xy + display_from_fragment.zw;
     colour = vec4(0.0, 0.0, 0.0, 1.0);
     vec2 size = vec2(textureSize(picture, 0));
     int worst = SEEN;
     vec2 seen_at;
     for (int channel = 0; channel < CHANNELS; ++channel) {
-        vec4 ray = ray_in_image_frame(channel, display_pixel);
-        vec2 at_infinity = pixel_of_tangents(ray.xy, lens);
+        vec4 place = texture_from_fragment[channel];
+        vec2 at_infinity, shift;
+        path_of_ray(texture(bend[channel], gl_FragCoord.xy * place.xy + place.zw), at_infinity, shift);
         vec2 across = dFdx(at_infinity), down = dFdy(at_infinity);
         bool at_hole = any(isnan(across + down));
-        bool lost = any(isnan(ray));
+        bool lost = any(isnan(at_infinity + shift));
 
         vec2 pixel;
-        vec2 shift = pixel_shift_of_offset(ray.zw, lens);
         int status = follow(lost ? vec2(0.0) : at_infinity, lost ? vec2(0.0) : shift, pixel);
         bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size));
         status = lost ? NO_RAY : (inside ? status : OUTSIDE);

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import FloatArray, Panel
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_depth_ranges import GlDepthRanges
 from wlr_render.rendering.gpu_field import GpuField
-from wlr_render.rendering.gpu_image import GpuImage, lens_of, rgb_of_rgba
+from wlr_render.rendering.gpu_image import GpuImage, rgb_of_rgba
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.warped_image import (
     MAX_MARCH,
@@ -169,29 +170,25 @@ class GlWarp:
         ranges = self._ranges.of(image)
         by_rows = image_from_field.ndim == 3
         warp = self._pass(ROWS=int(by_rows), **constants)
+        from_fragment = _display_from_fragment(target)
+        matrices = _camera_matrices(image.camera, image_from_field)
         textures: dict[str, gl.Texture | Sequence[gl.Texture]] = {
-            "bend": [field.bend for field in fields],
+            "bend": [_sampled(field, target.size_px) for field in fields],
             "picture": image.colour,
             "inverse_depth": image.inverse_depth,
             "ranges": ranges.around_tiles,
             "coarse_ranges": ranges.coarse,
         }
         if by_rows:
-            textures["row_transforms"] = self._row_transforms(image_from_field)
+            textures["camera_matrices"] = self._camera_matrices_texture(matrices)
+            gl.set_uniforms(warp.program, row_from_fragment=tuple(from_fragment[:, 1]))
         else:
-            gl.set_array(warp.program, "image_from_field", list(image_from_field[:3]))
+            gl.set_array(warp.program, "camera_matrix", list(matrices))
         gl.bind_textures(warp.program, **textures)
-        for field in fields:
-            # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.
-            (gl.read_at_texels if field.lattice.size == target.size_px else gl.read_between_texels)(field.bend)
-        places = [np.concatenate(field.lattice.texture_from_picture(target.size_px)) for field in fields]
-        gl.set_array(warp.program, "texture_from_display", places)
-        gl.set_uniforms(
-            warp.program,
-            lens=lens_of(image.camera),
-            background=tuple(x / 255 for x in background),
-            display_from_fragment=_display_from_fragment(target),
+        gl.set_array(
+            warp.program, "texture_from_fragment", [_chained(field, target, from_fragment) for field in fields]
         )
+        gl.set_uniforms(warp.program, background=tuple(x / 255 for x in background))
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         target.framebuffer.use()
         warp.render(vertices=3)
@@ -204,9 +201,9 @@ class GlWarp:
             )
         return self._passes[key]
 
-    def _row_transforms(self, image_from_field: FloatArray) -> gl.Texture:
-        texture = self._texture("row_transforms", (3, len(image_from_field)), 4, "f4")
-        texture.write(np.ascontiguousarray(image_from_field[:, :3], np.float32))
+    def _camera_matrices_texture(self, matrices: FloatArray) -> gl.Texture:
+        texture = self._texture("camera_matrices", (3, len(matrices)), 4, "f4")
+        texture.write(np.ascontiguousarray(matrices, np.float32))
         return texture
 
     def _texture(self, name: str, size: tuple[int, int], components: int, dtype: str) -> gl.Texture:
@@ -226,9 +223,26 @@ def _check(fields: int, channels: int, image_from_field: FloatArray, size_px: tu
         )
 
 
-def _display_from_fragment(target: WarpTarget) -> tuple[float, float, float, float]:
-    """Scale and offset from window coordinates to display pixels, rows down."""
-    x, y = target.first_px
-    if target.top_row_first:
-        return 1.0, 1.0, float(-x), float(-y)
-    return 1.0, -1.0, float(-x), float(y + target.size_px[1])
+def _sampled(field: GpuField, size_px: tuple[int, int]) -> gl.Texture:
+    # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.
+    (gl.read_at_texels if field.lattice.size == size_px else gl.read_between_texels)(field.bend)
+    return field.bend
+
+
+def _camera_matrices(camera: Pinhole, image_from_field: FloatArray) -> FloatArray:
+    """(..., 3, 4): from a point (x, y, z, 1) of the field's frame to (u depth, v depth, depth) in the image."""
+    (focal_u, focal_v), (centre_u, centre_v) = camera.focal_px, camera.centre_px
+    lens = np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]])
+    return np.asarray(lens @ image_from_field)
+
+
+def _display_from_fragment(target: WarpTarget) -> FloatArray:
+    """[scale, offset] (2, 2) from window coordinates to display pixels, rows down."""
+    (x, y), height = target.first_px, target.size_px[1]
+    return np.array([[1.0, 1.0], [-x, -y]]) if target.top_row_first else np.array([[1.0, -1.0], [-x, y + height]])
+
+
+def _chained(field: GpuField, target: WarpTarget, display_from_fragment: FloatArray) -> FloatArray:
+    """Scale and offset (4,) from window coordinates to where the field's texture is read."""
+    scale, offset = field.lattice.texture_from_picture(target.size_px)
+    return np.concatenate([scale * display_from_fragment[0], scale * display_from_fragment[1] + offset])

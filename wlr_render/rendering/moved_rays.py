@@ -1,4 +1,4 @@
-"""World rays in (a, b, c, d) form, told in another camera frame; `shaders/bend.glsl` is the twin of this."""
+"""World rays in (a, b, c, d) form, told in another camera frame."""
 
 import numpy as np
 
