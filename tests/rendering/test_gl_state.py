@@ -17,6 +17,7 @@ from wlr_render.rendering import gl
 from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.gl_warp import GlWarp
 from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.osmesa import OsMesaContext
 from wlr_render.rendering.raster import GlRaster
 
 pytestmark = pytest.mark.gl
@@ -282,9 +283,7 @@ def run(script, **environment):
 
 
 def test_no_current_context_is_told_in_a_sentence():
-    # On a thread of its own nothing is current.
     script = """
-        import threading
         from wlr_render.errors import MissingGlError
         from wlr_render.rendering import gl
         try:
@@ -348,6 +347,26 @@ def test_inside_a_plain_pyrender_program(gl_context):
         print("same")
     """
     assert run(script, PYOPENGL_PLATFORM=gl_context.backend) == "same\n"
+
+
+def test_a_software_context_of_somebody_else_is_adopted():
+    script = """
+        import gl_scenes
+        from wlr_render.rendering import gl
+        from wlr_render.rendering.osmesa import OsMesaContext
+        from wlr_render.rendering.raster import GlRaster
+        theirs = OsMesaContext()
+        with gl.adopt_context() as context:
+            scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
+            picture = GlRaster(context, scene).draw(gl_scenes.view())
+            print(context.backend, (picture.inverse_depth > 0).sum() > 100)
+        theirs.release()
+    """
+    try:
+        OsMesaContext.library()
+    except OSError as error:
+        pytest.skip(f"libosmesa6 is not installed ({error}).")
+    assert run(script) == "osmesa True\n"
 
 
 def test_a_refusal_is_both_a_missing_gl_and_a_bad_input():

@@ -6,7 +6,7 @@ context current and destroying it stay with the program that made it.
 
 import ctypes
 import ctypes.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 _MAJOR_VERSION, _MINOR_VERSION = 0x821B, 0x821C
@@ -25,7 +25,7 @@ class NoCurrentContextError(RuntimeError):
 
 
 class CurrentContext:
-    """The context that was current when this object was made.
+    """The context of one of some platforms that was current when this object was made.
 
     Attributes:
         platform: "egl", "glx", "wgl" or "osmesa".
@@ -34,8 +34,8 @@ class CurrentContext:
         NoCurrentContextError: none is.
     """
 
-    def __init__(self) -> None:
-        for self.platform in _PLATFORMS:
+    def __init__(self, platforms: Iterable[str] = _PLATFORMS) -> None:
+        for self.platform in platforms:
             library = _library(self.platform)
             if library is None:
                 continue
@@ -50,10 +50,6 @@ class CurrentContext:
     def is_current(self) -> bool:
         """Whether it is the current one of the calling thread now."""
         return bool(self._native_current() == self._native)
-
-    def is_same(self, other: "CurrentContext") -> bool:
-        """Whether both mean one context."""
-        return self.platform == other.platform and bool(self._native == other._native)
 
     def version(self) -> tuple[int, int]:
         """(major, minor); (0, 0) where it is older than 3.0."""

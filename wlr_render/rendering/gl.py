@@ -276,7 +276,7 @@ def open_context(backend: str = "auto") -> GlContext:
     for name in _OPENERS if backend == "auto" else (backend,):
         try:
             ctx = _OPENERS[name]()
-            return GlContext(ctx, CurrentContext(), Own(ctx))
+            return GlContext(ctx, CurrentContext((name,)), Own(ctx))
         except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
