@@ -269,6 +269,12 @@ def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, adopted, gl
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
+def test_a_context_that_is_gone_is_told_in_a_sentence(caller):
+    caller.ctx.release()
+    with pytest.raises(MissingGlError, match="has been released: adopt one that is alive"):
+        gl.adopt_context(caller.ctx)
+
+
 def run(script, **environment):
     tests = str(gl_scenes.__file__).rsplit("/", 1)[0]
     done = subprocess.run(

@@ -295,9 +295,11 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
         context: ModernGL's, which is made current; None for the one that is current on this thread, whoever made it.
 
     Raises:
-        MissingGlError: none is current, or its version is below 4.3; it stays as it was.
+        MissingGlError: none is current, it has been released, or its version is below 4.3; it stays as it was.
     """
     if context is not None:
+        if isinstance(context.mglo, moderngl.InvalidObject):
+            raise MissingGlError("The ModernGL context has been released: adopt one that is alive.")
         _check_version(divmod(context.version_code // 10, 10))
         make_current: Callable[[], object] = context.__enter__
         make_current()
