@@ -106,7 +106,7 @@ def test_pixels_without_a_ray_or_beyond_the_picture_show_the_background(gl_conte
     bend = straight()
     bend[2, 10:20, 30:40] = np.nan
     bend[0, 50] += 2.0
-    warped = GlWarp(gl_context).warp(busy_picture, bend, (1, 2, 3), with_source=True)
+    warped = GlWarp(gl_context).warp(busy_picture, bend, background=(1, 2, 3), with_source=True)
     expected = np.full((80, 96), WarpStatus.SEEN)
     expected[10:20, 30:40], expected[50] = WarpStatus.NO_RAY, WarpStatus.OUTSIDE
     np.testing.assert_array_equal(warped.status, expected)
@@ -142,7 +142,7 @@ def test_every_status_has_a_sentence():
 def test_the_cpu_path_finds_the_same_sources(gl_context, busy_picture):
     bend = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
     bend[:, 3:9, 5:8] = np.nan
-    fast = GlWarp(gl_context).warp(busy_picture, bend, (9, 8, 7), with_source=True)
+    fast = GlWarp(gl_context).warp(busy_picture, bend, background=(9, 8, 7), with_source=True)
     slow = warp_on_cpu(busy_picture.read(), CAMERA, [bend], background=(9, 8, 7))
     same = fast.status == slow.status
     assert same.mean() > 0.995

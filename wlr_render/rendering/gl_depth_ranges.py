@@ -20,6 +20,12 @@ class DepthRanges:
     coarse: gl.Texture
 
 
+@dataclass(frozen=True, eq=False)
+class _Target:
+    texture: gl.Texture
+    framebuffer: gl.Framebuffer
+
+
 class GlDepthRanges:
     """Makes `DepthRanges`; its textures are kept between images of one size."""
 
@@ -35,19 +41,23 @@ class GlDepthRanges:
         """Call within a `drawing` block."""
         if self._image_size != image.inverse_depth.size:
             self._image_size = image.inverse_depth.size
-            self._tiles, self._around, self._blocks = self._targets(image.inverse_depth.size)
-        self._draw(self._of_tiles, self._tiles, values=image.inverse_depth)
-        self._draw(self._of_blocks, self._blocks, values=self._tiles)
-        self._draw(self._of_neighbours, self._around, ranges=self._tiles)
-        return DepthRanges(self._around, self._blocks)
+            tiles = _tiles_of(self._image_size)
+            self._tiles, self._around, self._blocks = map(self._target, (tiles, tiles, _tiles_of(tiles)))
+        _draw(self._of_tiles, self._tiles, values=image.inverse_depth)
+        _draw(self._of_blocks, self._blocks, values=self._tiles.texture)
+        _draw(self._of_neighbours, self._around, ranges=self._tiles.texture)
+        return DepthRanges(self._around.texture, self._blocks.texture)
 
-    def _targets(self, size: tuple[int, int]) -> tuple[gl.Texture, gl.Texture, gl.Texture]:
-        tiles = -(-size[0] // TILE), -(-size[1] // TILE)
-        blocks = -(-tiles[0] // TILE), -(-tiles[1] // TILE)
-        of_tiles, around, of_blocks = (self._context.target(each, 2, "f4") for each in (tiles, tiles, blocks))
-        return of_tiles, around, of_blocks
+    def _target(self, size: tuple[int, int]) -> _Target:
+        texture = self._context.target(size, 2, "f4")
+        return _Target(texture, self._context.framebuffer([texture]))
 
-    def _draw(self, pass_: gl.VertexArray, target: gl.Texture, **textures: gl.Texture) -> None:
-        self._context.framebuffer([target]).use()
-        gl.bind_textures(pass_.program, **textures)
-        pass_.render(vertices=3)
+
+def _tiles_of(size: tuple[int, int]) -> tuple[int, int]:
+    return -(-size[0] // TILE), -(-size[1] // TILE)
+
+
+def _draw(full_screen: gl.VertexArray, target: _Target, **textures: gl.Texture) -> None:
+    target.framebuffer.use()
+    gl.bind_textures(full_screen.program, **textures)
+    full_screen.render(vertices=3)

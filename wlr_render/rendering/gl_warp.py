@@ -86,6 +86,7 @@ class GlWarp:
         self._context, self._channels = context, channels
         self._ranges = GlDepthRanges(context)
         self._textures: dict[str, gl.Texture] = {}
+        self._outputs: dict[bool, tuple[GpuWarped, gl.Framebuffer]] = {}
         self._passes: dict[tuple[tuple[str, int], ...], gl.VertexArray] = {}
 
     def draw(
@@ -114,14 +115,11 @@ class GlWarp:
             BadInputError: the number of fields or the shape of the transforms does not fit.
         """
         with self._context.drawing():
-            colour = self._texture("colour", size_px, 4, "f1")
-            status = self._texture("status", size_px, 1, "u1")
-            source = self._texture("source", size_px, 2, "f4") if with_source else None
-            framebuffer = self._context.framebuffer([x for x in (colour, status, source) if x is not None])
+            warped, framebuffer = self._outputs_for(size_px, with_source)
             target = WarpTarget(framebuffer, (0, 0), size_px, True)
             outputs = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
             self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
-        return GpuWarped(self._context, colour, status, source)
+        return warped
 
     def draw_into(
         self,
@@ -143,10 +141,11 @@ class GlWarp:
         self,
         image: GpuImage,
         bend: NDArray[np.float32],
+        image_from_field: FloatArray | None = None,
         background: tuple[int, int, int] = (0, 0, 0),
         with_source: bool = False,
     ) -> WarpedImage:
-        """As `draw` along rays (4, height, width) of each display pixel in the image's own frame; fetched."""
+        """As `draw` along rays (4, height, width) of each display pixel, in the image's own frame if None; fetched."""
         _, height, width = bend.shape
         with self._context.drawing():
             texture = self._texture("bend", (width, height), 4, "f4")
@@ -155,7 +154,8 @@ class GlWarp:
         lattice = Lattice.of_pixels(Panel(width, height))
         field = GpuField(self._context, np.zeros(3), np.eye(3), lattice, texture)
         fields = [field] * self._channels
-        return self.draw(image, fields, np.eye(4), (width, height), background, with_source=with_source).read()
+        moved = np.eye(4) if image_from_field is None else image_from_field
+        return self.draw(image, fields, moved, (width, height), background, with_source=with_source).read()
 
     def _draw(
         self,
@@ -200,6 +200,15 @@ class GlWarp:
                 "warp.frag", "warp.vert", "", CHANNELS=self._channels, **_CONSTANTS, **constants
             )
         return self._passes[key]
+
+    def _outputs_for(self, size_px: tuple[int, int], with_source: bool) -> tuple[GpuWarped, gl.Framebuffer]:
+        outputs = self._outputs.get(with_source)
+        if outputs is None or outputs[0].colour.size != size_px:
+            colour, status = self._context.target(size_px, 4, "f1"), self._context.target(size_px, 1, "u1")
+            source = self._context.target(size_px, 2, "f4") if with_source else None
+            framebuffer = self._context.framebuffer([colour, status, *([source] if source else [])])
+            outputs = self._outputs[with_source] = GpuWarped(self._context, colour, status, source), framebuffer
+        return outputs
 
     def _camera_matrices_texture(self, matrices: FloatArray) -> gl.Texture:
         texture = self._texture("camera_matrices", (3, len(matrices)), 4, "f4")
