@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import transforms
@@ -18,14 +19,17 @@ scene = load_scene("desk")
 viewpoint, world_from_device = eye.eye_box.centre, np.eye(4)
 
 rasteriser = open_rasteriser(scene)  # EGL, else OSMesa, else the CPU
+renderer = RayRenderer(scene)
 warped = WarpedPainter(eye, rasteriser).paint(viewpoint, world_from_device, with_geometry=True)
-traced = TracedPainter(eye, RayRenderer(scene), shadows=True).paint(viewpoint, world_from_device, with_geometry=True)
+traced = TracedPainter(eye, renderer, shadows=True).paint(viewpoint, world_from_device, with_geometry=True)
 write_png("raster.png", warped.colour)
 write_png("raytrace.png", traced.colour)
 write_map("warp.tiff", warped.source)  # u, v in the intermediate image, inverse depth there; float32, NaN for nothing
 
 eye_in_world = transforms.apply(world_from_device, viewpoint)
-error = raster_error(warped.view, warped.intermediate.inverse_depth, warped.position, traced.position, eye_in_world)
-seen = summary(error.registration_arcmin[~error.disoccluded])
+error = raster_error(warped.position, traced.position, eye_in_world)
+drawn_from = warped.view.viewpoint_in_world
+hidden = disoccluded(renderer.tracer, drawn_from, traced.field, world_from_device, traced.position)
+seen = summary(error.registration_arcmin[~hidden])
 print(f"drawn by {rasteriser.backend}: registration {seen.median:.5f} arcmin median, {seen.p95:.5f} at 95 %")
-print(f"{error.disoccluded.mean():.3%} of the pixels are disoccluded")
+print(f"{hidden.mean():.4%} of the pixels are disoccluded")

@@ -21,6 +21,7 @@ LAYER = {
     "calibration": 3,
     "rendering": 3,
     "evaluation": 4,
+    "compositing": 4,
     "diagnosis": 5,
     "studies": 6,
     "terminal": 7,
@@ -34,6 +35,7 @@ FORBIDDEN = {
     "calibration": {"optics"},
     "rendering": {"optics", "captures", "models"},
     "evaluation": {"optics", "simulation", "models"},
+    "compositing": {"optics", "captures", "models", "simulation", "calibration", "tracking"},
 }
 DOORS = {
     "moderngl": {

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.covering import covering_camera
+from wlr_render.rendering.raster_eye import RasterEye
 from wlr_render.rendering.rasteriser import Rasteriser
 from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
@@ -119,25 +119,31 @@ def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
 
 
 class WarpedPainter:
-    """An intermediate image at the viewpoint, pulled into display pixels by the per-frame warp map."""
+    """An intermediate image from about the viewpoint, pulled into display pixels by the per-frame warp map."""
 
-    def __init__(self, mappings: EyeMappings, rasteriser: Rasteriser, resolution: float = 1.0) -> None:
+    def __init__(
+        self, mappings: EyeMappings, rasteriser: Rasteriser, resolution: float = 1.0, at_viewpoint: bool = False
+    ) -> None:
         """Prepare.
 
         Args:
             mappings: any pair.
             rasteriser: of the scene.
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
+            at_viewpoint: draw the intermediate image from the viewpoint itself, as the paper does, and not from where
+                the bent rays come (`raster_eye.py`), from where less is hidden.
         """
         self._mappings = mappings
         self._rasteriser = rasteriser
         self._plan = choose_plan(mappings)
-        self._camera = covering_camera((mappings,), self._plan.device_from_camera, resolution)
+        axes = self._plan.device_from_camera
+        self._camera = covering_camera((mappings,), axes, resolution)
+        self._raster_eye = None if at_viewpoint else RasterEye(mappings, axes)
 
-    @property
-    def camera(self) -> Pinhole:
-        """The intermediate image's camera for all viewpoints in the eye box."""
-        return self._camera
+    def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
+        """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
+        place = viewpoint if self._raster_eye is None else self._raster_eye.at(viewpoint)
+        return View(self._camera, place, world_from_device, self._plan.device_from_camera)
 
     def paint(
         self,
@@ -148,8 +154,8 @@ class WarpedPainter:
     ) -> Frame:
         """See `Painter`."""
         field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
-        view = View(self._camera, viewpoint, world_from_device, self._plan.device_from_camera)
-        warped = self._rasteriser.draw_warped(view, field.bend, with_geometry)
+        view = self.view(viewpoint, world_from_device)
+        warped = self._rasteriser.draw_warped(view, field, with_geometry)
         frame = Frame(warped.image.colour, field, warped.image.status)
         if warped.intermediate is None or warped.image.source is None:
             return frame
@@ -183,7 +189,7 @@ class MeshWarpedPainter:
         """See `Painter`."""
         traced = self._traced.paint(viewpoint, world_from_device, warm_start, with_geometry=True)
         assert traced.position is not None
-        view = View(self._plain.camera, viewpoint, world_from_device, traced.field.device_from_camera)
+        view = self._plain.view(viewpoint, world_from_device)
         intermediate = self._rasteriser.draw(view)
         source = source_of_position(view, traced.position)
         colour, _ = remap(intermediate.colour, source[..., :2], self._background)

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.rendering.ray_field import RayField
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.srgb import encode_srgb
-from wlr_render.rendering.view import GeometryImage, View
+from wlr_render.rendering.view import GeometryImage, View, image_from_field
 from wlr_render.rendering.warped_image import WarpedImage
 
 BACKENDS = ("auto", "egl", "osmesa", "cpu")
@@ -38,8 +39,8 @@ class Rasteriser(Protocol):
     def draw(self, view: View) -> GeometryImage:
         """Draw `view` and fetch colour and inverse depth."""
 
-    def draw_warped(self, view: View, bend: NDArray[np.float32], with_geometry: bool = False) -> Warped:
-        """Draw `view` and warp it along the bent rays (4, height, width) of a ray field.
+    def draw_warped(self, view: View, field: RayField, with_geometry: bool = False) -> Warped:
+        """Draw `view` and warp it along the bent rays of a field, whose viewpoint need not be that of the view.
 
         `with_geometry` also gives the pull map and the intermediate image.
         """
@@ -91,9 +92,10 @@ class _GlRasteriser:
     def draw(self, view: View) -> GeometryImage:
         return self._draw_on_gpu(view).read()
 
-    def draw_warped(self, view: View, bend: NDArray[np.float32], with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, field: RayField, with_geometry: bool = False) -> Warped:
         image = self._draw_on_gpu(view)
-        warped = self._warp.warp(image, bend, self._background, with_source=with_geometry)
+        moved = _image_from_field(view, field)
+        warped = self._warp.warp(image, field.bend, moved, self._background, with_source=with_geometry)
         return Warped(warped, image.read() if with_geometry else None)
 
 
@@ -109,13 +111,16 @@ class _CpuRasteriser:
     def draw(self, view: View) -> GeometryImage:
         return self._raster.draw(view)
 
-    def draw_warped(self, view: View, bend: NDArray[np.float32], with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, field: RayField, with_geometry: bool = False) -> Warped:
         from wlr_render.rendering.cpu_warp import warp_on_cpu
 
         image = self._raster.draw(view)
-        return Warped(
-            warp_on_cpu(image, view.camera, [bend], background=self._background), image if with_geometry else None
-        )
+        warped = warp_on_cpu(image, view.camera, [field.bend], _image_from_field(view, field), self._background)
+        return Warped(warped, image if with_geometry else None)
+
+
+def _image_from_field(view: View, field: RayField) -> NDArray[np.float64]:
+    return image_from_field(view, field.viewpoint_in_device, field.device_from_camera, view.world_from_device)
 
 
 def _background_code(scene: Scene) -> tuple[int, int, int]:

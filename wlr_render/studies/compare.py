@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
@@ -16,6 +17,7 @@ from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raytrace import SceneTracer
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.studies.headset import open_eye, require_in_eye_box
 from wlr_render.studies.progress import Progress, silent
@@ -68,26 +70,27 @@ def run(options: Options, progress: Progress = silent) -> Result:
     traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
     ways: dict[str, Painter] = {
         "raster + warp": WarpedPainter(mappings, rasteriser),
+        "raster camera at the viewpoint": WarpedPainter(mappings, rasteriser, at_viewpoint=True),
         "twice the raster resolution": WarpedPainter(mappings, rasteriser, resolution=2.0),
         "map from the mesh": MeshWarpedPainter(mappings, rasteriser, renderer),
     }
     rows: list[list[Cell]] = []
-    plain: tuple[Frame, RasterError] | None = None
+    plain: tuple[Frame, _Compared] | None = None
     for way, painter in progress(iter(ways.items()), len(ways), "ways to rasterise"):
         frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
-        error = _error(frame, traced)
-        rows.append(_row(way, error, frame.colour, traced.colour))
-        plain = plain or (frame, error)
+        compared = _compared(frame, traced, renderer.tracer)
+        rows.append(_row(way, compared, frame.colour, traced.colour))
+        plain = plain or (frame, compared)
     assert plain is not None
-    frame, error = plain
+    frame, compared = plain
     write_png(folder / "raster.png", frame.colour)
     write_png(folder / "raytrace.png", traced.colour)
-    write_map(folder / "error.tiff", _map_of(error))
+    write_map(folder / "error.tiff", _map_of(compared))
     title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {options.eye} eye"
     table = ReportTable(title, _COLUMNS, rows, _NOTES)
     write_text(folder / "compare.md", table.markdown())
     write_text(folder / "compare.json", tables_as_json([table], viewpoint_in_device_m=viewpoint.tolist()))
-    picture = _draw(folder / "compare.png", frame, traced, error, title)
+    picture = _draw(folder / "compare.png", frame, traced, compared, title)
     return Result(table, picture)
 
 
@@ -102,35 +105,44 @@ _COLUMNS = (
 )
 _NOTES = (
     "Errors are angles at the eye between the world points that the two frames show at a pixel, over pixels that are "
-    "not disoccluded. Disoccluded: the ray-traced point is hidden in the intermediate image; share of pixels that "
-    "show anything.",
+    "not disoccluded. Disoccluded: something hides what the bent ray meets from where the intermediate image is drawn "
+    "(found with the scene itself); share of pixels that show anything.",
 )
 
 
-def _error(frame: Frame, traced: Frame) -> RasterError:
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """A rasterised frame beside the ray-traced one; masks and angles per display pixel."""
+
+    error: RasterError
+    disoccluded: NDArray[np.bool_]
+
+
+def _compared(frame: Frame, traced: Frame, tracer: SceneTracer) -> _Compared:
     assert frame.view is not None
-    assert frame.intermediate is not None
     assert frame.position is not None
     assert traced.position is not None
     eye_in_world = transforms.apply(HEAD_POSE, frame.field.viewpoint_in_device)
-    return raster_error(frame.view, frame.intermediate.inverse_depth, frame.position, traced.position, eye_in_world)
+    hidden = disoccluded(tracer, frame.view.viewpoint_in_world, traced.field, HEAD_POSE, traced.position)
+    return _Compared(raster_error(frame.position, traced.position, eye_in_world), hidden)
 
 
-def _row(way: str, error: RasterError, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> list[Cell]:
-    s = summary(error.registration_arcmin[~error.disoccluded])
+def _row(way: str, compared: _Compared, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> list[Cell]:
+    error = compared.error
+    s = summary(error.registration_arcmin[~compared.disoccluded])
     shown = max(1, int(np.isfinite(error.registration_arcmin).sum() + error.only_one.sum()))
     difference = float(np.abs(drawn.astype(np.int16) - truth).mean())
-    hidden, single = (100.0 * float(mask.sum()) / shown for mask in (error.disoccluded, error.only_one))
+    hidden, single = (100.0 * float(mask.sum()) / shown for mask in (compared.disoccluded, error.only_one))
     return [way, s.median, s.p95, s.maximum, hidden, single, difference]
 
 
-def _map_of(error: RasterError) -> NDArray[np.float32]:
+def _map_of(compared: _Compared) -> NDArray[np.float32]:
     """Channels: error in arcmin, 1 where disoccluded, 1 where only one frame shows something."""
-    layers = [error.registration_arcmin, error.disoccluded, error.only_one]
+    layers = [compared.error.registration_arcmin, compared.disoccluded, compared.error.only_one]
     return np.stack([np.asarray(layer, np.float32) for layer in layers], axis=-1)
 
 
-def _draw(path: Path, frame: Frame, traced: Frame, error: RasterError, title: str) -> Path:
+def _draw(path: Path, frame: Frame, traced: Frame, compared: _Compared, title: str) -> Path:
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
@@ -139,9 +151,9 @@ def _draw(path: Path, frame: Frame, traced: Frame, error: RasterError, title: st
     for place, picture, name in ((axes[0], traced.colour, "ray traced"), (axes[1], frame.colour, "raster + warp")):
         place.imshow(picture)
         place.set_title(name)
-    angle: FloatArray = np.clip(error.registration_arcmin, 1e-3, None)
+    angle: FloatArray = np.clip(compared.error.registration_arcmin, 1e-3, None)
     drawn = axes[2].imshow(angle, norm=LogNorm(1e-3, 10.0), cmap="viridis", interpolation="nearest")
-    row, column = np.nonzero(error.disoccluded)
+    row, column = np.nonzero(compared.disoccluded)
     axes[2].scatter(column, row, s=0.5, c="red", marker="s", linewidths=0)
     axes[2].set_title("registration error; red: disoccluded")
     figure.colorbar(drawn, ax=axes[2], label="arcmin", extend="both")

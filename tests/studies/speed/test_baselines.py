@@ -43,7 +43,7 @@ def test_the_bare_opengl_frame_draws_our_silhouette(scene, small_panel_model):
         context = gl.open_context("egl")
     except MissingGlError as error:
         pytest.skip(str(error))
-    camera = WarpedPainter(eye, open_rasteriser(scene, "cpu")).camera
+    camera = WarpedPainter(eye, open_rasteriser(scene, "cpu")).view(centre, HEAD_POSE).camera
     axes = choose_plan(eye).device_from_camera
     view = View(offline._at_display_size(camera, eye.display.panel), centre, HEAD_POSE, axes)
     with context:

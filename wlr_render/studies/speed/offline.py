@@ -19,7 +19,6 @@ from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, exact_field, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
-from wlr_render.rendering.view import View
 from wlr_render.studies.speed.baselines import bare_gl_frame, raw_embree
 from wlr_render.studies.speed.timing import alternately, in_ms
 from wlr_render.studies.speed.workload import HEAD_POSE, Workload, bench_model, bench_scene
@@ -59,11 +58,11 @@ def raster_rows(work: Workload, backend: str) -> list[list[Cell]]:
         (frame_ms,) = alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE))
         return [[name, in_ms(frame_ms), None, None, "needs EGL for its baseline"]]
     panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
-    axes = choose_plan(work.mappings).device_from_camera
-    view = View(_at_display_size(painter.camera, panel), centre, HEAD_POSE, axes)
+    drawn_from = painter.view(centre, HEAD_POSE)
+    view = replace(drawn_from, camera=_at_display_size(drawn_from.camera, panel))
     fixed = painter.paint(centre, HEAD_POSE, with_geometry=True).source
     assert fixed is not None
-    source_uv = np.nan_to_num(fixed[..., :2] / [painter.camera.width_px, painter.camera.height_px])
+    source_uv = np.nan_to_num(fixed[..., :2] / [drawn_from.camera.width_px, drawn_from.camera.height_px])
     bare = bare_gl_frame(_in_world(work.scene), view, source_uv.astype(np.float32))
     bare_ms, frame_ms = alternately(lambda _: bare(), lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE))
     return [[name, in_ms(frame_ms), in_ms(bare_ms), frame_ms / bare_ms, "<= 2.5"]]

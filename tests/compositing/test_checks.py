@@ -1,0 +1,85 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from wlr_render.compositing.checks import (
+    REACH,
+    checked_models,
+    checked_pose,
+    checked_size,
+    checked_viewpoints,
+    nearest_in_reach,
+)
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EYE_BOX_MARGIN, Panel
+
+
+def left_of(eye):
+    return dataclasses.replace(eye, eye="left")
+
+
+def test_one_eye_needs_no_name_and_the_left_one_comes_first(flat_image_headset):
+    assert checked_models(flat_image_headset) == {"right": (flat_image_headset,)}
+    both = {"right": flat_image_headset, "left": [left_of(flat_image_headset)] * 3}
+    assert [(eye, len(channels)) for eye, channels in checked_models(both).items()] == [("left", 3), ("right", 1)]
+
+
+def test_models_that_do_not_belong_together_are_refused(flat_image_headset):
+    wide = dataclasses.replace(flat_image_headset.display, panel=Panel(7, 5))
+    other_panel = dataclasses.replace(flat_image_headset, display=wide)
+    for models, words in (
+        ({}, "'left', 'right' or both"),
+        ({"middle": flat_image_headset}, "middle"),
+        ({"left": flat_image_headset}, "model of the right eye, given for the left"),
+        ({"right": [flat_image_headset] * 2}, "2 models"),
+        ({"right": [flat_image_headset, other_panel, flat_image_headset]}, "panel"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            checked_models(models)
+
+
+@pytest.mark.parametrize("size", [(0, 5), (4.5, 3), (5,), (5, 4, 3), (-2, 2)])
+def test_a_size_that_is_none_is_refused(size):
+    with pytest.raises(BadInputError, match="width, height"):
+        checked_size(size)
+
+
+def test_a_pose_is_a_rotation_and_a_translation():
+    good = np.eye(4)
+    good[:3, 3] = [5.0, -3.0, 2.0]
+    np.testing.assert_array_equal(checked_pose(good), good)
+    mirrored, scaled, transposed, lost = good.copy(), good.copy(), good.T.copy(), good.copy()
+    mirrored[0, 0], scaled[:3, :3], lost[1, 2] = -1.0, 1.001 * np.eye(3), np.nan
+    for bad, words in (
+        (mirrored, "rotation"),
+        (scaled, "rotation"),
+        (transposed, "transpose"),
+        (lost, "finite"),
+        (np.eye(3), "4 x 4"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            checked_pose(bad, "pose")
+
+
+def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_headset):
+    models, box = checked_models(flat_image_headset), flat_image_headset.eye_box
+    edge = box.centre + [0, (0.5 + REACH) * box.size[1] + EYE_BOX_MARGIN, 0]
+    np.testing.assert_array_equal(checked_viewpoints(edge, models)["right"], edge)
+    with pytest.raises(BadInputError, match=r"right eye lies .* mm from the eye box's centre in y"):
+        checked_viewpoints(edge + [0, 1e-6, 0], models)
+    brought_back = nearest_in_reach(edge + [0, 0.05, 0], box)
+    np.testing.assert_allclose(brought_back, edge, atol=1e-15)
+    checked_viewpoints(brought_back, models)
+
+
+def test_viewpoints_are_wanted_of_every_eye(flat_image_headset):
+    models = checked_models({"right": flat_image_headset, "left": left_of(flat_image_headset)})
+    centre = flat_image_headset.eye_box.centre
+    for viewpoint, words in (
+        (centre, "two eyes"),
+        ({"left": centre}, "the right eye"),
+        ({"left": centre, "right": [0, 0, np.nan]}, "finite"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            checked_viewpoints(viewpoint, models)

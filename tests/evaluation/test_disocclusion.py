@@ -1,0 +1,35 @@
+import numpy as np
+from gl_scenes import at, quad, unlit
+
+from wlr_render.evaluation.disocclusion import disoccluded
+from wlr_render.geometry import transforms
+from wlr_render.rendering.ray_field import RayField
+from wlr_render.rendering.raytrace import SceneTracer
+
+HEAD = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6, -0.2]))
+EYE = np.array([0.03, 0.0, -0.02])
+
+
+def test_what_an_edge_hides_from_a_camera_beside_the_eye_is_the_closed_form():
+    # A sheet 1 m away reaches from the left to the middle; the wall behind it is 4 m away, and ends at x = 2 m.
+    eye_from_scene = transforms.rigid(np.eye(3), EYE)
+    sheet = (quad((-9, -9), (0, 9)), HEAD @ eye_from_scene @ at(0, 0, -1))
+    wall = (quad((-9, -9), (2, 9)), HEAD @ eye_from_scene @ at(0, 0, -4))
+    tracer = SceneTracer(unlit(sheet, wall))
+    tangents = np.linspace(-0.7, 0.7, 281)[None] + 1e-4
+    zero = np.zeros_like(tangents)
+    field = RayField(EYE, np.eye(3), np.stack([tangents, zero, zero, zero]).astype(np.float32), zero.astype(np.uint8))
+    hits = tracer.intersect(*(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
+    position = tracer.hit_positions(hits, *(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
+    for aside in (-0.05, 0.05):
+        camera = transforms.apply(HEAD, EYE + [aside, 0, 0])
+        # Rays that pass right of the sheet meet the wall at 4 t, or nothing beyond 2 m; from the camera the sheet
+        # covers the wall up to x = aside + 4 (0 - aside), and nothing in directions up to t = -aside.
+        t = tangents[0]
+        on_wall = (t > 0) & (4 * t < 2)
+        expected = on_wall & (4 * t < -3 * aside)
+        np.testing.assert_array_equal(disoccluded(tracer, camera, field, HEAD, position)[0][t < 0.5], expected[t < 0.5])
+        # Where nothing is met, the wall itself hides it from a camera to the right, which sees it end at a larger t.
+        np.testing.assert_array_equal(
+            disoccluded(tracer, camera, field, HEAD, position)[0][t > 0.5], (t < (2 - aside) / 4)[t > 0.5]
+        )

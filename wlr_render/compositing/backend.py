@@ -1,0 +1,81 @@
+"""Where eyes are composed: in an OpenGL context of our own, in somebody else's, or without any."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+from wlr_render.compositing.composed_frame import ComposedEye
+from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.mappings import FloatArray
+from wlr_render.rendering.stored_picture import Rows, StoredDepth
+
+CONTEXTS = ("auto", "egl", "osmesa", "cpu", "current")
+SOLVES = ("auto", "pixels", "nodes")
+
+
+class EyeBackend(Protocol):
+    """One eye: takes what was drawn, gives what the panel must show."""
+
+    def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
+        """See `Compositor.submit`; on an error the last picture stays."""
+
+    def compose(
+        self, viewpoint: FloatArray, image_from_field: FloatArray, target: Any, with_source: bool
+    ) -> ComposedEye:
+        """The picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `Backend.targets`."""
+
+    def forget(self) -> None:
+        """Solve the next frame cold."""
+
+
+class Backend(Protocol):
+    """All eyes of a headset."""
+
+    @property
+    def name(self) -> str:
+        """What draws."""
+
+    @property
+    def context(self) -> Any:
+        """See `Compositor.context`."""
+
+    @property
+    def eyes(self) -> Mapping[str, EyeBackend]:
+        """By name."""
+
+    def working(self) -> AbstractContextManager[object]:
+        """A block of calls; within it the caller's OpenGL state is taken care of once."""
+
+    def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> Mapping[str, Any]:
+        """Where each eye's picture goes; nothing for textures or arrays of our own. See `Compositor.compose`."""
+
+    def finish(self) -> None:
+        """Wait for the GPU."""
+
+    def release(self) -> None:
+        """Free everything."""
+
+
+def open_backend(context: Any, plans: Sequence[EyePlan], solve: str, background: tuple[int, int, int]) -> Backend:
+    """The backend that `Compositor(context=..., solve=...)` names.
+
+    Raises:
+        BadInputError: an unknown name, pixels for models that are not planar, or a context that is too old.
+        MissingGlError: OpenGL was asked for by name, and does not open.
+    """
+    if isinstance(context, str) and context not in CONTEXTS:
+        raise BadInputError(f"context '{context}': choose from {', '.join(CONTEXTS)}, or give a moderngl.Context.")
+    if solve not in SOLVES:
+        raise BadInputError(f"solve '{solve}': choose from {', '.join(SOLVES)}.")
+    if context != "cpu":
+        from wlr_render.compositing.gl_backend import GlBackend
+
+        try:
+            return GlBackend(context, plans, solve, background)
+        except MissingGlError:
+            if context != "auto":
+                raise
+    from wlr_render.compositing.cpu_backend import CpuBackend
+
+    return CpuBackend(plans, solve, background)

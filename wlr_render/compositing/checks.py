@@ -1,0 +1,116 @@
+"""What an engine hands over, checked before anything is changed."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, EyeMappings, FloatArray
+from wlr_render.rendering.pixel_solve import checked_viewpoint
+
+Channels = tuple[EyeMappings, ...]
+"""One pair of mappings for all colours, or one each for red, green and blue."""
+
+REACH = 0.5
+"""How far outside the eye box a viewpoint may lie, as a share of the box's size on each axis. Polynomials fitted inside
+may be carried on a little; what they say farther out is not an image of anything."""
+_ROTATION_SLACK = 1e-4
+_ROUNDING_M = 1e-9
+
+
+def checked_models(models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]]) -> dict[str, Channels]:
+    """Channels by eye, the left eye first.
+
+    Raises:
+        BadInputError: no eye, an eye of another name than its mappings', or colours that do not belong together.
+    """
+    by_eye = {models.eye: models} if isinstance(models, EyeMappings) else models
+    if not by_eye or not set(by_eye) <= {"left", "right"}:
+        raise BadInputError(f"models are given for {sorted(by_eye)}; give them for 'left', 'right' or both.")
+    return {eye: _checked_channels(eye, by_eye[eye]) for eye in sorted(by_eye)}
+
+
+def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> Channels:
+    channels = (models,) if isinstance(models, EyeMappings) else tuple(models)
+    if len(channels) not in (1, 3):
+        raise BadInputError(f"{eye} eye: {len(channels)} models are given; give one, or three for red, green and blue.")
+    for mappings in channels:
+        if mappings.eye != eye:
+            raise BadInputError(f"{mappings.name}: is a model of the {mappings.eye} eye, given for the {eye} eye.")
+        if mappings.display.panel != channels[0].display.panel:
+            raise BadInputError(f"{mappings.name}: its panel is not that of {channels[0].name}; the colours share one.")
+    return channels
+
+
+def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
+    """(width, height) of one eye's display.
+
+    Raises:
+        BadInputError: it is not two whole positive numbers.
+    """
+    size = tuple(int(x) for x in size_px)
+    if len(size) != 2 or min(size) < 1 or any(whole != given for whole, given in zip(size, size_px, strict=True)):
+        raise BadInputError(f"the size {tuple(size_px)} is not (width, height) in whole pixels.")
+    return size[0], size[1]
+
+
+def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
+    """`world_from_device` as (4, 4) float64.
+
+    Raises:
+        BadInputError: not finite, or no rotation and translation.
+    """
+    matrix = np.asarray(pose, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise BadInputError(
+            f"the {what} of shape {matrix.shape} is not a 4 x 4 matrix of finite numbers; give world_from_device, and "
+            "the last good one while the head is not tracked."
+        )
+    rotation = matrix[:3, :3]
+    upright = np.linalg.det(rotation) > 0 and np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_SLACK)
+    if not upright or not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise BadInputError(
+            f"the {what} is not a rotation and a translation; give world_from_device with the last row 0 0 0 1 (its "
+            "transpose is what OpenGL takes)."
+        )
+    return matrix
+
+
+def checked_viewpoints(
+    viewpoint: FloatArray | Mapping[str, FloatArray], models: Mapping[str, Channels]
+) -> dict[str, FloatArray]:
+    """(3,) by eye.
+
+    Raises:
+        BadInputError: an eye is missing, a viewpoint is not three finite numbers, or lies far outside the eye box.
+    """
+    if not isinstance(viewpoint, Mapping):
+        if len(models) > 1:
+            raise BadInputError("one viewpoint is given for two eyes; give {'left': ..., 'right': ...}.")
+        viewpoint = dict.fromkeys(models, viewpoint)
+    missing = set(models) - set(viewpoint)
+    if missing:
+        raise BadInputError(f"there is no viewpoint of the {sorted(missing)[0]} eye; give one for every eye.")
+    return {eye: _near_the_box(eye, checked_viewpoint(viewpoint[eye]), models[eye][0]) for eye in models}
+
+
+def nearest_in_reach(viewpoint: FloatArray, box: EyeBox) -> FloatArray:
+    """The nearest viewpoint (3,) to a finite one that is not refused."""
+    return np.asarray(box.centre + np.clip(viewpoint - box.centre, -_reach(box), _reach(box)))
+
+
+def _reach(box: EyeBox) -> FloatArray:
+    return np.asarray((0.5 + REACH) * box.size + EYE_BOX_MARGIN)
+
+
+def _near_the_box(eye: str, viewpoint: FloatArray, mappings: EyeMappings) -> FloatArray:
+    box = mappings.eye_box
+    beyond = np.abs(viewpoint - box.centre) - _reach(box)
+    if (beyond > _ROUNDING_M).any():
+        axis = int(np.argmax(beyond))
+        raise BadInputError(
+            f"the viewpoint of the {eye} eye lies {abs(viewpoint[axis] - box.centre[axis]) * 1e3:.1f} mm from the eye "
+            f"box's centre in {'xyz'[axis]}, and {mappings.name} was made for {0.5 * box.size[axis] * 1e3:.1f} mm; "
+            "hold the last good viewpoint, or refit the headset's place on the head."
+        )
+    return viewpoint

@@ -1,0 +1,250 @@
+"""The compositor: an engine draws what it is told to, and gets what the panels must show.
+
+A frame is `begin_frame` (from where to draw), `submit` once per eye (what was drawn), `compose` (what the panels show).
+All input is checked before anything is changed: after an error the frame stands as it did before the call.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.compositing.backend import Backend, open_backend
+from wlr_render.compositing.checks import (
+    checked_models,
+    checked_pose,
+    checked_size,
+    checked_viewpoints,
+    nearest_in_reach,
+)
+from wlr_render.compositing.composed_frame import ComposedFrame
+from wlr_render.compositing.eye_camera import EyeCamera
+from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.stored_picture import Rows, StoredDepth
+from wlr_render.rendering.view import image_from_field
+
+METRES = StoredDepth()
+
+
+@dataclass(eq=False)
+class _OpenFrame:
+    """A frame between `begin_frame` and the next one."""
+
+    world_from_device: FloatArray
+    viewpoints: dict[str, FloatArray]
+    cameras: dict[str, EyeCamera]
+    submitted: set[str] = field(default_factory=set)
+
+
+class Compositor:
+    """World-locked frames for one or both eyes of a headset, in a context of its own or in yours.
+
+    A context manager; `release` frees what it made on the GPU, and its own context.
+
+    Attributes:
+        eyes: names, the left eye first.
+        size_px: (width, height) of each eye's display picture.
+    """
+
+    def __init__(
+        self,
+        models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]],
+        size: tuple[int, int],
+        *,
+        context: Any = "auto",
+        solve: str = "auto",
+        resolution: float = 1.0,
+        late_margin_deg: float = 1.0,
+        background: tuple[int, int, int] = (0, 0, 0),
+    ) -> None:
+        """Prepare; compiles shaders.
+
+        Args:
+            models: mappings of one eye, or by eye "left" and "right"; three of an eye are for red, green and blue.
+            size: (width, height) in pixels of each eye's display picture, which covers its panel.
+            context: a `moderngl.Context` to work in; "current" for the OpenGL context that is current on this thread,
+                whoever made it; "egl" or "osmesa" for one of our own; "cpu" for none; "auto" for the first of these
+                three that works here.
+            solve: "pixels" (every display pixel, planar models only), "nodes" (a grid of measured error, read
+                bilinearly), or "auto": pixels for planar models on a GPU, nodes elsewhere.
+            resolution: pixels of the intermediate image per display pixel and axis.
+            late_margin_deg: how far the head may turn between drawing and scan-out before the borders go black.
+            background: sRGB of pixels that see nothing of the picture.
+
+        Raises:
+            BadInputError: models that do not fit together, no size, an unknown choice, or a context that is too old.
+            MissingGlError: OpenGL was asked for by name, and does not open.
+        """
+        channels = checked_models(models)
+        self.size_px = checked_size(size)
+        if not (0 < resolution <= 4 and 0 <= late_margin_deg <= 20):
+            raise BadInputError(
+                f"resolution {resolution} and late_margin_deg {late_margin_deg}: give 0 to 4, and 0 to 20 degrees."
+            )
+        self._models = channels
+        margin = float(np.tan(np.deg2rad(late_margin_deg)))
+        self._plans = {eye: EyePlan.of(group, self.size_px, resolution, margin) for eye, group in channels.items()}
+        self._backend: Backend = open_backend(context, list(self._plans.values()), solve, background)
+        self._frame: _OpenFrame | None = None
+
+    @property
+    def eyes(self) -> tuple[str, ...]:
+        """Names, the left eye first."""
+        return tuple(self._plans)
+
+    @property
+    def renderer(self) -> str:
+        """What draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)" or "cpu"."""
+        return self._backend.name
+
+    @property
+    def context(self) -> Any:
+        """The `rendering.gl.GlContext` in which it works, for renderers of ours; None without OpenGL."""
+        return self._backend.context
+
+    def plan(self, eye: str) -> EyePlan:
+        """What was decided for an eye."""
+        return self._plans[self._checked_eye(eye)]
+
+    def within_reach(self, eye: str, viewpoint: FloatArray) -> FloatArray:
+        """The nearest viewpoint (3,) that `begin_frame` takes: for trackers that see a pupil where no model reaches."""
+        return nearest_in_reach(viewpoint, self._models[self._checked_eye(eye)][0].eye_box)
+
+    def begin_frame(self, pose: FloatArray, viewpoint: FloatArray | Mapping[str, FloatArray]) -> dict[str, EyeCamera]:
+        """Start a frame; what was submitted before is forgotten.
+
+        Args:
+            pose: (4, 4) world_from_device.
+            viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two.
+
+        Returns:
+            From where to draw, by eye.
+
+        Raises:
+            BadInputError: a pose or viewpoint that is not one, or a viewpoint far outside the eye box.
+        """
+        pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
+        cameras = {eye: plan.eye_camera(viewpoints[eye], pose) for eye, plan in self._plans.items()}
+        self._frame = _OpenFrame(pose, viewpoints, cameras)
+        return cameras
+
+    def submit(
+        self,
+        color: Any,
+        depth: Any = None,
+        *,
+        eye: str | None = None,
+        stored: StoredDepth = METRES,
+        rows: Rows | None = None,
+    ) -> None:
+        """Hand over what was drawn for an eye with the camera that `begin_frame` gave.
+
+        Args:
+            color: a numpy array (height, width, 3 or 4) uint8 sRGB with its top row first; or a ModernGL texture; or a
+                ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of our own
+                renderers, which is not copied.
+            depth: a numpy array (height, width) or a texture, unless `color` holds it.
+            eye: may be left out if there is one eye.
+            stored: what the depth means; metres along the camera's axis with 0 for nothing if left out, as pyrender
+                gives them.
+            rows: which row comes first in memory; the top one for arrays, the bottom one for what OpenGL drew, if left
+                out.
+
+        Raises:
+            BadInputError: no frame begun, an eye submitted twice, or a picture of another size or kind.
+        """
+        frame, eye = self._begun(), self._checked_eye(eye)
+        if eye in frame.submitted:
+            raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
+        with self._backend.working():
+            self._backend.eyes[eye].take(color, depth, stored, rows)
+        frame.submitted.add(eye)
+
+    def compose(
+        self,
+        into: Any = None,
+        *,
+        pose: FloatArray | None = None,
+        viewpoint: FloatArray | Mapping[str, FloatArray] | None = None,
+        pose_at_last_row: FloatArray | None = None,
+        with_source: bool = False,
+    ) -> ComposedFrame:
+        """What the panels must show; may be called again for the same frame with newer poses (late correction).
+
+        The intermediate image is drawn anew from where the head and the eyes are now, with its depth: one resampling,
+        however late.
+
+        Args:
+            into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also
+                one of twice the width, the left eye to the left. Textures of our own if None.
+            pose: (4, 4) newest world_from_device, when the first row lights up; that of `begin_frame` if None.
+            viewpoint: newest viewpoints; those of `begin_frame` if None.
+            pose_at_last_row: for a display that lights up row by row, the head's pose when the last row does.
+            with_source: also make the pull map, `WarpedImage.source`, where there is no `into`.
+
+        Raises:
+            BadInputError: no frame begun, an eye not submitted, a faulty pose or viewpoint, or a framebuffer of another
+                size.
+        """
+        frame = self._begun()
+        missing = [eye for eye in self.eyes if eye not in frame.submitted]
+        if missing:
+            raise BadInputError(f"the {missing[0]} eye has not been submitted; submit every eye before compose.")
+        viewpoints = frame.viewpoints if viewpoint is None else checked_viewpoints(viewpoint, self._models)
+        poses = self._row_poses(frame.world_from_device if pose is None else pose, pose_at_last_row)
+        composed = {}
+        with self._backend.working():
+            targets = self._backend.targets(into, self.eyes, self.size_px)
+            for eye, plan in self._plans.items():
+                view, at = frame.cameras[eye].view, viewpoints[eye]
+                moved = image_from_field(view, at, plan.device_from_camera, poses)
+                composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source)
+        return ComposedFrame(composed)
+
+    def forget(self) -> None:
+        """Solve the next frame cold, as after a change of the headset's fit."""
+        for eye in self._backend.eyes.values():
+            eye.forget()
+
+    def finish(self) -> None:
+        """Wait until the GPU has done all that it was told to; only who takes times needs this."""
+        self._backend.finish()
+
+    def release(self) -> None:
+        """Free what was made on the GPU, and our own context."""
+        self._frame = None
+        self._backend.release()
+
+    def __enter__(self) -> "Compositor":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    def _begun(self) -> _OpenFrame:
+        if self._frame is None:
+            raise BadInputError("there is no frame; call begin_frame first.")
+        return self._frame
+
+    def _checked_eye(self, eye: str | None) -> str:
+        if eye is None and len(self._plans) == 1:
+            return self.eyes[0]
+        if eye not in self._plans:
+            raise BadInputError(f"there is no eye '{eye}' here; name one of {', '.join(self.eyes)}.")
+        return eye
+
+    def _row_poses(self, pose: FloatArray, pose_at_last_row: FloatArray | None) -> NDArray[np.float64]:
+        """(4, 4), or (rows, 4, 4) for a rolling scan-out."""
+        first = checked_pose(pose)
+        if pose_at_last_row is None:
+            return first
+        last = checked_pose(pose_at_last_row, "pose at the last row")
+        return transforms.between(first, last, np.linspace(0.0, 1.0, self.size_px[1]))

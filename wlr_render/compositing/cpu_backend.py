@@ -1,0 +1,96 @@
+"""Composing without OpenGL: the same rule, in numpy."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import FloatArray, count_unsolved
+from wlr_render.rendering.cpu_solve import CpuNodes, CpuSolve
+from wlr_render.rendering.cpu_warp import warp_on_cpu
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.pixel_solve import PixelSolve
+from wlr_render.rendering.ray_field import FieldPlan, RayField, choose_plan
+from wlr_render.rendering.stored_picture import Rows, StoredDepth, picture_of_arrays
+from wlr_render.rendering.view import GeometryImage
+from wlr_render.rendering.warped_image import WarpedImage
+
+
+@dataclass(frozen=True, eq=False)
+class _Composed:
+    image: WarpedImage
+    fields: list[RayField]
+    texture: None = None
+
+    def read(self) -> WarpedImage:
+        return self.image
+
+    def unsolved(self) -> dict[str, int]:
+        return count_unsolved(field.status for field in self.fields)
+
+
+class CpuEye:
+    """One eye in numpy."""
+
+    def __init__(self, plan: EyePlan, solve: str, background: tuple[int, int, int]) -> None:
+        self._plan, self._background = plan, background
+        pixels = Lattice.of_pixels(plan.channels[0].display.panel, plan.size_px)
+        axes = plan.device_from_camera
+        self._solves: list[PixelSolve] = [
+            CpuSolve(mappings, pixels, axes)
+            if solve == "pixels"
+            else CpuNodes(mappings, FieldPlan.to_lattice(pixels, choose_plan(mappings).node_count, axes))
+            for mappings in plan.channels
+        ]
+        self._picture: GeometryImage | None = None
+
+    def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
+        """See `EyeBackend`; arrays only."""
+        self._picture = picture_of_arrays(self._plan.camera, color, depth, stored, rows or Rows.TOP_FIRST)
+
+    def compose(self, viewpoint: FloatArray, image_from_field: FloatArray, target: Any, with_source: bool) -> _Composed:
+        """See `EyeBackend`."""
+        assert self._picture is not None, "the compositor sees to it that every eye is submitted"
+        plan = self._plan
+        fields = [solve.solve(viewpoint).read() for solve in self._solves]
+        image = warp_on_cpu(
+            self._picture, plan.camera, [f.bend for f in fields], image_from_field, self._background, plan.taps
+        )
+        return _Composed(image, fields)
+
+    def forget(self) -> None:
+        """See `EyeBackend`."""
+        for solve in self._solves:
+            solve.forget()
+
+
+class CpuBackend:
+    """All eyes in numpy."""
+
+    name = "cpu"
+    context = None
+
+    def __init__(self, plans: Sequence[EyePlan], solve: str, background: tuple[int, int, int]) -> None:
+        self.eyes = {plan.eye: CpuEye(plan, solve, background) for plan in plans}
+
+    def working(self) -> AbstractContextManager[object]:
+        """See `Backend`: nothing is to be taken care of."""
+        return nullcontext()
+
+    def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> Mapping[str, Any]:
+        """See `Backend`: there are no framebuffers here.
+
+        Raises:
+            BadInputError: one is given.
+        """
+        if into is not None:
+            raise BadInputError("there is no OpenGL here to draw into a framebuffer; read() what compose gives.")
+        return {}
+
+    def finish(self) -> None:
+        """Nothing is under way."""
+
+    def release(self) -> None:
+        """Nothing is held outside Python."""

@@ -1,0 +1,173 @@
+"""Composing on the GPU, or on what plays one."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.compositing.targets import draw_buffers_kept, targets_of
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import EyeMappings, FloatArray, PlanarDisplay, PlanarSeeThrough, count_unsolved
+from wlr_render.rendering import gl
+from wlr_render.rendering.gl_nodes import GlNodes
+from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
+from wlr_render.rendering.gpu_field import GpuSolve, SolvedGpuField
+from wlr_render.rendering.gpu_image import GpuImage
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.rendering.stored_picture import Rows, StoredDepth
+from wlr_render.rendering.submitted import PictureImport
+from wlr_render.rendering.warped_image import WarpedImage
+
+_SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
+
+
+@dataclass(frozen=True, eq=False)
+class GlComposed:
+    """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
+
+    warped: GpuWarped | None
+    fields: list[SolvedGpuField]
+
+    @property
+    def texture(self) -> gl.Texture | None:
+        """See `ComposedEye`."""
+        return self.warped.colour if self.warped else None
+
+    def read(self) -> WarpedImage:
+        """See `ComposedEye`."""
+        if self.warped is None:
+            raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
+        return self.warped.read()
+
+    def unsolved(self) -> dict[str, int]:
+        """See `ComposedEye`."""
+        return count_unsolved(field.read_status() for field in self.fields)
+
+
+class GlEye:
+    """One eye on the GPU; its field is solved anew only where the pupil has moved."""
+
+    def __init__(self, context: gl.GlContext, plan: EyePlan, solve: str, background: tuple[int, int, int]) -> None:
+        self._context, self._plan, self._background = context, plan, background
+        self._solves = [_solve_of(context, mappings, plan, solve) for mappings in plan.channels]
+        self._warp = GlWarp(context, len(plan.channels))
+        self._import = PictureImport(context)
+        self._picture: GpuImage | None = None
+        self._fields: list[SolvedGpuField] = []
+
+    def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
+        """See `EyeBackend`."""
+        camera, bring = self._plan.camera, self._import
+        if isinstance(color, GpuImage):
+            self._picture = checked_image(color, camera)
+        elif isinstance(color, np.ndarray):
+            self._picture = bring.from_arrays(camera, color, np.asarray(depth), stored, rows or Rows.TOP_FIRST)
+        elif isinstance(color, gl.Texture):
+            self._picture = bring.from_textures(camera, color, depth, stored, rows or Rows.BOTTOM_FIRST)
+        elif isinstance(color, int | gl.Framebuffer):
+            self._picture = bring.from_framebuffer(camera, color, stored, rows or Rows.BOTTOM_FIRST)
+        else:
+            raise BadInputError(
+                f"a picture cannot be taken from a {type(color).__name__}; submit an array, a texture, a framebuffer "
+                "or its number."
+            )
+
+    def compose(
+        self, viewpoint: FloatArray, image_from_field: FloatArray, target: WarpTarget | None, with_source: bool
+    ) -> GlComposed:
+        """See `EyeBackend`."""
+        assert self._picture is not None, "the compositor sees to it that every eye is submitted"
+        if not self._fields or (self._fields[0].viewpoint_in_device != viewpoint).any():
+            self._fields = [solve.solve(viewpoint) for solve in self._solves]
+        drawn = (self._picture, self._fields, image_from_field)
+        if target is not None:
+            with draw_buffers_kept(self._context, target.framebuffer):
+                self._warp.draw_into(target, *drawn, self._background, self._plan.taps)
+            return GlComposed(None, self._fields)
+        warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.taps, with_source)
+        return GlComposed(warped, self._fields)
+
+    def forget(self) -> None:
+        """See `EyeBackend`."""
+        self._fields = []
+        for solve in self._solves:
+            solve.forget()
+
+
+class GlBackend:
+    """All eyes in one context."""
+
+    def __init__(self, context: Any, plans: Sequence[EyePlan], solve: str, background: tuple[int, int, int]) -> None:
+        """Open or adopt the context, see `Compositor`.
+
+        Raises:
+            BadInputError: pixels for models that are not planar, or a context that is too old.
+            MissingGlError: no OpenGL.
+        """
+        self.context = _context(context)
+        try:
+            self.eyes = {plan.eye: GlEye(self.context, plan, solve, background) for plan in plans}
+        except BaseException:
+            self.release()
+            raise
+
+    @property
+    def name(self) -> str:
+        """See `Backend`."""
+        return self.context.renderer
+
+    def working(self) -> AbstractContextManager[object]:
+        """See `Backend`."""
+        return self.context.drawing()
+
+    def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
+        """See `Backend`."""
+        return {} if into is None else targets_of(self.context, into, eyes, size_px)
+
+    def finish(self) -> None:
+        """See `Backend`."""
+        with self.context.drawing() as ctx:
+            ctx.finish()
+
+    def release(self) -> None:
+        """See `Backend`; a context of somebody else stays."""
+        self.context.release()
+
+
+def _context(context: Any) -> gl.GlContext:
+    if isinstance(context, str):
+        return gl.adopt_context() if context == "current" else gl.open_context(context)
+    return gl.adopt_context(context)
+
+
+def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> GpuSolve:
+    planar = isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough)
+    axes = plan.device_from_camera
+    if solve == "pixels" or (solve == "auto" and planar and not _is_software(context)):
+        return GlSolve(context, mappings, Lattice.of_pixels(mappings.display.panel, plan.size_px), axes)
+    lattice = plan.lattice.lattice
+    if planar:
+        return GlSolve(context, mappings, lattice, axes)
+    count = choose_plan(mappings).node_count
+    return GlNodes(context, mappings, FieldPlan.to_lattice(lattice, count, axes))
+
+
+def _is_software(context: gl.GlContext) -> bool:
+    return any(name in context.renderer.lower() for name in _SOFTWARE)
+
+
+def checked_image(image: GpuImage, camera: Pinhole) -> GpuImage:
+    """An image of our own renderers, drawn with the camera that was asked for.
+
+    Raises:
+        BadInputError: drawn with another one.
+    """
+    if image.camera is not camera:
+        raise BadInputError("the picture was drawn with another camera; draw with the one that begin_frame gave.")
+    return image
