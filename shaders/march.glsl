@@ -1,7 +1,7 @@
 // Where a bent ray meets what the intermediate image shows: rendering/warped_image.py has the rule.
 //
 // Needs STEP_PX, MAX_MARCH, MAX_STEPS, SETTLED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`,
-// `ranges`, `per_texel` and `whole_range`. One loop with one texture read in each round, whether it marches or refines:
+// `ranges` and what warp.vert gives. One loop with one texture read in each round, whether it marches or refines:
 // software renderers run both sides of a branch, and one round too many of a loop tested at its head. A loop tested at
 // its end they leave for all neighbours at once, and may mix their last rounds: so what the result is made of (asked,
 // passed, settled) stays as it is once a pixel has stopped searching.
@@ -27,9 +27,8 @@ float smooth_inverse_depth(vec2 pixel)
 vec2 range_along(vec2 at_infinity, vec2 shift, float px_per_inverse_depth)
 {
     vec2 middle = at_infinity + 0.5 * whole_range.y * shift;
-    vec2 per_tile = 1.0 / (vec2(textureSize(ranges, 0)) * float(TILE));
-    vec2 inside = clamp(middle, vec2(0.0), 1.0 / per_texel);
-    return px_per_inverse_depth * whole_range.y <= 2.0 * float(TILE) ? texture(ranges, inside * per_tile).xy : whole_range;
+    vec2 around_middle = texture(ranges, clamp(middle, vec2(0.0), size_px) * per_px_of_tiles).xy;
+    return px_per_inverse_depth * whole_range.y <= 2.0 * float(TILE) ? around_middle : whole_range;
 }
 
 int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)

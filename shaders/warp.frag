@@ -18,7 +18,9 @@ uniform sampler2D inverse_depth;
 uniform sampler2D ranges;
 uniform vec3 background;
 
-flat in vec2 per_texel;  // of picture and inverse_depth
+flat in vec2 size_px;  // of picture and inverse_depth
+flat in vec2 per_texel;
+flat in vec2 per_px_of_tiles;  // a texture coordinate of ranges
 flat in vec2 whole_range;  // of inverse depth
 
 layout(location = 0) out vec4 colour;
@@ -76,7 +78,6 @@ void path_of_ray(vec4 ray, out vec2 at_infinity, out vec2 shift)
 void main()
 {
     colour = vec4(0.0, 0.0, 0.0, 1.0);
-    vec2 size = vec2(textureSize(picture, 0));
     int worst = SEEN;
     vec2 seen_at;
     for (int channel = 0; channel < CHANNELS; ++channel) {
@@ -89,7 +90,7 @@ void main()
 
         vec2 pixel;
         int status = follow(lost ? vec2(0.0) : at_infinity, lost ? vec2(0.0) : shift, pixel);
-        bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size));
+        bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size_px));
         status = lost ? NO_RAY : (inside ? status : OUTSIDE);
         bool found = status <= DISOCCLUDED;
 

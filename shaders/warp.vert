@@ -2,14 +2,19 @@
 // One triangle over the whole target, and what all pixels of a warp share.
 
 uniform sampler2D picture;
+uniform sampler2D ranges;
 uniform sampler2D coarse_ranges;  // of inverse depth, few texels
 
+flat out vec2 size_px;
 flat out vec2 per_texel;
+flat out vec2 per_px_of_tiles;
 flat out vec2 whole_range;
 
 void main()
 {
-    per_texel = 1.0 / vec2(textureSize(picture, 0));
+    size_px = vec2(textureSize(picture, 0));
+    per_texel = 1.0 / size_px;
+    per_px_of_tiles = 1.0 / vec2(TILE * textureSize(ranges, 0));
     ivec2 size = textureSize(coarse_ranges, 0);
     whole_range = texelFetch(coarse_ranges, ivec2(0), 0).xy;
     for (int i = 1; i < size.x * size.y; ++i) {
