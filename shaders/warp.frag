@@ -62,6 +62,22 @@ vec3 filtered_colour(vec2 pixel, vec2 across, vec2 down)
 #endif
 }
 
+// The ray at a normalised position in a field.
+vec4 ray_at(int channel, vec2 position)
+{
+#if FIELD_BY_TEXELS
+    ivec2 size = textureSize(bend[channel], 0);
+    vec2 base, weight;
+    bilinear_taps(position * vec2(size), base, weight);
+    ivec2 first = clamp(ivec2(base), ivec2(0), size - 1), second = clamp(ivec2(base) + 1, ivec2(0), size - 1);
+    vec4 upper = mix(texelFetch(bend[channel], first, 0), texelFetch(bend[channel], ivec2(second.x, first.y), 0), weight.x);
+    vec4 lower = mix(texelFetch(bend[channel], ivec2(first.x, second.y), 0), texelFetch(bend[channel], second, 0), weight.x);
+    return mix(upper, lower, weight.y);
+#else
+    return texture(bend[channel], position);
+#endif
+}
+
 void path_of_ray(vec4 ray, out vec2 at_infinity, out vec2 shift)
 {
 #if ROWS
@@ -83,7 +99,7 @@ void main()
     for (int channel = 0; channel < CHANNELS; ++channel) {
         vec4 place = texture_from_fragment[channel];
         vec2 at_infinity, shift;
-        path_of_ray(texture(bend[channel], gl_FragCoord.xy * place.xy + place.zw), at_infinity, shift);
+        path_of_ray(ray_at(channel, gl_FragCoord.xy * place.xy + place.zw), at_infinity, shift);
         vec2 across = dFdx(at_infinity), down = dFdy(at_infinity);
         bool at_hole = any(isnan(across + down));
         bool lost = any(isnan(at_infinity + shift));

@@ -24,9 +24,6 @@ from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.submitted import PictureImport
 from wlr_render.rendering.warped_image import WarpedImage
 
-_SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
-
-
 @dataclass(frozen=True, eq=False)
 class GlComposed:
     """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
@@ -149,7 +146,7 @@ def _context(context: Any) -> gl.GlContext:
 def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> GpuSolve:
     planar = isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough)
     axes = plan.device_from_camera
-    if solve == "pixels" or (solve == "auto" and planar and not _is_software(context)):
+    if solve == "pixels" or (solve == "auto" and planar and not context.is_software):
         return GlSolve(context, mappings, Lattice.of_pixels(mappings.display.panel, plan.size_px), axes)
     lattice = plan.lattice.lattice
     if planar:
@@ -157,9 +154,6 @@ def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve
     count = choose_plan(mappings).node_count
     return GlNodes(context, mappings, FieldPlan.to_lattice(lattice, count, axes))
 
-
-def _is_software(context: gl.GlContext) -> bool:
-    return any(name in context.renderer.lower() for name in _SOFTWARE)
 
 
 def checked_image(image: GpuImage, camera: Pinhole) -> GpuImage:

@@ -30,6 +30,7 @@ Sampler = moderngl.Sampler
 
 _Object = TypeVar("_Object")
 
+_SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
 _VERSION = 4, 3
 _VERSION_CODE = 430
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
@@ -75,6 +76,11 @@ class GlContext:
     def renderer(self) -> str:
         """What draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)"."""
         return str(self._ctx.info["GL_RENDERER"])
+
+    @property
+    def is_software(self) -> bool:
+        """Whether the CPU plays the GPU: work per pixel is dear, and texture filters have exact weights."""
+        return any(name in self.renderer.lower() for name in _SOFTWARE)
 
     @contextlib.contextmanager
     def drawing(self, by_others: bool = False) -> Iterator[moderngl.Context]:

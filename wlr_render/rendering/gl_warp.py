@@ -169,7 +169,7 @@ class GlWarp:
         _check(len(fields), self._channels, image_from_field, target.size_px)
         ranges = self._ranges.of(image)
         by_rows = image_from_field.ndim == 3
-        warp = self._pass(ROWS=int(by_rows), **constants)
+        warp = self._pass(ROWS=int(by_rows), FIELD_BY_TEXELS=self._by_texels(fields, target.size_px), **constants)
         from_fragment = _display_from_fragment(target)
         matrices = _camera_matrices(image.camera, image_from_field)
         textures: dict[str, gl.Texture | Sequence[gl.Texture]] = {
@@ -192,6 +192,11 @@ class GlWarp:
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         target.framebuffer.use()
         warp.render(vertices=3)
+
+    def _by_texels(self, fields: Sequence[GpuField], size_px: tuple[int, int]) -> int:
+        """1 if a field is read between its points by filters whose weights have 8 bits: some 0.1' between far points."""
+        between = any(field.lattice.size != size_px for field in fields)
+        return int(between and not self._context.is_software)
 
     def _pass(self, **constants: int) -> gl.VertexArray:
         key = tuple(constants.items())
