@@ -24,6 +24,7 @@ from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.submitted import PictureImport
 from wlr_render.rendering.warped_image import WarpedImage
 
+
 @dataclass(frozen=True, eq=False)
 class GlComposed:
     """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
@@ -153,7 +154,6 @@ def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve
         return GlSolve(context, mappings, lattice, axes)
     count = choose_plan(mappings).node_count
     return GlNodes(context, mappings, FieldPlan.to_lattice(lattice, count, axes))
-
 
 
 def checked_image(image: GpuImage, camera: Pinhole) -> GpuImage:

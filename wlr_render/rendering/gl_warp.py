@@ -194,7 +194,7 @@ class GlWarp:
         warp.render(vertices=3)
 
     def _by_texels(self, fields: Sequence[GpuField], size_px: tuple[int, int]) -> int:
-        """1 if a field is read between its points by filters whose weights have 8 bits: some 0.1' between far points."""
+        """1 if a field is read between its points where filters have weights of 8 bits, which costs some 0.1'."""
         between = any(field.lattice.size != size_px for field in fields)
         return int(between and not self._context.is_software)
 
