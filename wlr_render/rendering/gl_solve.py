@@ -93,15 +93,18 @@ class GlSolve:
     def solve(self, viewpoint: FloatArray) -> GlSolvedField:
         """See `PixelSolve.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
+        inside = all(
+            box.contains(viewpoint, EYE_BOX_MARGIN) for box in (self._display.eye_box, self._see_through.eye_box)
+        )
         self._new, self._last = self._last, self._new
         tangents, framebuffer = self._new
         with self._context.drawing():
             framebuffer.use()
             gl.bind_textures(self._solve.program, last_view_tangents=self._last[0])
-            self._set_uniforms(viewpoint)
+            self._set_uniforms(viewpoint, inside)
             self._solve.render(vertices=3)
         # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
-        self._has_last = self._in_eye_box(viewpoint)
+        self._has_last = inside
         return GlSolvedField(
             self._context,
             viewpoint,
@@ -112,7 +115,7 @@ class GlSolve:
             self._status_and_iterations,
         )
 
-    def _set_uniforms(self, viewpoint: FloatArray) -> None:
+    def _set_uniforms(self, viewpoint: FloatArray, inside: bool) -> None:
         display, see_through, program = self._display, self._see_through, self._solve.program
         gl.set_uniforms(
             program,
@@ -122,13 +125,9 @@ class GlSolve:
             viewpoint=tuple(viewpoint),
             behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
             behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),
-            viewpoint_inside=self._in_eye_box(viewpoint),
+            viewpoint_inside=inside,
         )
         gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
-
-    def _in_eye_box(self, viewpoint: FloatArray) -> bool:
-        boxes = self._display.eye_box, self._see_through.eye_box
-        return all(box.contains(viewpoint, EYE_BOX_MARGIN) for box in boxes)
 
     def forget(self) -> None:
         """Start the next solve cold."""

@@ -1,5 +1,6 @@
 """From where a picture is drawn, and the picture with its geometry."""
 
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,12 +26,12 @@ class View:
     world_from_device: NDArray[np.float64]
     device_from_camera: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
 
-    @property
+    @functools.cached_property
     def viewpoint_in_world(self) -> NDArray[np.float64]:
         """(3,) metres."""
         return transforms.apply(self.world_from_device, self.viewpoint_in_device)
 
-    @property
+    @functools.cached_property
     def world_from_camera(self) -> NDArray[np.float64]:
         """(4, 4); the camera frame's origin is the viewpoint."""
         return transforms.rigid(self.world_from_device[:3, :3] @ self.device_from_camera, self.viewpoint_in_world)
