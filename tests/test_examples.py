@@ -1,10 +1,14 @@
 """The examples run as they stand, each in a folder of its own, and say something."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from wlr_render.errors import MissingGlError
+from wlr_render.rendering import gl
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
 WORDS_AND_FILES = {
@@ -14,17 +18,37 @@ WORDS_AND_FILES = {
     "04_moving_wearer": ("4 frames in frames; again: 4 kept", {"head.tum", "eyes.txt", "frames"}),
     "05_diagnose": ("Explained: printed size of the target", {"session", "diagnosis.html", "extended"}),
     "06_photographs": ("81 dots found to 0.00", set()),
+    "07_plug_into_pyrender": ("right eye: the drawn dot appears 0.", {"left.png", "right.png"}),
+    "08_real_time": ("its own OpenGL state was left alone", {"panel.png"}),
 }
+NEED_OPENGL = {"07_plug_into_pyrender", "08_real_time"}
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_runs(path, tmp_path):
-    words, files = WORDS_AND_FILES[path.stem]
+def run(name, folder, **environment):
+    path = next(path for path in EXAMPLES if path.stem == name)
     command = [sys.executable, "-W", "error::RuntimeWarning", str(path)]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    given = os.environ | environment
+    result = subprocess.run(command, cwd=folder, env=given, capture_output=True, text=True, timeout=300)
     assert result.returncode == 0, result.stderr
+    words, files = WORDS_AND_FILES[name]
     assert words in result.stdout
-    assert {entry.name for entry in tmp_path.iterdir()} == files
+    assert {entry.name for entry in folder.iterdir()} == files
+
+
+@pytest.mark.parametrize("name", [path.stem for path in EXAMPLES])
+def test_an_example_runs(name, tmp_path, request):
+    if name in NEED_OPENGL:
+        request.getfixturevalue("gl_context")
+    run(name, tmp_path)
+
+
+@pytest.mark.gl
+def test_the_plug_in_works_without_egl_too(tmp_path):
+    try:
+        gl.open_context("osmesa").release()
+    except MissingGlError as error:
+        pytest.skip(str(error))
+    run("07_plug_into_pyrender", tmp_path, PYOPENGL_PLATFORM="osmesa")
 
 
 def test_every_example_is_known_here():

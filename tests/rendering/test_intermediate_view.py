@@ -120,6 +120,15 @@ def test_a_callers_scene_gets_its_camera_back(gl_context, graph):
     np.testing.assert_array_equal(graph.get_pose(node), in_world)
 
 
+def test_a_picture_stays_until_the_next_one_of_its_name(gl_context, graph):
+    drawing = PyrenderDrawing(gl_context, graph, camera_node(graph))
+    left = drawing.draw_on_gpu(STEP, "left")
+    before = left.read()
+    right = drawing.draw_on_gpu(FRAME, "right").read()
+    np.testing.assert_array_equal(left.read().colour, before.colour)
+    assert (right.colour != before.colour).any()
+
+
 def test_a_node_that_is_no_camera_of_the_scene_is_refused(gl_context, graph):
     with pytest.raises(BadInputError, match="no camera of the pyrender scene"):
         PyrenderDrawing(gl_context, graph, next(iter(graph.mesh_nodes)))

@@ -8,6 +8,7 @@ neither window nor context of its own here: its renderer draws inside ours or an
 import contextlib
 import os
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any
 
@@ -49,10 +50,10 @@ class PyrenderDrawing:
         if camera_node not in graph.camera_nodes:
             raise BadInputError("The node is no camera of the pyrender scene: add it with scene.add(camera).")
         self._renderer = _renderer(self._pyrender)
-        self._import = PictureImport(context)
+        self._imports: defaultdict[str, PictureImport] = defaultdict(lambda: PictureImport(context))
 
-    def draw_on_gpu(self, view: View) -> GpuImage:
-        """Draw and leave the picture on the GPU; the next drawing of this object overwrites it.
+    def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
+        """Draw and leave the picture on the GPU; the next drawing of the same name overwrites it.
 
         The node keeps its pose and its camera, which gives the near and far planes. pyrender computes in float32: far
         from the world's origin a picture is less exact.
@@ -61,7 +62,7 @@ class PyrenderDrawing:
             self._renderer.viewport_width, self._renderer.viewport_height = view.camera.width_px, view.camera.height_px
             with self._context.drawing(by_others=True), _without_multisampling(self._pyrender.renderer):
                 self._renderer.render(self._graph, self._pyrender.RenderFlags.OFFSCREEN)
-        return self._import.from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
+        return self._imports[name].from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
 
 
 class PyrenderView:
