@@ -5,6 +5,7 @@ import pytest
 
 from wlr_render.compositing.checks import (
     REACH,
+    checked_background,
     checked_models,
     checked_pose,
     checked_size,
@@ -39,10 +40,26 @@ def test_models_that_do_not_belong_together_are_refused(flat_image_headset):
             checked_models(models)
 
 
-@pytest.mark.parametrize("size", [(0, 5), (4.5, 3), (5,), (5, 4, 3), (-2, 2)])
+@pytest.mark.parametrize("size", [(0, 5), (4.5, 3), (5,), 5, (5, 4, 3), (-2, 2), (np.nan, 2), (np.inf, 2)])
 def test_a_size_that_is_none_is_refused(size):
     with pytest.raises(BadInputError, match="width, height"):
         checked_size(size)
+
+
+@pytest.mark.parametrize("colour", [(0, 0, 256), (0, -1, 0), (0.5, 0.5, 0.5), (1, 2), "red"])
+def test_a_background_that_is_no_colour_is_refused(colour):
+    assert checked_background(np.array([1, 2, 255], np.uint8)) == (1, 2, 255)
+    with pytest.raises(BadInputError, match="sRGB codes"):
+        checked_background(colour)
+
+
+def test_what_was_checked_stays_when_the_tracker_writes_over_it(flat_image_headset):
+    models = checked_models(flat_image_headset)
+    pose, viewpoint = np.eye(4), flat_image_headset.eye_box.centre.copy()
+    taken, at = checked_pose(pose), checked_viewpoints(viewpoint, models)["right"]
+    pose[:3, 3], viewpoint[:] = 1.0, 0.0
+    np.testing.assert_array_equal(taken, np.eye(4))
+    np.testing.assert_array_equal(at, flat_image_headset.eye_box.centre)
 
 
 def test_a_pose_is_a_rotation_and_a_translation():
@@ -71,6 +88,8 @@ def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_
     brought_back = nearest_in_reach(edge + [0, 0.05, 0], box)
     np.testing.assert_allclose(brought_back, edge, atol=1e-15)
     checked_viewpoints(brought_back, models)
+    with pytest.raises(BadInputError, match="finite"):
+        nearest_in_reach(edge * np.nan, box)
 
 
 def test_viewpoints_are_wanted_of_every_eye(flat_image_headset):

@@ -1,8 +1,10 @@
 import numpy as np
+import pytest
 
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 from wlr_render.rendering.view import View
 
 CAMERA = Pinhole(640, 400, np.array([-0.5, -0.3]), np.array([0.7, 0.45]))
@@ -24,11 +26,21 @@ def test_the_projection_puts_points_on_the_pinholes_pixels():
     np.testing.assert_allclose(pixel, by_intrinsics, atol=1e-9)
 
 
-def test_depth_runs_from_minus_one_at_the_near_plane_to_one_at_the_far_plane():
-    for far in (50.0, np.inf):
-        projection = EYE.projection(0.1, far)
-        at_planes = np.array([[0, 0, -0.1, 1], [0, 0, -min(far, 1e12), 1]]) @ projection.T
-        np.testing.assert_allclose(at_planes[:, 2] / at_planes[:, 3], [-1, 1], atol=1e-9)
+@pytest.mark.parametrize(("near", "far"), [(0.1, 50.0), (0.1, np.inf), (50.0, 0.1), (np.inf, 0.1)])
+def test_the_depth_buffer_is_what_a_stored_depth_of_the_same_planes_says(near, far):
+    stored = StoredDepth(DepthKind.WINDOW, near, far)
+    at_0, at_1 = stored.inverse_of_0_and_1
+    for window in (
+        clip(EYE.projection(near, far, zero_to_one=True))[:, 2],
+        0.5 + 0.5 * clip(EYE.projection(near, far))[:, 2],
+    ):
+        np.testing.assert_allclose(at_0 + (at_1 - at_0) * window, -1 / POINTS[:, 2], rtol=1e-9)
+
+
+def test_the_borders_lie_at_the_angles_that_openxr_is_told():
+    left, right, up, down = np.tan(EYE.fov_rad)
+    corners = np.array([[left, up, -1, 1], [right, down, -1, 1]]) @ EYE.projection(0.1).T
+    np.testing.assert_allclose(corners[:, :2] / corners[:, 3:], [[-1, 1], [1, -1]], atol=1e-12)
 
 
 def test_the_view_matrix_carries_the_cameras_place_to_the_origin():

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from wlr_render.compositing.composed_frame import ComposedEye
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.mappings import FloatArray
+from wlr_render.mappings import FloatArray, planar_parts
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 
 CONTEXTS = ("auto", "egl", "osmesa", "cpu", "current")
@@ -68,6 +68,9 @@ def open_backend(context: Any, plans: Sequence[EyePlan], solve: str, background:
         raise BadInputError(f"context '{context}': choose from {', '.join(CONTEXTS)}, or give a moderngl.Context.")
     if solve not in SOLVES:
         raise BadInputError(f"solve '{solve}': choose from {', '.join(SOLVES)}.")
+    if solve == "pixels":
+        for mappings in (each for plan in plans for each in plan.channels):
+            planar_parts(mappings)
     if context != "cpu":
         from wlr_render.compositing.gl_backend import GlBackend
 

@@ -48,19 +48,31 @@ def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
     Raises:
         BadInputError: it is not two whole positive numbers.
     """
-    size = tuple(int(x) for x in size_px)
-    if len(size) != 2 or min(size) < 1 or any(whole != given for whole, given in zip(size, size_px, strict=True)):
-        raise BadInputError(f"the size {tuple(size_px)} is not (width, height) in whole pixels.")
-    return size[0], size[1]
+    size = np.asarray(size_px, dtype=np.float64)
+    if size.shape != (2,) or not np.isfinite(size).all() or (size < 1).any() or (size != size.round()).any():
+        raise BadInputError(f"the size {size_px} is not (width, height) in whole pixels.")
+    return int(size[0]), int(size[1])
+
+
+def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
+    """sRGB codes.
+
+    Raises:
+        BadInputError: it is not three whole numbers from 0 to 255.
+    """
+    if len(colour) != 3 or any(code not in range(256) for code in colour):
+        raise BadInputError(f"the background {colour} is not (red, green, blue) of sRGB codes from 0 to 255.")
+    red, green, blue = (int(code) for code in colour)
+    return red, green, blue
 
 
 def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
-    """`world_from_device` as (4, 4) float64.
+    """A copy of `world_from_device` as (4, 4) float64: trackers write the next pose where the last one was.
 
     Raises:
         BadInputError: not finite, or no rotation and translation.
     """
-    matrix = np.asarray(pose, dtype=np.float64)
+    matrix = np.array(pose, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise BadInputError(
             f"the {what} of shape {matrix.shape} is not a 4 x 4 matrix of finite numbers; give world_from_device, and "
@@ -79,7 +91,7 @@ def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
 def checked_viewpoints(
     viewpoint: FloatArray | Mapping[str, FloatArray], models: Mapping[str, Channels]
 ) -> dict[str, FloatArray]:
-    """(3,) by eye.
+    """(3,) by eye, copies.
 
     Raises:
         BadInputError: an eye is missing, a viewpoint is not three finite numbers, or lies far outside the eye box.
@@ -91,12 +103,17 @@ def checked_viewpoints(
     missing = set(models) - set(viewpoint)
     if missing:
         raise BadInputError(f"there is no viewpoint of the {sorted(missing)[0]} eye; give one for every eye.")
-    return {eye: _near_the_box(eye, checked_viewpoint(viewpoint[eye]), models[eye][0]) for eye in models}
+    return {eye: _near_the_box(eye, checked_viewpoint(viewpoint[eye]).copy(), models[eye][0]) for eye in models}
 
 
 def nearest_in_reach(viewpoint: FloatArray, box: EyeBox) -> FloatArray:
-    """The nearest viewpoint (3,) to a finite one that is not refused."""
-    return np.asarray(box.centre + np.clip(viewpoint - box.centre, -_reach(box), _reach(box)))
+    """The nearest viewpoint (3,) that is not refused.
+
+    Raises:
+        BadInputError: it is not three finite numbers.
+    """
+    beside = checked_viewpoint(viewpoint) - box.centre
+    return np.asarray(box.centre + np.clip(beside, -_reach(box), _reach(box)))
 
 
 def _reach(box: EyeBox) -> FloatArray:

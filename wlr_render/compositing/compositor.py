@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from wlr_render.compositing.backend import Backend, open_backend
 from wlr_render.compositing.checks import (
+    checked_background,
     checked_models,
     checked_pose,
     checked_size,
@@ -78,7 +79,8 @@ class Compositor:
             background: sRGB of pixels that see nothing of the picture.
 
         Raises:
-            BadInputError: models that do not fit together, no size, an unknown choice, or a context that is too old.
+            BadInputError: models that do not fit together, no size, an unknown choice, pixels for models that are not
+                planar, or a context that is too old.
             MissingGlError: OpenGL was asked for by name, and does not open.
         """
         channels = checked_models(models)
@@ -90,8 +92,10 @@ class Compositor:
         self._models = channels
         margin = float(np.tan(np.deg2rad(late_margin_deg)))
         self._plans = {eye: EyePlan.of(group, self.size_px, resolution, margin) for eye, group in channels.items()}
-        self._backend: Backend = open_backend(context, list(self._plans.values()), solve, background)
+        colour = checked_background(background)
+        self._backend: Backend = open_backend(context, list(self._plans.values()), solve, colour)
         self._frame: _OpenFrame | None = None
+        self._released = False
 
     @property
     def eyes(self) -> tuple[str, ...]:
@@ -129,6 +133,7 @@ class Compositor:
         Raises:
             BadInputError: a pose or viewpoint that is not one, or a viewpoint far outside the eye box.
         """
+        self._check_alive()
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
         cameras = {eye: plan.eye_camera(viewpoints[eye], pose) for eye, plan in self._plans.items()}
         self._frame = _OpenFrame(pose, viewpoints, cameras)
@@ -209,17 +214,20 @@ class Compositor:
 
     def forget(self) -> None:
         """Solve the next frame cold, as after a change of the headset's fit."""
+        self._check_alive()
         for eye in self._backend.eyes.values():
             eye.forget()
 
     def finish(self) -> None:
         """Wait until the GPU has done all that it was told to; only who takes times needs this."""
+        self._check_alive()
         self._backend.finish()
 
     def release(self) -> None:
-        """Free what was made on the GPU, and our own context."""
-        self._frame = None
-        self._backend.release()
+        """Free what was made on the GPU, and our own context; from now on all calls are refused."""
+        if not self._released:
+            self._frame, self._released = None, True
+            self._backend.release()
 
     def __enter__(self) -> "Compositor":
         return self
@@ -229,7 +237,12 @@ class Compositor:
     ) -> None:
         self.release()
 
+    def _check_alive(self) -> None:
+        if self._released:
+            raise BadInputError("the compositor has been released; make another one.")
+
     def _begun(self) -> _OpenFrame:
+        self._check_alive()
         if self._frame is None:
             raise BadInputError("there is no frame; call begin_frame first.")
         return self._frame

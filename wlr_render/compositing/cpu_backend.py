@@ -5,7 +5,10 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.compositing.steady_fields import SteadyFields
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import FloatArray, count_unsolved
 from wlr_render.rendering.cpu_solve import CpuNodes, CpuSolve
@@ -30,6 +33,9 @@ class _Composed:
     def unsolved(self) -> dict[str, int]:
         return count_unsolved(field.status for field in self.fields)
 
+    def read_fields(self) -> list[RayField]:
+        return self.fields
+
 
 class CpuEye:
     """One eye in numpy."""
@@ -38,23 +44,29 @@ class CpuEye:
         self._plan, self._background = plan, background
         pixels = Lattice.of_pixels(plan.channels[0].display.panel, plan.size_px)
         axes = plan.device_from_camera
-        self._solves: list[PixelSolve] = [
+        solves: list[PixelSolve] = [
             CpuSolve(mappings, pixels, axes)
             if solve == "pixels"
             else CpuNodes(mappings, FieldPlan.to_lattice(pixels, choose_plan(mappings).node_count, axes))
             for mappings in plan.channels
         ]
+        self._fields = SteadyFields(solves)
         self._picture: GeometryImage | None = None
 
     def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
         """See `EyeBackend`; arrays only."""
+        if not (isinstance(color, np.ndarray) and isinstance(depth, np.ndarray)):
+            raise BadInputError(
+                f"a picture cannot be taken from a {type(color).__name__} and a {type(depth).__name__} without OpenGL; "
+                "submit two arrays."
+            )
         self._picture = picture_of_arrays(self._plan.camera, color, depth, stored, rows or Rows.TOP_FIRST)
 
     def compose(self, viewpoint: FloatArray, image_from_field: FloatArray, target: Any, with_source: bool) -> _Composed:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor sees to it that every eye is submitted"
         plan = self._plan
-        fields = [solve.solve(viewpoint).read() for solve in self._solves]
+        fields = [field.read() for field in self._fields.at(viewpoint)]
         image = warp_on_cpu(
             self._picture, plan.camera, [f.bend for f in fields], image_from_field, self._background, plan.taps
         )
@@ -62,8 +74,7 @@ class CpuEye:
 
     def forget(self) -> None:
         """See `EyeBackend`."""
-        for solve in self._solves:
-            solve.forget()
+        self._fields.forget()
 
 
 class CpuBackend:

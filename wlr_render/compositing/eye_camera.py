@@ -51,16 +51,31 @@ class EyeCamera:
         """(4, 4), OpenGL's view matrix."""
         return transforms.inverse(self.world_from_camera)
 
-    def projection(self, near_m: float, far_m: float = np.inf) -> FloatArray:
-        """(4, 4) clip space from the camera frame, OpenGL's: depth -1 at `near_m`, 1 at `far_m`; write its transpose.
+    @property
+    def fov_rad(self) -> tuple[float, float, float, float]:
+        """Angles of the left, right, upper and lower border from straight ahead, as OpenXR's XrFovf has them."""
+        (left, down), (right, up) = np.arctan([self.view.camera.tangent_min, self.view.camera.tangent_max])
+        return float(left), float(right), float(up), float(down)
 
-        An off-axis frustum (OpenGL 4.6, compatibility profile, 12.1.3 "glFrustum"), and its limit for no far plane.
+    def projection(self, near_m: float, far_m: float = np.inf, zero_to_one: bool = False) -> FloatArray:
+        """(4, 4) clip space from the camera frame; OpenGL takes its transpose.
+
+        An off-axis frustum (OpenGL 4.6, compatibility profile, 12.1.3 "glFrustum"), or its limit for a plane that is
+        infinitely far. A depth buffer then is `StoredDepth(DepthKind.WINDOW, near_m, far_m)`.
+
+        Args:
+            near_m: distance that the depth buffer stores as 0.
+            far_m: that it stores as 1; nearer than `near_m` for a reversed buffer.
+            zero_to_one: whether clip space has depths from 0 to 1, as after glClipControl, in Vulkan and in Direct3D;
+                else from -1 to 1.
         """
         (left, bottom), (right, top) = self.view.camera.tangent_min, self.view.camera.tangent_max
         matrix = np.zeros((4, 4))
         matrix[0, 0], matrix[0, 2] = 2 / (right - left), (right + left) / (right - left)
         matrix[1, 1], matrix[1, 2] = 2 / (top - bottom), (top + bottom) / (top - bottom)
-        nearness = near_m / far_m
-        matrix[2, 2], matrix[2, 3] = -(1 + nearness) / (1 - nearness), -2 * near_m / (1 - nearness)
+        scale = 1 / (1 / far_m - 1 / near_m)
+        matrix[2, 2:] = scale / near_m, scale
+        if not zero_to_one:
+            matrix[2, 2:] = 2 * matrix[2, 2] + 1, 2 * matrix[2, 3]
         matrix[3, 2] = -1
         return matrix

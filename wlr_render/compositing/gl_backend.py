@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.compositing.steady_fields import SteadyFields
 from wlr_render.compositing.targets import draw_buffers_kept, targets_of
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
@@ -19,7 +21,7 @@ from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
 from wlr_render.rendering.gpu_field import GpuSolve, SolvedGpuField
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.rendering.ray_field import FieldPlan, RayField, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.submitted import PictureImport
 from wlr_render.rendering.warped_image import WarpedImage
@@ -47,55 +49,59 @@ class GlComposed:
         """See `ComposedEye`."""
         return count_unsolved(field.read_status() for field in self.fields)
 
+    def read_fields(self) -> list[RayField]:
+        """See `ComposedEye`."""
+        return [field.read() for field in self.fields]
+
 
 class GlEye:
-    """One eye on the GPU; its field is solved anew only where the pupil has moved."""
+    """One eye on the GPU."""
 
     def __init__(self, context: gl.GlContext, plan: EyePlan, solve: str, background: tuple[int, int, int]) -> None:
         self._context, self._plan, self._background = context, plan, background
-        self._solves = [_solve_of(context, mappings, plan, solve) for mappings in plan.channels]
+        self._fields = SteadyFields([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
         self._warp = GlWarp(context, len(plan.channels))
         self._import = PictureImport(context)
         self._picture: GpuImage | None = None
-        self._fields: list[SolvedGpuField] = []
 
     def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
         """See `EyeBackend`."""
+        self._picture = self._taken(color, depth, stored, rows)
+
+    def _taken(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> GpuImage:
         camera, bring = self._plan.camera, self._import
         if isinstance(color, GpuImage):
-            self._picture = checked_image(color, camera)
-        elif isinstance(color, np.ndarray):
-            self._picture = bring.from_arrays(camera, color, np.asarray(depth), stored, rows or Rows.TOP_FIRST)
-        elif isinstance(color, gl.Texture):
-            self._picture = bring.from_textures(camera, color, depth, stored, rows or Rows.BOTTOM_FIRST)
-        elif isinstance(color, int | gl.Framebuffer):
-            self._picture = bring.from_framebuffer(camera, color, stored, rows or Rows.BOTTOM_FIRST)
-        else:
-            raise BadInputError(
-                f"a picture cannot be taken from a {type(color).__name__}; submit an array, a texture, a framebuffer "
-                "or its number."
-            )
+            return checked_image(color, camera, self._context)
+        if isinstance(color, np.ndarray) and isinstance(depth, np.ndarray):
+            return bring.from_arrays(camera, color, depth, stored, rows or Rows.TOP_FIRST)
+        if isinstance(color, gl.Texture) and isinstance(depth, gl.Texture):
+            return bring.from_textures(camera, color, depth, stored, rows or Rows.BOTTOM_FIRST)
+        if isinstance(color, gl.Framebuffer) and depth is None:
+            return bring.from_framebuffer(camera, color, stored, rows or Rows.BOTTOM_FIRST)
+        if isinstance(color, Integral) and depth is None:
+            return bring.from_framebuffer(camera, int(color), stored, rows or Rows.BOTTOM_FIRST)
+        raise BadInputError(
+            f"a picture cannot be taken from a {type(color).__name__} and a {type(depth).__name__}; submit two arrays, "
+            "two textures, or one framebuffer (or its number) that holds both colour and depth."
+        )
 
     def compose(
         self, viewpoint: FloatArray, image_from_field: FloatArray, target: WarpTarget | None, with_source: bool
     ) -> GlComposed:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor sees to it that every eye is submitted"
-        if not self._fields or (self._fields[0].viewpoint_in_device != viewpoint).any():
-            self._fields = [solve.solve(viewpoint) for solve in self._solves]
-        drawn = (self._picture, self._fields, image_from_field)
+        fields = self._fields.at(viewpoint)
+        drawn = (self._picture, fields, image_from_field)
         if target is not None:
             with draw_buffers_kept(self._context, target.framebuffer):
                 self._warp.draw_into(target, *drawn, self._background, self._plan.taps)
-            return GlComposed(None, self._fields)
+            return GlComposed(None, fields)
         warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.taps, with_source)
-        return GlComposed(warped, self._fields)
+        return GlComposed(warped, fields)
 
     def forget(self) -> None:
         """See `EyeBackend`."""
-        self._fields = []
-        for solve in self._solves:
-            solve.forget()
+        self._fields.forget()
 
 
 class GlBackend:
@@ -109,16 +115,12 @@ class GlBackend:
             MissingGlError: no OpenGL.
         """
         self.context = _context(context)
+        self.name = self.context.renderer
         try:
             self.eyes = {plan.eye: GlEye(self.context, plan, solve, background) for plan in plans}
         except BaseException:
             self.release()
             raise
-
-    @property
-    def name(self) -> str:
-        """See `Backend`."""
-        return self.context.renderer
 
     def working(self) -> AbstractContextManager[object]:
         """See `Backend`."""
@@ -141,6 +143,8 @@ class GlBackend:
 def _context(context: Any) -> gl.GlContext:
     if isinstance(context, str):
         return gl.adopt_context() if context == "current" else gl.open_context(context)
+    if not isinstance(context, gl.Context):
+        raise BadInputError(f"a {type(context).__name__} is no context; give a moderngl.Context, or a name.")
     return gl.adopt_context(context)
 
 
@@ -156,12 +160,14 @@ def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve
     return GlNodes(context, mappings, FieldPlan.to_lattice(lattice, count, axes))
 
 
-def checked_image(image: GpuImage, camera: Pinhole) -> GpuImage:
-    """An image of our own renderers, drawn with the camera that was asked for.
+def checked_image(image: GpuImage, camera: Pinhole, context: gl.GlContext) -> GpuImage:
+    """An image of our own renderers, drawn in this context with the camera that was asked for.
 
     Raises:
-        BadInputError: drawn with another one.
+        BadInputError: drawn with another camera, or elsewhere.
     """
+    if image.context is not context:
+        raise BadInputError("the picture was drawn in another context; make the renderer for `Compositor.context`.")
     if image.camera is not camera:
         raise BadInputError("the picture was drawn with another camera; draw with the one that begin_frame gave.")
     return image

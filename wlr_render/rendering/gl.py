@@ -23,6 +23,7 @@ from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.osmesa import OsMesaContext
 
 Texture = moderngl.Texture
+Context = moderngl.Context
 Framebuffer = moderngl.Framebuffer
 Program = moderngl.Program
 VertexArray = moderngl.VertexArray

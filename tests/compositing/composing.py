@@ -1,0 +1,96 @@
+"""Small headsets, a small scene, and what drives a compositor as an engine does."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import gl_scenes
+import numpy as np
+from fitted_eyes import fitted_eye
+
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.errors import MissingGlError
+from wlr_render.evaluation.disocclusion import disoccluded
+from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
+from wlr_render.geometry import transforms
+from wlr_render.mappings import EyeMappings
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.painters import position_of_source, with_inverse_depth
+from wlr_render.rendering.ray_field import RayField, middle_axes, solve_pixels
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.shapes import basic
+
+HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transforms.rotation_about("x", -0.1))
+SMALL = 72, 60
+
+
+def scene():
+    """Boxes at 0.7 and 1.2 m before a wall that fills the field at 2 m, around where the head looks."""
+    wall = basic.plane(9, 9, (0.2, 0.5, 0.3))
+    turn = transforms.rotation_about("y", 0.5)
+    return gl_scenes.lit(
+        (gl_scenes.cube(0.15), HEAD @ gl_scenes.at(0.06, -0.03, -0.7, turn)),
+        (gl_scenes.cube(0.3), HEAD @ gl_scenes.at(-0.2, 0.1, -1.2)),
+        (wall, HEAD @ gl_scenes.at(0, 0, -2)),
+    )
+
+
+def planar(eye="right", degree=3):
+    """A fitted eye of a device file: planar models."""
+    fitted = fitted_eye("northstar", degree)
+    return fitted if eye == "right" else replace(fitted, eye=eye)
+
+
+def opened(models, size=SMALL, **options):
+    """A compositor, or None where its context does not open."""
+    try:
+        return Compositor(models, size, **options)
+    except MissingGlError:
+        return None
+
+
+def viewpoint(mappings, *unit):
+    """By box coordinates -1..1."""
+    return mappings.eye_box.at(np.array(unit or (0.6, -0.5, 0.4)))
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """What the exact rays of each pixel of a display picture meet."""
+
+    colour: np.ndarray
+    position: np.ndarray
+    field: RayField
+
+
+def traced(mappings: EyeMappings, size, at_viewpoint, pose, renderer: RayRenderer) -> Traced:
+    axes = middle_axes(mappings)
+    solved = solve_pixels(mappings, axes, Lattice.of_pixels(mappings.display.panel, size).panel_pixel(), at_viewpoint)
+    field = RayField(at_viewpoint, axes, np.moveaxis(solved.bend, -1, 0).astype(np.float32), solved.status)
+    image = renderer.render_blocks(field.shape, lambda rows: field.world_rays(pose, rows), ("position",))
+    return Traced(image.colour, image.position, field)
+
+
+def clear_of_edges(truth: Traced, renderer, eye_in_world, drawn_from, pose, reach_px=2):
+    """Pixels that are neither near a silhouette nor near what a picture drawn from a place cannot show."""
+    hidden = disoccluded(renderer.tracer, drawn_from, truth.field, pose, truth.position).astype(np.uint8)
+    near_hidden = cv2.dilate(hidden, np.ones((2 * reach_px + 1,) * 2, np.uint8)) > 0
+    return ~(near_hidden | near_silhouettes(truth.position, eye_in_world, reach_px))
+
+
+def draw(compositor: Compositor, source: SceneSource, pose, viewpoints):
+    """An engine's half of a frame."""
+    cameras = compositor.begin_frame(pose, viewpoints)
+    for camera in cameras.values():
+        source.submit(camera)
+    return cameras
+
+
+def shown_positions(source: SceneSource, camera, composed):
+    """World points that a frame of one eye shows; its pull map is needed."""
+    image = source.read(camera.view)
+    return position_of_source(camera.view, with_inverse_depth(image, composed.source(camera.eye)))
+
+
+def misplaced_arcmin(shown, truth: Traced, pose, at_viewpoint):
+    return raster_error(shown, truth.position, transforms.apply(pose, at_viewpoint)).registration_arcmin
