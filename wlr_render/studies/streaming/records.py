@@ -1,83 +1,173 @@
-"""What is noted of each frame of a stream."""
+"""What a stream is made of, and what is noted of each of its frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray
-from wlr_render.tracking.tracked_viewpoint import StreamCounts, TrackingState
+from wlr_render.mappings import FloatArray, Status
+from wlr_render.tracking.tracked_viewpoint import TrackingState
 
 SACCADE_MM = 1.0
 """A viewpoint that moves farther than this from one frame to the next has jumped."""
 
+_NOT_CONVERGED = Status.NOT_CONVERGED.name.lower().replace("_", " ")
 
-@dataclass(frozen=True)
-class FrameNote:
-    """One frame.
+
+@dataclass(frozen=True, eq=False)
+class EyeMoment:
+    """One eye at one moment.
+
+    Attributes:
+        viewpoint: (3,) to draw for, device frame, metres.
+        state: how it is known.
+        moved_mm: from the moment before.
+        brought_back: whether it lay beyond the model's reach, and is the nearest viewpoint within.
+    """
+
+    viewpoint: FloatArray
+    state: TrackingState
+    moved_mm: float
+    brought_back: bool
+
+    @property
+    def jumped(self) -> bool:
+        """Whether it moved as in a saccade."""
+        return self.moved_mm > SACCADE_MM
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What a frame is drawn for.
 
     Attributes:
         time_s: of the trajectories.
-        draw_ms: `begin_frame`, the scene for all eyes, `submit`.
-        compose_ms: `compose`: the maps for the new viewpoints, and the warp.
-        states: by eye, how its viewpoint was known.
-        moved_mm: by eye, from the viewpoint of the frame before.
-        unsolved: by eye, points of the field without a proper answer, by what is the matter.
-        brought_back: eyes whose viewpoint lay beyond the models' reach and was replaced by the nearest within.
-        resident_mb: memory of the process.
+        world_from_device: (4, 4) head pose when the frame begins.
+        at_scan_out: (4, 4) head pose when the panels light up.
+        eyes: by name.
     """
 
     time_s: float
+    world_from_device: FloatArray
+    at_scan_out: FloatArray
+    eyes: Mapping[str, EyeMoment]
+
+    @property
+    def jumped(self) -> bool:
+        """Whether any eye did."""
+        return any(eye.jumped for eye in self.eyes.values())
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a frame took.
+
+    Attributes:
+        draw_ms: `begin_frame`, the scene for all eyes, `submit`.
+        compose_ms: `compose`: the maps for the new viewpoints, and the warp.
+        cpu_ms: of all threads of the process.
+        collecting_ms: Python's garbage collector, in the thread that draws.
+        preempted: how often the system took a processor away from the process.
+        resident_mb: memory of the process afterwards.
+    """
+
     draw_ms: float
     compose_ms: float
-    states: Mapping[str, TrackingState]
-    moved_mm: Mapping[str, float]
-    unsolved: Mapping[str, Mapping[str, int]]
-    brought_back: tuple[str, ...]
+    cpu_ms: float
+    collecting_ms: float
+    preempted: int
     resident_mb: float
 
     @property
     def frame_ms(self) -> float:
-        """All of it."""
+        """All of it, by the clock."""
         return self.draw_ms + self.compose_ms
+
+
+@dataclass(frozen=True, eq=False)
+class FrameNote:
+    """One frame.
+
+    Attributes:
+        moment: what it was drawn for.
+        cost: what it took.
+        unsolved: by eye, points of the field without a proper answer, by what is the matter.
+    """
+
+    moment: Moment
+    cost: Cost
+    unsolved: Mapping[str, Mapping[str, int]]
 
     def not_converged(self, eye: str) -> int:
         """Points of an eye's field whose solve did not converge."""
-        return self.unsolved[eye].get("not converged", 0)
+        return self.unsolved[eye].get(_NOT_CONVERGED, 0)
 
 
 @dataclass(frozen=True)
+class MapCheck:
+    """One eye's map in one frame against the map that a start from nothing finds for the same viewpoint.
+
+    Rays are apart by the largest angle under which the viewpoint sees points of both, from 0.25 m away to infinity.
+
+    Attributes:
+        time_s: which frame.
+        eye: whose map.
+        moved_mm: the viewpoint, since the frame before.
+        kept_arcmin: how far off the map of the frame before would be.
+        own_arcmin: how far off the frame's own map is.
+        one_sided: points at which only one of the frame's own map and the cold one has a ray.
+    """
+
+    time_s: float
+    eye: str
+    moved_mm: float
+    kept_arcmin: float
+    own_arcmin: float
+    one_sided: int
+
+
+@dataclass(frozen=True, eq=False)
 class Stream:
     """All frames of a stream, the first one warming up.
 
     Attributes:
-        frames: in time order.
-        eyes: names.
-        counts: by eye, how often its tracker was in which state.
+        frames: in time order, two or more.
+        checks: of some frames' maps.
+        frames_per_second: of the trajectories.
+        late_ms: how long before scan-out a frame's head pose was taken.
         renderer: what drew.
         size_px: (width, height) of each eye's picture.
     """
 
     frames: Sequence[FrameNote]
-    eyes: tuple[str, ...]
-    counts: Mapping[str, StreamCounts]
+    checks: Sequence[MapCheck]
+    frames_per_second: float
+    late_ms: float
     renderer: str
     size_px: tuple[int, int]
 
-    def times_ms(self, part: str) -> FloatArray:
-        """(n,) of "draw_ms", "compose_ms" or "frame_ms", without the first frame."""
-        return np.array([getattr(frame, part) for frame in self.frames[1:]])
+    @property
+    def eyes(self) -> tuple[str, ...]:
+        """Names."""
+        return tuple(self.frames[0].moment.eyes)
 
-    def dropped(self) -> list[tuple[FrameNote, str]]:
-        """Frames and eyes in which some point's solve did not converge."""
-        return [(frame, eye) for frame in self.frames for eye in self.eyes if frame.not_converged(eye)]
+    def moments(self, eye: str) -> list[EyeMoment]:
+        """One eye in all frames."""
+        return [frame.moment.eyes[eye] for frame in self.frames]
 
     def jumps(self) -> list[tuple[FrameNote, str]]:
         """Frames and eyes whose viewpoint has jumped."""
-        return [(frame, eye) for frame in self.frames for eye in self.eyes if frame.moved_mm[eye] > SACCADE_MM]
+        return [(frame, eye) for frame, eye in self._each() if frame.moment.eyes[eye].jumped]
 
-    def memory_growth_mb(self) -> float:
-        """Resident memory: median of the last tenth of the frames, less that of the second tenth."""
-        resident = np.array([frame.resident_mb for frame in self.frames])
+    def dropped(self) -> list[tuple[FrameNote, str]]:
+        """Frames and eyes in which some point's solve did not converge."""
+        return [(frame, eye) for frame, eye in self._each() if frame.not_converged(eye)]
+
+    def resident_mb(self) -> tuple[float, float]:
+        """Memory: medians of the second and of the last tenth of the frames."""
+        resident = np.array([frame.cost.resident_mb for frame in self.frames])
         tenth = max(1, len(resident) // 10)
-        return float(np.median(resident[-tenth:]) - np.median(resident[tenth : 2 * tenth]))
+        return float(np.median(resident[tenth : 2 * tenth])), float(np.median(resident[-tenth:]))
+
+    def _each(self) -> Iterable[tuple[FrameNote, str]]:
+        return ((frame, eye) for frame in self.frames for eye in self.eyes)
