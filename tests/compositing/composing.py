@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import cv2
 import gl_scenes
 import numpy as np
+import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
-from wlr_render.errors import MissingGlError
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
 from wlr_render.geometry import transforms
@@ -20,6 +20,7 @@ from wlr_render.rendering.ray_field import RayField, middle_axes, solve_pixels
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.shapes import basic
 
+CONTEXTS = [pytest.param("egl", marks=pytest.mark.gl), pytest.param("osmesa", marks=pytest.mark.gl), "cpu"]
 HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transforms.rotation_about("x", -0.1))
 SMALL = 72, 60
 
@@ -30,23 +31,14 @@ def scene():
     turn = transforms.rotation_about("y", 0.5)
     return gl_scenes.lit(
         (gl_scenes.cube(0.15), HEAD @ gl_scenes.at(0.06, -0.03, -0.7, turn)),
-        (gl_scenes.cube(0.3), HEAD @ gl_scenes.at(-0.2, 0.1, -1.2)),
+        (gl_scenes.cube(0.3), HEAD @ gl_scenes.at(-0.2, 0.02, -1.2)),
         (wall, HEAD @ gl_scenes.at(0, 0, -2)),
     )
 
 
-def planar(eye="right", degree=3):
+def planar(eye="right"):
     """A fitted eye of a device file: planar models."""
-    fitted = fitted_eye("northstar", degree)
-    return fitted if eye == "right" else replace(fitted, eye=eye)
-
-
-def opened(models, size=SMALL, **options):
-    """A compositor, or None where its context does not open."""
-    try:
-        return Compositor(models, size, **options)
-    except MissingGlError:
-        return None
+    return replace(fitted_eye("northstar", 3), eye=eye)
 
 
 def viewpoint(mappings, *unit):
@@ -86,11 +78,7 @@ def draw(compositor: Compositor, source: SceneSource, pose, viewpoints):
     return cameras
 
 
-def shown_positions(source: SceneSource, camera, composed):
-    """World points that a frame of one eye shows; its pull map is needed."""
-    image = source.read(camera.view)
-    return position_of_source(camera.view, with_inverse_depth(image, composed.source(camera.eye)))
-
-
-def misplaced_arcmin(shown, truth: Traced, pose, at_viewpoint):
+def misplaced_arcmin(source: SceneSource, camera, composed, truth: Traced, pose, at_viewpoint):
+    """Angle at the eye between the world points that a composed frame and the ray-traced one show; with a pull map."""
+    shown = position_of_source(camera.view, with_inverse_depth(source.read(camera.view), composed.source(camera.eye)))
     return raster_error(shown, truth.position, transforms.apply(pose, at_viewpoint)).registration_arcmin

@@ -1,0 +1,178 @@
+"""Pictures go where they are told to, upright, and nowhere else."""
+
+import ctypes
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+from composing import HEAD, SMALL, draw, scene, viewpoint
+
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.errors import BadInputError
+from wlr_render.rendering.osmesa import OsMesaContext
+
+pytestmark = pytest.mark.gl
+
+WIDTH, HEIGHT = SMALL
+DRAW_FRAMEBUFFER, COLOUR = 0x8CA9, 0x8CE0
+
+
+@pytest.fixture
+def theirs(gl_context):
+    """A caller's context; `gl_context` skips the test where there is no OpenGL."""
+    made = moderngl.create_context(standalone=True, require=430, backend="egl")
+    yield made
+    made.release()
+
+
+@pytest.fixture
+def one_eye(theirs, compositor, flat_image_headset):
+    """A compositor of one eye to which a frame was submitted."""
+    made = compositor(flat_image_headset, context=theirs)
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    return made
+
+
+@pytest.fixture
+def two_eyes(theirs, compositor, flat_image_headset):
+    models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
+    made = compositor(models, context=theirs)
+    at = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
+    draw(made, SceneSource(made, scene()), HEAD, at)
+    return made
+
+
+def upright(framebuffer, attachment=0):
+    """What a framebuffer shows, its top row first."""
+    pixels = framebuffer.read(components=3, attachment=attachment, alignment=1)
+    return np.frombuffer(pixels, np.uint8).reshape(framebuffer.height, framebuffer.width, 3)[::-1]
+
+
+def call(context, name, *arguments):
+    types = [ctypes.c_void_p if isinstance(each, ctypes.Array) else ctypes.c_uint for each in arguments]
+    return ctypes.CFUNCTYPE(None, *types)(context.mglo._context.load(name))(*arguments)
+
+
+def test_both_eyes_go_the_same_wherever_they_go(theirs, two_eyes):
+    frame = two_eyes.compose()
+    left, right = (frame.read(eye).copy() for eye in two_eyes.eyes)
+    assert (left != right).any()
+    texture = np.frombuffer(frame.texture("right").read(), np.uint8).reshape(HEIGHT, WIDTH, 4)
+    np.testing.assert_array_equal(texture[..., :3], right)
+    assert (texture[..., 3] == 255).all()
+    beside = theirs.simple_framebuffer((2 * WIDTH, HEIGHT))
+    for into in (beside, beside.glo, np.uint32(beside.glo)):
+        beside.clear()
+        two_eyes.compose(into)
+        # Other window coordinates are rounded otherwise.
+        np.testing.assert_allclose(upright(beside).astype(int), np.hstack([left, right]), atol=1)
+    each = {eye: theirs.simple_framebuffer(SMALL) for eye in ("right", "left")}
+    two_eyes.compose(each)
+    np.testing.assert_array_equal(upright(each["left"]), left)
+    np.testing.assert_array_equal(upright(each["right"]), right)
+
+
+@pytest.mark.parametrize("buffers", [(0, 1, 2), (1, None, 0), (None, 1, None)])
+def test_only_the_first_colour_is_drawn_and_draw_buffers_come_back(theirs, one_eye, buffers):
+    expected = one_eye.compose().read()
+    given = theirs.framebuffer(
+        [theirs.texture(SMALL, 4, bytes([9 + k]) * (4 * WIDTH * HEIGHT)) for k in range(3)],
+        theirs.depth_texture(SMALL, np.full((HEIGHT, WIDTH), 0.25, np.float32)),
+    )
+    names = (ctypes.c_uint * 3)(*(0 if k is None else COLOUR + k for k in buffers))
+    call(theirs, "glBindFramebuffer", DRAW_FRAMEBUFFER, given.glo)
+    call(theirs, "glDrawBuffers", 3, names)
+    one_eye.compose(given)
+    found = [(ctypes.c_uint * 1)() for _ in range(4)]
+    call(theirs, "glBindFramebuffer", DRAW_FRAMEBUFFER, given.glo)
+    for k, name in enumerate(found):
+        call(theirs, "glGetIntegerv", 0x8825 + k, name)
+    assert [name[0] for name in found] == [*names, 0]
+    np.testing.assert_array_equal(upright(given), expected)
+    for k in (1, 2):
+        assert (np.frombuffer(given.color_attachments[k].read(), np.uint8) == 9 + k).all()
+    assert np.ptp(np.frombuffer(given.depth_attachment.read(), np.float32)) == 0
+
+
+def test_samples_and_floats_are_drawn_as_bytes_are(theirs, one_eye):
+    expected = one_eye.compose().read()
+    samples, resolved = theirs.simple_framebuffer(SMALL, samples=4), theirs.simple_framebuffer(SMALL)
+    one_eye.compose(samples)
+    theirs.copy_framebuffer(resolved, samples)
+    np.testing.assert_array_equal(upright(resolved), expected)
+    floats = theirs.framebuffer([theirs.texture(SMALL, 4, dtype="f4")])
+    one_eye.compose(floats)
+    shown = np.frombuffer(floats.read(components=3, dtype="f4"), np.float32).reshape(HEIGHT, WIDTH, 3)[::-1]
+    np.testing.assert_allclose(shown * 255, expected, atol=0.51)
+
+
+def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(theirs, one_eye):
+    expected = one_eye.compose().read()
+    released = theirs.simple_framebuffer(SMALL)
+    released.release()
+    elsewhere = moderngl.create_context(standalone=True, require=430, backend="egl")
+    foreign = elsewhere.simple_framebuffer(SMALL)
+    theirs.__enter__()
+    for into, words in (
+        (theirs.simple_framebuffer((HEIGHT, WIDTH)), "has 60 x 72 pixels, and 72 x 60 are needed"),
+        (theirs.simple_framebuffer((2 * WIDTH, HEIGHT)), "144 x 60"),
+        (foreign, "another OpenGL context"),
+        (0, "has no window"),
+        (12345, "12345 is no framebuffer object"),
+        (-1, "is no framebuffer object"),
+        (released, "is no framebuffer object"),
+        (theirs.framebuffer([theirs.texture(SMALL, 4, dtype="u1")]), "fractions"),
+        (theirs.framebuffer([theirs.texture(SMALL, 2)]), "red, green and blue"),
+        (theirs.framebuffer([], theirs.depth_texture(SMALL)), "first attachment"),
+        (theirs.texture(SMALL, 4), "Texture is no framebuffer"),
+        ({"left": theirs.simple_framebuffer(SMALL)}, "no framebuffer for the right eye"),
+    ):
+        with pytest.raises(BadInputError, match=words) as told:
+            one_eye.compose(into)
+        assert str(told.value).count("\n") == 0
+        assert theirs.error == "GL_NO_ERROR"
+    np.testing.assert_array_equal(one_eye.compose().read(), expected)
+    elsewhere.release()
+
+
+def test_what_went_elsewhere_is_not_fetched(theirs, one_eye):
+    frame = one_eye.compose(theirs.simple_framebuffer(SMALL))
+    for fetch, words in (
+        (frame.read, "into your framebuffer"),
+        (frame.texture, "no texture"),
+        (frame.source, "into your framebuffer"),
+        (lambda: frame.read("left"), "no eye 'left'"),
+        (one_eye.compose().source, "with_source"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            fetch()
+    assert frame.unsolved() == {"right": {}}
+
+
+def test_without_opengl_there_is_no_framebuffer_and_no_texture(compositor, flat_image_headset):
+    made = compositor(flat_image_headset, context="cpu")
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    with pytest.raises(BadInputError, match="no OpenGL here"):
+        made.compose(into=1)
+    with pytest.raises(BadInputError, match="no texture"):
+        made.compose().texture()
+
+
+def test_a_window_is_drawn_to_by_its_number(compositor, flat_image_headset):
+    try:
+        window = OsMesaContext()
+    except OSError as error:
+        pytest.skip(f"libosmesa6 is not installed ({error}).")
+    size = 16, 16  # of an OSMesa context's own picture
+    made = compositor(flat_image_headset, size, context="current")
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    expected = made.compose().read()
+    assert expected.std() > 5
+    made.compose(into=0)
+    pixels = np.empty((*size, 4), np.uint8)
+    read = ctypes.CFUNCTYPE(None, *[ctypes.c_int] * 4, *[ctypes.c_uint] * 2, ctypes.c_void_p)
+    read(window.load_opengl_function("glReadPixels"))(0, 0, *size, 0x1908, 0x1401, pixels.ctypes.data)
+    np.testing.assert_array_equal(pixels[::-1, :, :3], expected)
+    made.release()
+    window.release()
