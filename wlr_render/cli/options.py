@@ -71,3 +71,11 @@ def not_negative(text: str) -> float:
     if not 0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{value} is not a number of 0 or more")
     return value
+
+
+def size(text: str) -> tuple[int, int]:
+    """Width and height, e.g. 1920x1080."""
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a width and a height, as in 1920x1080")
+    return count(width), count(height)

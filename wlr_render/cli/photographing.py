@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wlr_render.cli.options import Verbs, add_backend, add_eye, add_seed, count, new_verb, not_negative
+from wlr_render.cli.options import Verbs, add_backend, add_eye, add_seed, count, new_verb, not_negative, size
 
 if TYPE_CHECKING:
     from wlr_render.studies.verification import verify
@@ -178,14 +178,6 @@ def _add_code(parser: argparse.ArgumentParser, required: bool) -> None:
     parser.add_argument(
         "--pattern", choices=("gray", "fringes", "gray-fringes"), default="gray-fringes", help="the code"
     )
-
-
-def size(text: str) -> tuple[int, int]:
-    """Width and height, e.g. 1920x1080."""
-    width, cross, height = text.lower().partition("x")
-    if not (cross and width.isdigit() and height.isdigit()):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a width and a height, as in 1920x1080")
-    return count(width), count(height)
 
 
 ADDED_BY = (_add_board, _add_pattern, _add_simulate, _add_decode, _add_verify)
