@@ -30,6 +30,7 @@ VERBS = (
     "evaluate",
     "render",
     "compare",
+    "stream",
     "diagnose",
     "hold-out",
     "import",
