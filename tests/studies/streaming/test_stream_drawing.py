@@ -8,11 +8,13 @@ import pytest
 from streamed import BOX, RATE_HZ, fixations, recorded
 
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import MissingGlError
 from wlr_render.mappings import Mapped, Status
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.studies.streaming import study
-from wlr_render.studies.streaming.drawing import CHECKED, draw_frames, frames_to_check
+from wlr_render.studies.streaming.drawing import draw_frames
+from wlr_render.studies.streaming.map_check import CHECKED, frames_to_check
 from wlr_render.studies.streaming.process import CollectorTime
 from wlr_render.studies.streaming.wearer import Wearer
 
@@ -105,7 +107,7 @@ def test_nothing_is_left_behind_on_the_gpu_from_frame_to_frame(gl_context, small
     counts = []
     moments = Wearer().moments({"right": small_panel_model.eye_box}, 12, RATE_HZ)
     with Compositor(small_panel_model, (90, 100)) as compositor:
-        for _ in draw_frames(compositor, load_scene(scene_file), moments, []):
+        for _ in draw_frames(compositor, SceneSource(compositor, load_scene(scene_file)), moments):
             gc.collect()
             counts.append(sum(isinstance(thing, GL_OBJECTS) for thing in gc.get_objects()))
     assert counts[2] > 0
@@ -115,7 +117,7 @@ def test_nothing_is_left_behind_on_the_gpu_from_frame_to_frame(gl_context, small
 def test_python_keeps_nothing_of_a_frame_that_is_not_kept(flat_image_headset, scene_file):
     moments = Wearer().moments({"right": flat_image_headset.eye_box}, 60, RATE_HZ)
     with Compositor(flat_image_headset, (56, 40), context="cpu") as compositor:
-        frames = draw_frames(compositor, load_scene(scene_file), moments, [])
+        frames = draw_frames(compositor, SceneSource(compositor, load_scene(scene_file)), moments)
         traced = []
         tracemalloc.start()
         for _ in frames:
@@ -142,7 +144,7 @@ def test_the_farthest_jumps_are_checked_and_some_frames_at_rest(tmp_path):
     wearer = recorded(tmp_path / "eyes.txt", places[:, None] * [1.0, 0.0, 0.0])
     moments = wearer.moments({"right": BOX}, 60, RATE_HZ)
     moved = np.array([moment.eyes["right"].moved_mm for moment in moments])
-    checked = frames_to_check(moments)
+    checked = set(frames_to_check(moments))
     jumped = {k for k in checked if moments[k].jumped}
     assert len(jumped) == CHECKED
     assert min(moved[list(jumped)]) >= np.sort(moved)[-CHECKED] - 1e-9

@@ -67,6 +67,8 @@ def test_a_made_up_wearer_follows_from_the_seed_and_moves_both_eyes():
     for moments, same in ((again, True), (other, False)):
         assert np.array_equal(viewpoints_of(first), viewpoints_of(moments)) == same
         assert np.array_equal(first[9].at_scan_out, moments[9].at_scan_out) == same
+    seen = np.array([state == TRACKED for state in states_of(first)])
+    assert np.linalg.norm(np.diff(viewpoints_of(first), axis=0), axis=1)[seen[1:]].min() > 0
     apart = viewpoints_of(first) - np.stack([moment.eyes["left"].viewpoint for moment in first])
     assert apart[:, 0].min() > 0.05
 

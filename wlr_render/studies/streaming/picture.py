@@ -30,7 +30,7 @@ def draw_stream(path: Path, stream: Stream) -> Path:
     time_s = np.array([frame.moment.time_s for frame in stream.frames])
     for row, eye in zip(eye_rows, stream.eyes, strict=True):
         _draw_viewpoint(row, time_s, stream.moments(eye))
-        row.set_ylabel(f"{eye} pupil (mm)")
+        row.set_ylabel(f"{eye} pupil\nmoved (mm)")
     _draw_times(times, time_s, stream)
     memory.plot(time_s, costs(stream.frames, "resident_mb"), color="#555555", linewidth=1.0)
     memory.set(xlabel="time (s)", ylabel="memory (MB)", xlim=(time_s[0], time_s[-1]), ylim=(0, None))

@@ -53,6 +53,11 @@ class Moment:
     eyes: Mapping[str, EyeMoment]
 
     @property
+    def viewpoints(self) -> dict[str, FloatArray]:
+        """(3,) by eye."""
+        return {name: eye.viewpoint for name, eye in self.eyes.items()}
+
+    @property
     def jumped(self) -> bool:
         """Whether any eye did."""
         return any(eye.jumped for eye in self.eyes.values())

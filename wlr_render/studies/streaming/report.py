@@ -89,7 +89,8 @@ def _slowest(stream: Stream) -> ReportTable:
     ]
     rows.append(["viewpoint jumped (%)", *(100 * _share_that_jumped(group) for group in (timed, timed[cut:]))])
     columns = ("mean of", f"all {len(timed)}", f"the slowest {len(timed) - cut}")
-    return ReportTable("What the slowest frames have in common", columns, rows)
+    notes = ("Where the slowest take no more processor time than the others, other programs had the processors.",)
+    return ReportTable("What the slowest frames have in common", columns, rows, notes)
 
 
 def _share_that_jumped(frames: Sequence[FrameNote]) -> float:
@@ -128,7 +129,7 @@ def _jumps(stream: Stream) -> ReportTable:
         f"{len(jumps)} jumps by more than {SACCADE_MM:g} mm; in {whole} every point converged in the same frame. The "
         "farthest:",
         "Errors are the largest of any point, in arcminutes, against a map solved from nothing for the frame's own "
-        "viewpoint; the old map is that of the frame before.",
+        "viewpoint; the old map is that of the frame before. For this, these frames are drawn again after the stream.",
     )
     return ReportTable("Saccades: is the map that of the viewpoint it was drawn for?", columns, rows, notes)
 
@@ -153,8 +154,10 @@ def _dropped(stream: Stream) -> ReportTable:
 def _rest(stream: Stream) -> ReportTable:
     early, late = stream.resident_mb()
     brought_back = sum(moment.brought_back for eye in stream.eyes for moment in stream.moments(eye))
+    at_rest = sum(moment.moved_mm == 0 for eye in stream.eyes for moment in stream.moments(eye)[1:])
     outside = sum("outside fit" in counts for frame in stream.frames for counts in frame.unsolved.values())
     rows: list[list[Cell]] = [
+        ["maps kept, because the viewpoint was that of the frame before", at_rest],
         ["maps with points that did not converge", len(stream.dropped())],
         ["maps with points outside what the model was fitted on", outside],
         ["viewpoints beyond the model's reach, brought back", brought_back],

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import output_folder
@@ -16,8 +17,9 @@ from wlr_render.studies.headset import open_eye
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.studies.streaming import report
 from wlr_render.studies.streaming.drawing import draw_frames
+from wlr_render.studies.streaming.map_check import check_maps, frames_to_check
 from wlr_render.studies.streaming.picture import draw_stream
-from wlr_render.studies.streaming.records import MapCheck, Stream
+from wlr_render.studies.streaming.records import Stream
 from wlr_render.studies.streaming.wearer import Wearer
 
 LATEST_MS = 50.0
@@ -90,9 +92,12 @@ def draw(options: Options, models: Mapping[str, EyeMappings], progress: Progress
     scene = load_scene(options.scene)
     panel = next(iter(models.values())).display.panel
     size = options.size or (panel.width_px, panel.height_px)
-    checks: list[MapCheck] = []
+    numbers = frames_to_check(moments)
     with Compositor(models, size, context=options.context, solve=options.solve) as compositor:
-        frames = list(progress(draw_frames(compositor, scene, moments, checks), len(moments), "frames"))
+        source = SceneSource(compositor, scene)
+        frames = list(progress(draw_frames(compositor, source, moments), len(moments), "frames"))
+        checked = progress(check_maps(compositor, source, moments, numbers), len(numbers), "maps checked")
+        checks = [check for of_frame in checked for check in of_frame]
         renderer = compositor.renderer
     return Stream(frames, checks, options.frames_per_second, options.late_ms, renderer, size)
 

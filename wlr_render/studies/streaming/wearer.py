@@ -14,11 +14,15 @@ from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.synthetic import eye_motion, head_motion
 from wlr_render.tracking.synthetic_tracker import tracker_samples
-from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
+from wlr_render.tracking.trajectory import EYES, EyeTrajectory, HeadTrajectory
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 
 GAP = 2.5
 """Rows of an eye's track that are so many times farther apart in time than usual have a gap between them."""
+
+JITTER_M = 20e-6
+"""Standard deviation, per axis, of a made-up tracker's samples: ours. Real ones never say the same twice, so that every
+frame needs a new map; a pupil exactly at rest would let it be kept."""
 
 _ROUNDING_S = 1e-9
 
@@ -31,7 +35,7 @@ class Wearer:
 
     Attributes:
         head: trajectory file (TUM or EuRoC); None for a made-up head.
-        eyes: eye trajectory file; None for made-up eyes with saccades, and a tracker that blinks and drops out.
+        eyes: eye trajectory file; None for made-up eyes with saccades, and a tracker that jitters, blinks and drops out.
         seed: of what is made up.
     """
 
@@ -84,7 +88,10 @@ class Wearer:
 
     def _samples(self, eyes: EyeTrajectory, eye: str, time_s: FloatArray) -> Samples:
         if self.eyes is None:
-            return tracker_samples(eyes, time_s, self.seed)[eye]
+            rng = np.random.default_rng([self.seed, 3, EYES.index(eye)])
+            noise = JITTER_M * rng.normal(size=(len(time_s), 3))
+            samples = tracker_samples(eyes, time_s, self.seed)[eye]
+            return [None if point is None else point + noise[k] for k, point in enumerate(samples)]
         seen = ~in_gap(eyes.tracks[eye].time_s, time_s)
         return [point if good else None for point, good in zip(eyes.viewpoint_at(eye, time_s), seen, strict=True)]
 
