@@ -25,14 +25,14 @@ HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transfo
 SMALL = 72, 60
 
 
-def scene():
+def scene(wall=True):
     """Boxes at 0.7 and 1.2 m before a wall that fills the field at 2 m, around where the head looks."""
-    wall = basic.plane(9, 9, (0.2, 0.5, 0.3))
     turn = transforms.rotation_about("y", 0.5)
+    behind = ((basic.plane(9, 9, (0.2, 0.5, 0.3)), HEAD @ gl_scenes.at(0, 0, -2)),)
     return gl_scenes.lit(
         (gl_scenes.cube(0.15), HEAD @ gl_scenes.at(0.06, -0.03, -0.7, turn)),
         (gl_scenes.cube(0.3), HEAD @ gl_scenes.at(-0.2, 0.02, -1.2)),
-        (wall, HEAD @ gl_scenes.at(0, 0, -2)),
+        *(behind if wall else ()),
     )
 
 

@@ -82,7 +82,8 @@ def picture_of_arrays(
         inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
     else:
         at_0, at_1 = stored.inverse_of_0_and_1
-        inverse = at_0 + (at_1 - at_0) * depth
+        inverse = (1 - depth) * at_0 + depth * at_1
+        inverse[(depth == (0 if at_0 < at_1 else 1)) | (inverse < 0)] = 0  # on the far plane, also if it is finite
     return GeometryImage(np.ascontiguousarray(colour), np.ascontiguousarray(inverse, np.float32))
 
 

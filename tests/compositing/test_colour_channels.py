@@ -1,0 +1,49 @@
+"""Three models of one eye: each colour is bent as its own model says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from composing import CONTEXTS, HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
+
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.geometry import transforms
+from wlr_render.rendering.ray_render import RayRenderer
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_headset, context):
+    see_through = flat_image_headset.see_through
+    colours = [
+        replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.01, 0.0, 0.02)
+    ]
+    together, renderer, at = (
+        compositor({"right": colours}, context=context),
+        RayRenderer(scene()),
+        viewpoint(colours[0]),
+    )
+    (camera,) = draw(together, SceneSource(together, scene()), HEAD, at).values()
+    picture = together.compose().read().astype(int)
+    for channel, model in enumerate(colours):
+        truth = traced(model, together.size_px, at, HEAD, renderer)
+        eye, drawn_from = transforms.apply(HEAD, at), camera.view.viewpoint_in_world
+        clear = clear_of_edges(truth, renderer, eye, drawn_from, HEAD, reach_px=1)
+        difference = np.abs(picture - truth.colour)[clear].max(axis=0)
+        assert clear.mean() > 0.5
+        assert difference[channel] <= 2
+        assert np.delete(difference, channel).max() > 40
+
+
+def composed(compositor, model):
+    draw(compositor, SceneSource(compositor, scene()), HEAD, viewpoint(model))
+    return compositor.compose()
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+@pytest.mark.parametrize("kind", ["planar", "flat image"])
+def test_three_models_alike_are_one(compositor, flat_image_headset, context, kind):
+    model = planar() if kind == "planar" else flat_image_headset
+    one, three = (compositor({"right": given}, context=context) for given in (model, [model] * 3))
+    alone, together = composed(one, model), composed(three, model)
+    np.testing.assert_array_equal(together.read(), alone.read())
+    assert together.unsolved()["right"] == {name: 3 * count for name, count in alone.unsolved()["right"].items()}
