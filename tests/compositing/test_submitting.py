@@ -51,7 +51,7 @@ def test_arrays_of_all_kinds(compositor, flat_image_headset, context):
         made.submit(*given, **how)
         moved = np.linalg.norm(made.compose(pose=TURNED, with_source=True).source() - expected, axis=-1)
         # Depths are rounded otherwise: at an edge a pixel may change sides.
-        assert (moved > 0.01).mean() < 0.002, name
+        assert (moved > 0.01).mean() < 0.01, name
 
 
 @pytest.mark.gl
