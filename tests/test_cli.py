@@ -304,7 +304,7 @@ def test_render_options_reach_the_job(monkeypatch):
     files = ["--head", "h.tum", "--eye-track", "e.txt"]
     drawing = ["--method", "raytrace", "--supersample", "2", "--shadows", "--fps", "72", "--frames", "9"]
     assert main(["render", "l.json", "r.json", "desk", "--eye", "both", *files, *drawing, "--video"]) == 0
-    warping = ["--materials", "gltf", "--resolution", "1.5", "--map-from", "mesh", "--maps", "pfm"]
+    warping = ["--materials", "gltf", "--resolution", "1.5", "--map-from", "mesh", "--maps", "pfm", "--per-colour"]
     assert main(["render", "northstar", "desk", *warping, "--backend", "osmesa", "--out", "elsewhere"]) == 0
     assert given == [
         render_sequence.Options(
@@ -327,6 +327,7 @@ def test_render_options_reach_the_job(monkeypatch):
             resolution=1.5,
             map_from="mesh",
             maps="pfm",
+            per_colour=True,
             backend="osmesa",
             out=Path("elsewhere"),
         ),

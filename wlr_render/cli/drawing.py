@@ -68,6 +68,11 @@ def _add_render(verbs: Verbs) -> None:
     )
     parser.add_argument("--map-from", choices=("depth", "mesh"), default="depth", help="meet rays with what (raster)")
     parser.add_argument("--maps", choices=("tiff", "pfm"), help="also write each frame's warp map (raster)")
+    parser.add_argument(
+        "--per-colour",
+        action="store_true",
+        help="red, green and blue along rays of their own: the device is traced in each, or three model files per eye",
+    )
     parser.add_argument("--video", action="store_true", help="also write an .mp4 per eye")
     add_backend(parser)
 
@@ -91,6 +96,7 @@ def _render(args: argparse.Namespace) -> None:
         resolution=args.resolution,
         map_from=args.map_from,
         maps=args.maps,
+        per_colour=args.per_colour,
         video=args.video,
         backend=args.backend,
         out=args.out,

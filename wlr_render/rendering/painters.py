@@ -1,5 +1,6 @@
 """Frames of one eye: what its panel must show for a viewpoint and a head pose, by ray tracing or by raster and warp."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -11,7 +12,7 @@ from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.covering import covering_camera
 from wlr_render.rendering.raster_eye import RasterEye
 from wlr_render.rendering.rasteriser import Rasteriser
-from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, ray_field
+from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, middle_axes, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
@@ -41,6 +42,13 @@ class Frame:
     source: Float32Array | None = None
     view: View | None = None
     intermediate: GeometryImage | None = None
+
+
+def colour_by_colour(frames: Sequence[Frame]) -> NDArray[np.uint8]:
+    """What the panel must show, (height, width, 3): of three frames the red, green and blue of one each; of one all."""
+    if len(frames) == 1:
+        return frames[0].colour
+    return np.stack([frame.colour[..., channel] for channel, frame in enumerate(frames)], axis=-1)
 
 
 class Painter(Protocol):
@@ -122,7 +130,12 @@ class WarpedPainter:
     """An intermediate image from about the viewpoint, pulled into display pixels by the per-frame warp map."""
 
     def __init__(
-        self, mappings: EyeMappings, rasteriser: Rasteriser, resolution: float = 1.0, at_viewpoint: bool = False
+        self,
+        mappings: EyeMappings,
+        rasteriser: Rasteriser,
+        resolution: float = 1.0,
+        at_viewpoint: bool = False,
+        colours: Sequence[EyeMappings] | None = None,
     ) -> None:
         """Prepare.
 
@@ -132,18 +145,22 @@ class WarpedPainter:
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
             at_viewpoint: draw the intermediate image from the viewpoint itself, as the paper does, and not from where
                 the bent rays come (`raster_eye.py`), from where less is hidden.
+            colours: red, green and blue of the eye, if `mappings` are one of them: their painters then draw the same
+                intermediate image, whose jagged edges must not fall differently in each colour.
         """
         self._mappings = mappings
         self._rasteriser = rasteriser
         self._plan = choose_plan(mappings)
-        axes = self._plan.device_from_camera
-        self._camera = covering_camera((mappings,), axes, resolution)
-        self._raster_eye = None if at_viewpoint else RasterEye(mappings, axes)
+        colours = colours or (mappings,)
+        middle = colours[len(colours) // 2]
+        self._device_from_camera = middle_axes(middle)
+        self._camera = covering_camera(colours, self._device_from_camera, resolution)
+        self._raster_eye = None if at_viewpoint else RasterEye(middle, self._device_from_camera)
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
         place = viewpoint if self._raster_eye is None else self._raster_eye.at(viewpoint)
-        return View(self._camera, place, world_from_device, self._plan.device_from_camera)
+        return View(self._camera, place, world_from_device, self._device_from_camera)
 
     def paint(
         self,
@@ -171,10 +188,15 @@ class MeshWarpedPainter:
     """
 
     def __init__(
-        self, mappings: EyeMappings, rasteriser: Rasteriser, renderer: RayRenderer, resolution: float = 1.0
+        self,
+        mappings: EyeMappings,
+        rasteriser: Rasteriser,
+        renderer: RayRenderer,
+        resolution: float = 1.0,
+        colours: Sequence[EyeMappings] | None = None,
     ) -> None:
         """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
-        self._plain = WarpedPainter(mappings, rasteriser, resolution)
+        self._plain = WarpedPainter(mappings, rasteriser, resolution, colours=colours)
         self._traced = TracedPainter(mappings, renderer)
         self._rasteriser = rasteriser
         self._background = encode_srgb(renderer.scene.background)

@@ -5,7 +5,7 @@ which job they are and when, from where and how each was drawn.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
-from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter, colour_by_colour
 from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_field import WarmStart
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.studies.headset import open_eye, require_in_eye_box
+from wlr_render.studies.headset import open_channels, open_eye, require_in_eye_box
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
@@ -32,7 +32,12 @@ METHODS = ("raster", "raytrace")
 MAP_SUFFIXES = ("tiff", "pfm")
 MAPS_FROM = ("depth", "mesh")
 _RASTER_ONLY = ("maps", "materials", "resolution", "map_from")
+COLOURS = ("red", "green", "blue")
 RECORD = "sequence.json"
+
+
+Channels = tuple[EyeMappings, ...]
+"""The mappings of one eye: one pair for all colours, or one each for red, green and blue."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Options:
     """One job.
 
     Attributes:
-        headset: a device, or a model file per eye.
+        headset: a device, or a model file per eye; three per eye, for red, green and blue, if `per_colour`.
         scene: a shipped scene, a scene file or a mesh.
         head: trajectory file (TUM or EuRoC); None for a head at rest at the world's origin.
         eyes_file: eye trajectory file; None for pupils at rest at the centres of the eye boxes.
@@ -54,6 +59,8 @@ class Options:
         resolution: of the intermediate image, as in `WarpedPainter` ("raster").
         map_from: where a world ray meets the scene: in the intermediate image's "depth", or on the "mesh" ("raster").
         maps: also write the warp map of each frame ("raster"), as "tiff" or "pfm"; None for none.
+        per_colour: whether red, green and blue follow rays of their own, and have maps of their own; a device is traced
+            at `headset.PRIMARIES_UM`.
         video: also write EYE.mp4.
         backend: who rasterises.
         out: folder.
@@ -73,6 +80,7 @@ class Options:
     resolution: float = 1.0
     map_from: str = "depth"
     maps: str | None = None
+    per_colour: bool = False
     video: bool = False
     backend: str = "auto"
     out: Path = Path("out/render")
@@ -112,14 +120,14 @@ def run(options: Options, progress: Progress = silent) -> Rendered:
             options that contradict each other; nothing is written then.
     """
     _require_consistent(options)
-    mappings = {eye: open_eye(_headset_of(options, number), eye) for number, eye in enumerate(options.eyes)}
-    moments = planned_moments(options, mappings)
+    channels = {eye: _open_channels(options, number) for number, eye in enumerate(options.eyes)}
+    moments = planned_moments(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()})
     scene = load_scene(options.scene)
     record = _record(options, moments)
     folder = output_folder(options.out)
     _require_same_job(folder, record)
     missing = [moment for moment in moments if not _is_done(folder, moment, options)]
-    painters = _painters(options, mappings, scene) if missing else {}
+    painters = _painters(options, channels, scene) if missing else {}
     write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
         for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
@@ -137,10 +145,11 @@ def _require_consistent(options: Options) -> None:
     for name, (chosen, known) in choices.items():
         if chosen not in known:
             raise BadInputError(f"'{chosen}' is no choice for '{name}'; choose from {', '.join(map(str, known))}.")
-    if len(options.headset) not in (1, len(options.eyes)):
+    if len(options.headset) not in (1, _files_per_eye(options) * len(options.eyes)):
+        each = "one model file" if _files_per_eye(options) == 1 else "three model files (red, green, blue)"
         raise BadInputError(
-            f"{len(options.headset)} headsets are given for {len(options.eyes)} eyes; give one device, or one model "
-            "file per eye in the order of the eyes."
+            f"{len(options.headset)} headsets are given for {len(options.eyes)} eyes; give one device, or {each} per "
+            "eye in the order of the eyes."
         )
     plain = Options(options.headset, options.scene)
     if options.method == "raytrace" and any(getattr(options, name) != getattr(plain, name) for name in _RASTER_ONLY):
@@ -156,8 +165,15 @@ def _require_consistent(options: Options) -> None:
         raise BadInputError(f"The frame rate is {options.frames_per_second}; it must be positive and finite.")
 
 
-def _headset_of(options: Options, number: int) -> str:
-    return options.headset[number if len(options.headset) > 1 else 0]
+def _files_per_eye(options: Options) -> int:
+    return len(COLOURS) if options.per_colour else 1
+
+
+def _open_channels(options: Options, number: int) -> Channels:
+    count, eye = _files_per_eye(options), options.eyes[number]
+    first = number * count if len(options.headset) > 1 else 0
+    specs = options.headset[first : first + count]
+    return open_channels(specs, eye) if options.per_colour else (open_eye(specs[0], eye),)
 
 
 def planned_moments(options: Options, mappings: dict[str, EyeMappings]) -> list[Moment]:
@@ -201,7 +217,7 @@ def _record(options: Options, moments: list[Moment]) -> dict[str, Any]:
         job.pop(key)
     frames = [
         {
-            "file": f"{m.stem}.png",
+            "file": _picture_file(Path(), m).name,
             "time_s": m.time_s,
             "viewpoint_in_device_m": m.viewpoint.tolist(),
             "world_from_device": m.world_from_device.tolist(),
@@ -232,40 +248,57 @@ def _same_job(path: Path, record: dict[str, Any]) -> bool:
         return False
 
 
-def _files(folder: Path, moment: Moment, options: Options) -> list[Path]:
-    suffixes = ["png"] if options.maps is None else [options.maps, "png"]
-    return [folder / f"{moment.stem}.{suffix}" for suffix in suffixes]
+def _map_files(folder: Path, moment: Moment, options: Options) -> list[Path]:
+    if options.maps is None:
+        return []
+    stems = [f"{moment.stem}-{colour}" for colour in COLOURS] if options.per_colour else [moment.stem]
+    return [folder / f"{stem}.{options.maps}" for stem in stems]
+
+
+def _picture_file(folder: Path, moment: Moment) -> Path:
+    return folder / f"{moment.stem}.png"
 
 
 def _is_done(folder: Path, moment: Moment, options: Options) -> bool:
-    return all(path.exists() for path in _files(folder, moment, options))
+    return all(path.exists() for path in (*_map_files(folder, moment, options), _picture_file(folder, moment)))
 
 
-def _painters(options: Options, mappings: dict[str, EyeMappings], scene: Scene) -> dict[str, Painter]:
+def _painters(options: Options, channels: dict[str, Channels], scene: Scene) -> dict[str, list[Painter]]:
+    """By eye: one painter for all colours, or one for each."""
+    paints = _painter_of(options, scene)
+    return {eye: [paints(mappings, of_eye) for mappings in of_eye] for eye, of_eye in channels.items()}
+
+
+def _painter_of(options: Options, scene: Scene) -> Callable[[EyeMappings, Channels], Painter]:
+    """What makes the painter of one colour, given that colour and all of the eye."""
     if options.method == "raytrace":
         renderer = RayRenderer(scene)
-        return {e: TracedPainter(m, renderer, options.supersample, options.shadows) for e, m in mappings.items()}
-    rasteriser = open_rasteriser(scene, options.backend, options.materials)
+        return lambda one, _: TracedPainter(one, renderer, options.supersample, options.shadows)
+    rasteriser, resolution = open_rasteriser(scene, options.backend, options.materials), options.resolution
     if options.map_from == "depth":
-        return {eye: WarpedPainter(m, rasteriser, options.resolution) for eye, m in mappings.items()}
+        return lambda one, colours: WarpedPainter(one, rasteriser, resolution, colours=colours)
     renderer = RayRenderer(scene)
-    return {e: MeshWarpedPainter(m, rasteriser, renderer, options.resolution) for e, m in mappings.items()}
+    return lambda one, colours: MeshWarpedPainter(one, rasteriser, renderer, resolution, colours)
 
 
-def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments: list[Moment]) -> Iterator[Moment]:
-    last: dict[str, WarmStart | None] = {}
+def _drawn(
+    folder: Path, options: Options, painters: dict[str, list[Painter]], moments: list[Moment]
+) -> Iterator[Moment]:
+    last: dict[str, list[WarmStart | None]] = {eye: [None] * len(of_eye) for eye, of_eye in painters.items()}
+    with_maps = options.maps is not None
     for moment in moments:
-        frame = painters[moment.eye].paint(
-            moment.viewpoint, moment.world_from_device, last.get(moment.eye), with_geometry=options.maps is not None
-        )
-        last[moment.eye] = frame.field.warm_start
-        *map_path, picture_path = _files(folder, moment, options)
-        if map_path and frame.source is not None:
-            write_map(map_path[0], frame.source)
-        write_png(picture_path, frame.colour)
+        frames = [
+            painter.paint(moment.viewpoint, moment.world_from_device, start, with_geometry=with_maps)
+            for painter, start in zip(painters[moment.eye], last[moment.eye], strict=True)
+        ]
+        last[moment.eye] = [frame.field.warm_start for frame in frames]
+        for path, frame in zip(_map_files(folder, moment, options), frames, strict=False):
+            assert frame.source is not None, "a rasterised frame painted with its geometry has a map"
+            write_map(path, frame.source)
+        write_png(_picture_file(folder, moment), colour_by_colour(frames))
         yield moment
 
 
 def _video(folder: Path, eye: str, moments: list[Moment], options: Options) -> Path:
-    pictures = (read_png(folder / f"{moment.stem}.png") for moment in moments if moment.eye == eye)
+    pictures = (read_png(_picture_file(folder, moment)) for moment in moments if moment.eye == eye)
     return write_video(folder / f"{eye}.mp4", pictures, options.frames_per_second)
