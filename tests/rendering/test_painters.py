@@ -14,6 +14,7 @@ from wlr_render.rendering.painters import (
     MeshWarpedPainter,
     TracedPainter,
     WarpedPainter,
+    colour_by_colour,
     position_of_source,
     source_of_position,
 )
@@ -140,6 +141,39 @@ def test_a_picture_drawn_from_where_the_rays_come_hides_less_of_what_they_meet(t
     # The plate offsets rays in proportion to their tangents, which is a shift of the eye but for its small prism.
     assert hidden[0] > 20
     assert hidden[1] <= 0.2 * hidden[0]
+
+
+@pytest.fixture
+def dispersive_headset(toy_headset):
+    """Three colours of the toy, whose prism bends blue 4.6 degrees farther than red."""
+    return [
+        replace(toy_headset, see_through=replace(toy_headset.see_through, prism=prism)) for prism in (0.0, 0.03, 0.08)
+    ]
+
+
+def test_the_colours_of_an_eye_share_an_intermediate_image_that_covers_all(dispersive_headset):
+    scene, viewpoint = ball_before_wall(), dispersive_headset[0].eye_box.at(OFF_CENTRE)
+    rasteriser = open_rasteriser(scene, "cpu")
+    painters = [WarpedPainter(each, rasteriser, colours=dispersive_headset) for each in dispersive_headset]
+    frames = [each.paint(viewpoint, HEAD_POSE, with_geometry=True) for each in painters]
+    for frame in frames:
+        np.testing.assert_array_equal(frame.intermediate.inverse_depth, frames[0].intermediate.inverse_depth)
+        assert not (frame.warp_status == WarpStatus.OUTSIDE).any()
+    for_red_only = WarpedPainter(dispersive_headset[0], rasteriser).view(viewpoint, HEAD_POSE)
+    blue = rasteriser.draw_warped(for_red_only, frames[2].field)
+    assert (blue.image.status == WarpStatus.OUTSIDE).any()
+
+
+@pytest.mark.parametrize("way", ["traced", "plain", "mesh"])
+def test_colour_by_colour_takes_one_channel_of_each(dispersive_headset, way):
+    scene = ball_before_wall()
+    frames = [painter_of(way, each, scene).paint(each.eye_box.centre, HEAD_POSE) for each in dispersive_headset]
+    picture = colour_by_colour(frames)
+    assert picture.dtype == np.uint8
+    for channel, frame in enumerate(frames):
+        np.testing.assert_array_equal(picture[..., channel], frame.colour[..., channel])
+        assert (picture != frame.colour).any()
+    np.testing.assert_array_equal(colour_by_colour(frames[:1]), frames[0].colour)
 
 
 @pytest.mark.parametrize("resolution", [1.0, 2.0])
