@@ -137,15 +137,23 @@ def _compare(args: argparse.Namespace) -> None:
 
 def _add_bench(verbs: Verbs) -> None:
     text = (
-        "how good the program itself is. speed: ratios against what one would run otherwise, exactness of the fast "
-        "map, memory. diagnosis: diagnoses of sessions in which an effect is hidden, judged by what is true. "
-        "photographs: simulated photographs as they are read, beside exact traces"
+        "how good the program itself is. speed: of frames offline and in real time, against what one would run "
+        "otherwise, and how exact they are; minutes. diagnosis: diagnoses of sessions in which an effect is hidden, "
+        "judged by what is true. photographs: simulated photographs as they are read, beside exact traces"
     )
     parser = new_verb(verbs, "bench", _bench, text)
     parser.add_argument(
         "what", nargs="?", choices=("speed", "diagnosis", "photographs"), default="speed", help="what to measure"
     )
-    add_backend(parser.add_argument_group("speed"))
+    speed = parser.add_argument_group("speed")
+    add_backend(speed)
+    speed.add_argument(
+        "--record",
+        type=Path,
+        metavar="FOLDER",
+        help="also keep the figures there, in a file named after what draws; docs/benchmarks has those of other "
+        "machines, and wants those of a GPU",
+    )
     diagnosis = parser.add_argument_group("diagnosis")
     diagnosis.add_argument("--trials", type=count, default=20, help="of every cause; one of each takes minutes")
     diagnosis.add_argument("--workers", type=count, help="processes; one per core if not given")
@@ -174,7 +182,7 @@ def _bench(args: argparse.Namespace) -> None:
     else:
         from wlr_render.studies.speed import study as speed
 
-        tables = speed.run(speed.Options(args.backend, args.out), progress_bar)
+        tables = speed.run(speed.Options(args.backend, args.out, args.record), progress_bar)
     for table in tables:
         print_table(table)
 

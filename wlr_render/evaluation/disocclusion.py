@@ -35,8 +35,18 @@ def disoccluded(
         (height, width).
     """
     _, direction = field.world_rays(world_from_device)
+    return hidden_from(tracer, camera_in_world, direction.reshape(position.shape), position)
+
+
+def hidden_from(
+    tracer: SceneTracer,
+    camera_in_world: NDArray[np.float64],
+    direction: NDArray[np.floating],
+    position: NDArray[np.floating],
+) -> NDArray[np.bool_]:
+    """As `disoccluded`, of any rays: their world directions (..., 3), and the world points (..., 3) that they meet."""
     met = np.isfinite(position[..., 0])
-    towards = direction.reshape(position.shape).copy()
+    towards = np.array(direction)
     towards[met] = position[met] - camera_in_world
     reach = np.where(met, 1.0 - SAME_POINT, np.inf)
     return tracer.occluded(camera_in_world.astype(np.float32), towards, reach)

@@ -123,8 +123,7 @@ def lattice_error_arcmin(
         pixel: (n, 2) panel positions.
 
     Returns:
-        (n,) arcminutes: the angle at infinity plus the offset's angle at the nearest depth; NaN where a ray that the
-        comparison needs is missing.
+        (n,) arcminutes, as `bend_error_arcmin`; NaN where a ray that the comparison needs is missing.
     """
     place = np.clip((pixel - lattice.first_px) / lattice.step_px, 0, np.array(lattice.size) - 1)
     cell = np.minimum(place.astype(int), np.array(lattice.size) - 2)
@@ -133,5 +132,10 @@ def lattice_error_arcmin(
     asked = np.concatenate([pixel[:, None], lattice.first_px + lattice.step_px * corner], axis=1)
     bend = solve_pixels(mappings, device_from_camera, asked, viewpoint).bend
     exact, read = bend[:, 0], np.einsum("nc,nck->nk", weight, bend[:, 1:])
-    angle = arcmin_between(dir_of_tangents(read[:, :2]), dir_of_tangents(exact[:, :2]))
-    return np.asarray(angle + np.linalg.norm(read[:, 2:] - exact[:, 2:], axis=1) / NEAREST_M / ARCMIN)
+    return bend_error_arcmin(read, exact)
+
+
+def bend_error_arcmin(bend: FloatArray, exact: FloatArray) -> FloatArray:
+    """How far rays (..., 4) are off: the angle at infinity plus the offset's angle at the nearest depth, (...)."""
+    angle = arcmin_between(dir_of_tangents(bend[..., :2]), dir_of_tangents(exact[..., :2]))
+    return np.asarray(angle + np.linalg.norm(bend[..., 2:] - exact[..., 2:], axis=-1) / NEAREST_M / ARCMIN)

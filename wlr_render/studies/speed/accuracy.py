@@ -3,7 +3,7 @@
 A fitted model stands for the truth here: the question is what the compositor adds to it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,20 +11,17 @@ from numpy.typing import NDArray
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
-from wlr_render.evaluation.disocclusion import disoccluded
+from wlr_render.evaluation.disocclusion import hidden_from
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings, FloatArray
-from wlr_render.rendering.painters import TracedPainter, position_of_source, with_inverse_depth
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.painters import position_of_source, with_inverse_depth
+from wlr_render.rendering.ray_field import FieldPlan, choose_plan, ray_field
 from wlr_render.rendering.raytrace import SceneTracer
 from wlr_render.rendering.scene import Scene
 
 SILHOUETTE_PX = 2
-LATE_S = 0.010
-TURN_DEG_PER_S, WALK_M_PER_S, PUPIL_M_PER_S = 100.0, 0.5, 0.05
-"""A brisk turn of the head, a step, and a pupil 10.5 mm before the centre of an eye that turns by 270 deg/s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +30,16 @@ class Subject:
 
     Attributes:
         mappings: the eye; the display's picture is its panel.
-        scene: in the world.
         compositor: of the eye.
         source: draws the scene for it.
-        traced: draws it by its rays.
-        tracer: of the scene.
+        plan: of the eye's exact rays.
+        tracer: of the scene, for those rays.
     """
 
     mappings: EyeMappings
-    scene: Scene
     compositor: Compositor
     source: SceneSource
-    traced: TracedPainter
+    plan: FieldPlan
     tracer: SceneTracer
 
 
@@ -52,9 +47,32 @@ def subject(mappings: EyeMappings, scene: Scene, context: str = "auto") -> Subje
     """Everything ready; release its compositor."""
     panel = mappings.display.panel
     compositor = Compositor(mappings, (panel.width_px, panel.height_px), context=context)
-    renderer = RayRenderer(scene)
-    source = SceneSource(compositor, scene)
-    return Subject(mappings, scene, compositor, source, TracedPainter(mappings, renderer), renderer.tracer)
+    return Subject(mappings, compositor, SceneSource(compositor, scene), choose_plan(mappings), SceneTracer(scene))
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Where eye and head are while a display lights up.
+
+    Attributes:
+        viewpoint: (3,) device frame.
+        pose: (4, 4) world_from_device, when the first row lights up.
+        pose_at_last_row: when the last one does; None for a display that lights up at once.
+    """
+
+    viewpoint: FloatArray
+    pose: FloatArray
+    pose_at_last_row: FloatArray | None = None
+
+    @property
+    def at_once(self) -> "Moment":
+        """With all rows at the time of the first."""
+        return replace(self, pose_at_last_row=None)
+
+    def row_poses(self, rows: int) -> FloatArray:
+        """(rows, 4, 4)."""
+        last = self.pose if self.pose_at_last_row is None else self.pose_at_last_row
+        return transforms.between(self.pose, last, np.linspace(0.0, 1.0, rows))
 
 
 @dataclass(frozen=True)
@@ -64,54 +82,80 @@ class Landing:
     Attributes:
         rms_arcmin, worst_arcmin: angles at the eye between the world points that both show at a pixel, SILHOUETTE_PX
             away from silhouettes and from what is disoccluded.
+        pixels: that these are of.
         disoccluded: pixels that the picture drawn cannot show right.
-        pixels: that the figures are of.
+        one_sided: pixels as far from silhouettes where just one of the two shows anything.
     """
 
     rms_arcmin: float
     worst_arcmin: float
-    disoccluded: int
     pixels: int
+    disoccluded: int
+    one_sided: int
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """(3,) viewpoint in the device frame, and (4, 4) world_from_device."""
+class Truth:
+    """What should be seen at a moment, by its rays.
 
-    viewpoint: FloatArray
-    pose: FloatArray
-
-
-def landing(on: Subject, drawn: Moment, seen: Moment, corrected: bool = True) -> Landing:
-    """Draw for one moment, show at another, and compare with what should be shown then.
-
-    `corrected` composes for the moment in which it is seen; else for the one in which it was drawn.
+    Attributes:
+        moment: that moment.
+        direction: (height, width, 3) of each pixel's ray, world frame.
+        position: (height, width, 3) world points that the rays meet, NaN where nothing.
     """
+
+    moment: Moment
+    direction: FloatArray
+    position: FloatArray
+
+
+def truth(on: Subject, moment: Moment) -> Truth:
+    """Trace each row's rays from where the head is when it lights up."""
+    field = ray_field(on.mappings, moment.viewpoint, on.plan)
+    shape = (*field.shape, 3)
+    origin, direction = (each.reshape(shape) for each in field.world_rays(np.eye(4)))
+    poses = moment.row_poses(len(origin))
+    rotation, translation = poses[:, :3, :3], poses[:, None, :3, 3]
+    origin, direction = (
+        np.matmul(origin, np.swapaxes(rotation, 1, 2)),
+        np.matmul(direction, np.swapaxes(rotation, 1, 2)),
+    )
+    origin = origin + translation
+    return Truth(moment, direction, on.tracer.hit_positions(on.tracer.intersect(origin, direction), origin, direction))
+
+
+def landing(on: Subject, seen: Truth, drawn: Moment, composed: Moment) -> Landing:
+    """Draw for one moment, compose for another, and compare with what should be seen in a third."""
     (camera,) = on.compositor.begin_frame(drawn.pose, drawn.viewpoint).values()
     on.source.submit(camera)
-    shown_for = seen if corrected else drawn
-    composed = on.compositor.compose(pose=shown_for.pose, viewpoint=shown_for.viewpoint, with_source=True)
-    image = on.source.read(camera.view)
-    shown = position_of_source(camera.view, with_inverse_depth(image, composed.source()))
-    traced, hidden = _traced(on, seen, camera.view.viewpoint_in_world)
-    eye_in_world = transforms.apply(seen.pose, seen.viewpoint)
-    angle = raster_error(shown, traced, eye_in_world).registration_arcmin
-    near_hidden = cv2.dilate(hidden.astype(np.uint8), np.ones((2 * SILHOUETTE_PX + 1,) * 2, np.uint8)) > 0
-    found = summary(angle[~(near_hidden | near_silhouettes(traced, eye_in_world, SILHOUETTE_PX))])
-    return Landing(found.rms, found.maximum, int(hidden.sum()), found.count)
+    frame = on.compositor.compose(
+        pose=composed.pose,
+        viewpoint=composed.viewpoint,
+        pose_at_last_row=composed.pose_at_last_row,
+        with_source=True,
+    )
+    shown = position_of_source(camera.view, with_inverse_depth(on.source.read(camera.view), frame.source()))
+    hidden = _hidden(on, seen, camera.view.viewpoint_in_world)
+    poses, eye = seen.moment.row_poses(len(shown)), seen.moment.viewpoint
+    shown_in_device, seen_in_device = _in_device(poses, shown), _in_device(poses, seen.position)
+    error = raster_error(shown_in_device, seen_in_device, eye)
+    apart = cv2.dilate(hidden.astype(np.uint8), np.ones((2 * SILHOUETTE_PX + 1,) * 2, np.uint8)) == 0
+    apart &= ~near_silhouettes(seen_in_device, eye, SILHOUETTE_PX)
+    found = summary(error.registration_arcmin[apart])
+    one_sided = int((error.only_one & apart).sum())
+    return Landing(found.rms, found.maximum, found.count, int(hidden.sum()), one_sided)
 
 
-def disoccluded_from(on: Subject, moment: Moment, at_viewpoint: bool) -> int:
-    """Pixels that a picture cannot show right that is drawn from the viewpoint itself, or from where rays come."""
-    (camera,) = on.compositor.begin_frame(moment.pose, moment.viewpoint).values()
-    eye_in_world = transforms.apply(moment.pose, moment.viewpoint)
-    _, hidden = _traced(on, moment, eye_in_world if at_viewpoint else camera.view.viewpoint_in_world)
-    return int(hidden.sum())
+def disoccluded_at_pupil(on: Subject, seen: Truth) -> int:
+    """Pixels that a picture cannot show right which is drawn from the pupil itself."""
+    return int(_hidden(on, seen, transforms.apply(seen.moment.pose, seen.moment.viewpoint)).sum())
 
 
-def _traced(on: Subject, moment: Moment, drawn_from: FloatArray) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """World points that the rays of a moment meet, (height, width, 3), and which of them are hidden from a place."""
-    frame = on.traced.paint(moment.viewpoint, moment.pose, with_geometry=True)
-    assert frame.position is not None
-    hidden = disoccluded(on.tracer, drawn_from, frame.field, moment.pose, frame.position)
-    return frame.position, hidden
+def _hidden(on: Subject, seen: Truth, place_in_world: FloatArray) -> NDArray[np.bool_]:
+    return hidden_from(on.tracer, place_in_world, seen.direction, seen.position)
+
+
+def _in_device(row_poses: FloatArray, position: NDArray[np.floating]) -> FloatArray:
+    """World points (rows, columns, 3) as they lie before the headset when their row lights up."""
+    rotation, translation = row_poses[:, :3, :3], row_poses[:, None, :3, 3]
+    return np.asarray(np.matmul(position - translation, rotation))

@@ -28,6 +28,7 @@ from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.choose_lattice import choose_lattice
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import middle_axes, solve_pixels
 
@@ -148,10 +149,12 @@ def frozen_map_error_arcmin(
 def frozen_map_table(mappings: EyeMappings) -> ReportTable:
     """What both schemes get wrong on a headset whose exact mappings are `mappings`: rms and largest, in arcminutes."""
     rows = [row for scheme in (MESH, IMAGE_MAPS) for row in (_interpolation(mappings, scheme), _swim(mappings, scheme))]
+    rows.append(_followed(mappings))
     columns = ("map", *(f"{what} at {depth:g} m" for depth in DEPTHS_M for what in ("rms", "max")))
     notes = (
         f"Arcminutes at {_PIXELS} pixels. At its own viewpoint: a map for each depth, seen from where it was computed.",
         f"Frozen: the map for infinity at the eye box's centre, seen from {_VIEWPOINTS} other places in the eye box.",
+        "Ours: a field of rays for each of those places, read between its points as the shader reads it.",
     )
     return ReportTable(f"What a map computed once gets wrong: {mappings.name}", columns, rows, notes)
 
@@ -164,16 +167,41 @@ def _interpolation(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
 
 
 def _swim(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
-    box, pixel = mappings.eye_box, _judged_pixels(mappings)
-    viewpoint = box.at(np.random.default_rng(9).uniform(-1, 1, (_VIEWPOINTS, 1, 3)))
-    shown = frozen_map(mappings, scheme, box.centre, middle_axes(mappings))
+    pixel, viewpoint = _judged_pixels(mappings), _other_viewpoints(mappings)[:, None]
+    shown = frozen_map(mappings, scheme, mappings.eye_box.centre, middle_axes(mappings))
     errors = [frozen_map_error_arcmin(mappings, shown, viewpoint, pixel, depth) for depth in DEPTHS_M]
     return [f"{scheme.name}, frozen", *_rms_and_max(errors)]
 
 
+def _followed(mappings: EyeMappings) -> list[Cell]:
+    """What is left where the map follows the eye: the reading between the points of the compositor's lattice."""
+    panel, axes, pixel = mappings.display.panel, middle_axes(mappings), _judged_pixels(mappings)
+    lattice = choose_lattice(mappings, axes, (panel.width_px, panel.height_px)).lattice
+    viewpoints, place = _other_viewpoints(mappings), (pixel - lattice.first_px) / lattice.step_px
+    bends = [bilinear(solve_pixels(mappings, axes, lattice.panel_pixel(), each).bend, place) for each in viewpoints]
+    errors = []
+    for depth in DEPTHS_M:
+        points = [_on_rays(bend, depth, axes, at) for bend, at in zip(bends, viewpoints, strict=True)]
+        errors.append(misalignment_arcmin(mappings, viewpoints[:, None], pixel, np.stack(points)))
+    return [f"ours, {lattice.columns} x {lattice.rows} points, for every viewpoint", *_rms_and_max(errors)]
+
+
+def _on_rays(bend: FloatArray, depth_m: float, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Where rays (n, 4) of a viewpoint pass a depth, (n, 3) in the device frame."""
+    depth = min(depth_m, _FAR_M)
+    xy = bend[:, :2] * depth + bend[:, 2:]
+    in_camera = np.concatenate([xy, np.full((len(bend), 1), -depth)], axis=-1)
+    return transforms.apply(transforms.rigid(device_from_camera, viewpoint), in_camera)
+
+
+def _other_viewpoints(mappings: EyeMappings) -> FloatArray:
+    """(n, 3) all over the eye box."""
+    return mappings.eye_box.at(np.random.default_rng(9).uniform(-1, 1, (_VIEWPOINTS, 3)))
+
+
 def _judged_pixels(mappings: EyeMappings) -> FloatArray:
-    """Pseudo-random, so that they do not fall into step with any map's points; half a pixel from the panel's edges."""
-    return np.random.default_rng(8).uniform(0.5, mappings.display.panel.size_px - 0.5, (_PIXELS, 2))
+    """Centres of pseudo-random pixels, which do not fall into step with any map's points."""
+    return np.floor(np.random.default_rng(8).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
 
 
 def _rms_and_max(errors: list[FloatArray]) -> list[Cell]:

@@ -35,6 +35,7 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
         lambda _: raw(),
         lambda _: renderer.tracer.intersect(origin, direction),
         lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE),
+        rounds=work.rounds,
     )
     rays = len(direction) / 1e3
     return [
@@ -55,7 +56,7 @@ def raster_rows(work: Workload, backend: str) -> list[list[Cell]]:
     painter = WarpedPainter(work.mappings, rasteriser)
     name = f"whole raster frame ({rasteriser.backend})"
     if rasteriser.backend != "egl":
-        (frame_ms,) = alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE))
+        (frame_ms,) = alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE), rounds=work.rounds)
         return [[name, in_ms(frame_ms), None, None, "needs EGL for its baseline"]]
     panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
     drawn_from = painter.view(centre, HEAD_POSE)
@@ -64,7 +65,9 @@ def raster_rows(work: Workload, backend: str) -> list[list[Cell]]:
     assert fixed is not None
     source_uv = np.nan_to_num(fixed[..., :2] / [drawn_from.camera.width_px, drawn_from.camera.height_px])
     bare = bare_gl_frame(_in_world(work.scene), view, source_uv.astype(np.float32))
-    bare_ms, frame_ms = alternately(lambda _: bare(), lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE))
+    bare_ms, frame_ms = alternately(
+        lambda _: bare(), lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE), rounds=work.rounds
+    )
     return [[name, in_ms(frame_ms), in_ms(bare_ms), frame_ms / bare_ms, "<= 2.5"]]
 
 
@@ -86,7 +89,7 @@ def _in_world(scene: Scene) -> Mesh:
 def map_rows(work: Workload) -> list[list[Cell]]:
     """The map for a new viewpoint: its time and its error."""
     plan = choose_plan(work.mappings)
-    (map_ms,) = alternately(lambda turn: ray_field(work.mappings, work.viewpoints[turn], plan))
+    (map_ms,) = alternately(lambda turn: ray_field(work.mappings, work.viewpoints[turn], plan), rounds=work.rounds)
     error = map_error_px(work.mappings, work.viewpoints[1])
     nodes = plan.node_pixel.shape[0]
     return [

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from wlr_render.evaluation.report import Cell, ReportTable
-from wlr_render.studies.speed.timing import ROUNDS, Exponent, alternately, exponent, in_ms
+from wlr_render.studies.speed.timing import ROUNDS, Estimate, Run, alternately, exponent, in_ms
 
 
 @dataclass(frozen=True)
@@ -22,14 +22,14 @@ class Scaling:
     unit: str
     sizes: tuple[float, ...]
     milliseconds: tuple[float, ...]
-    growth: Exponent
+    growth: Estimate
 
 
 def time_over(
     job: str,
     unit: str,
     sizes: Sequence[int],
-    prepare: Callable[[int], Callable[[int], object]],
+    prepare: Callable[[int], Run],
     rounds: int = ROUNDS,
 ) -> Scaling:
     """Time a job over sizes; all sizes take turns, so that a machine that becomes busy does not bend the line.

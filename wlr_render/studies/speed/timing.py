@@ -1,4 +1,4 @@
-"""Times of runs that stand beside each other, and how a time grows with a size."""
+"""Times of runs that stand beside each other, their ratio, and how a time grows with a size."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -6,15 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render.evaluation.report import cell_text
+from wlr_render.mappings import FloatArray
+
 ROUNDS = 15
 """Rounds that count; one more warms up."""
+GPU_ROUNDS = 150
+"""The same where a frame takes a millisecond."""
+
+Run = Callable[[int], object]
+"""Something to time; it is given the number of the round, from 0."""
+
+# Standard deviations of a normal distribution from its median absolute deviation, and of a median from its samples'.
+_SIGMA_OF_MAD, _OF_MEDIAN = 1.4826, 1.2533
 
 
-def alternately(*runs: Callable[[int], object], rounds: int = ROUNDS) -> list[float]:
-    """Median milliseconds of each run.
+def times_ms(*runs: Run, rounds: int = ROUNDS) -> FloatArray:
+    """(rounds, runs) milliseconds.
 
-    The runs take turns, so that a busy machine slows all alike; each is given the number of the round, from 0, and the
-    first round is dropped.
+    The runs take turns, so that a busy machine slows all alike; the first round is dropped.
     """
     times = np.empty((rounds + 1, len(runs)))
     for turn in range(rounds + 1):
@@ -22,21 +32,26 @@ def alternately(*runs: Callable[[int], object], rounds: int = ROUNDS) -> list[fl
             start = time.perf_counter()
             each(turn)
             times[turn, number] = time.perf_counter() - start
-    return [float(x) for x in np.median(times[1:], axis=0) * 1e3]
+    return times[1:] * 1e3
+
+
+def alternately(*runs: Run, rounds: int = ROUNDS) -> list[float]:
+    """Median milliseconds of each run, as `times_ms`."""
+    return [float(x) for x in np.median(times_ms(*runs, rounds=rounds), axis=0)]
 
 
 def in_ms(milliseconds: float) -> str:
     """As tables write it."""
-    return f"{milliseconds:.1f} ms"
+    return f"{cell_text(float(milliseconds))} ms"
 
 
 @dataclass(frozen=True)
-class Exponent:
-    """The p of time ~ size^p.
+class Estimate:
+    """A figure taken from times.
 
     Attributes:
-        value: slope of the line through log time over log size.
-        standard_error: of the slope, from the scatter about that line.
+        value: the figure.
+        standard_error: of it, from the scatter of what it was taken from.
     """
 
     value: float
@@ -46,8 +61,20 @@ class Exponent:
         return f"{self.value:.2f} +- {self.standard_error:.2f}"
 
 
-def exponent(sizes: Sequence[float], times: Sequence[float]) -> Exponent:
-    """Least-squares slope of log time over log size.
+def ratio(first_ms: FloatArray, second_ms: FloatArray) -> Estimate:
+    """How many times longer the first takes, from times (rounds,) of both: the median of the rounds' ratios.
+
+    The standard error is that of a median of normally distributed ratios whose spread is their median absolute
+    deviation's, so that a single interrupted round does not count.
+    """
+    ratios = np.asarray(first_ms, np.float64) / second_ms
+    middle = float(np.median(ratios))
+    spread = _SIGMA_OF_MAD * float(np.median(np.abs(ratios - middle)))
+    return Estimate(middle, _OF_MEDIAN * spread / float(np.sqrt(ratios.size)))
+
+
+def exponent(sizes: Sequence[float], times: Sequence[float]) -> Estimate:
+    """The p of time ~ size^p: least-squares slope of log time over log size, its error from the scatter about the line.
 
     A cost that does not grow with the size, such as that of a call, bends the line and makes the slope too small; the
     standard error knows of scatter only.
@@ -66,4 +93,4 @@ def exponent(sizes: Sequence[float], times: Sequence[float]) -> Exponent:
         raise ValueError("all sizes are the same: there is no slope.")
     slope = float(x @ y) / spread
     residual = y - slope * x
-    return Exponent(slope, float(np.sqrt(residual @ residual / (x.size - 2) / spread)))
+    return Estimate(slope, float(np.sqrt(residual @ residual / (x.size - 2) / spread)))
