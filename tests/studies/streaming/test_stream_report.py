@@ -68,12 +68,12 @@ def test_dropped_convergence_is_named_only_where_there_is_any():
     _, found = table(stream_of(["TRACKED"] * 8, failed={2: 5, 6: 70}), "did not converge")
     assert found.rows == [["0.060 s", "right", 70], ["0.020 s", "right", 5]]
     assert not any("did not converge" in each.title for each in report.tables_of(stream_of(["TRACKED"] * 8)))
-    rest, _ = table(stream_of(["TRACKED"] * 8, failed={2: 5, 6: 70}), "In 8 maps")
+    rest, _ = table(stream_of(["TRACKED"] * 8, failed={2: 5, 6: 70}), "8 maps")
     assert rest["maps with points that did not converge"]["value"] == 2
 
 
 def test_memory_is_compared_over_the_run():
-    rows, _ = table(stream_of(["TRACKED"] * 40, resident_mb=[50.0] * 4 + [100.0 + k for k in range(36)]), "maps")
+    rows, _ = table(stream_of(["TRACKED"] * 40, resident_mb=[50.0] * 4 + [100.0 + k for k in range(36)]), "40 maps")
     assert rows["memory in the second tenth of the frames (MB)"]["value"] == "101.5"
     assert rows["memory in the last tenth (MB)"]["value"] == "133.5"
 

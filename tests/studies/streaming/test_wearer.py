@@ -81,6 +81,17 @@ def test_a_late_pose_is_the_heads_own_at_that_time(tmp_path):
         np.testing.assert_allclose(moment.at_scan_out[0, 3], 0.01 * k + 0.002, atol=1e-12)
 
 
+def test_in_a_gap_the_heads_last_pose_is_kept_and_left_at_once(tmp_path):
+    rows = [(0.1 * k, 0.1 * k) for k in range(21) if not 10 < k < 15]
+    moments = Wearer(head=head_file(tmp_path, *rows)).moments({"right": BOX}, 40, 20.0, late_s=0.02)
+    for moment in moments:
+        gone = 1.001 < moment.time_s < 1.499
+        assert moment.head_lost == gone
+        np.testing.assert_allclose(moment.world_from_device[0, 3], 1.0 if gone else moment.time_s, atol=1e-9)
+    assert moments[21].at_scan_out[0, 3] == pytest.approx(1.0)
+    assert moments[31].at_scan_out[0, 3] == pytest.approx(1.57)
+
+
 def test_the_frames_begin_where_all_tracks_do_and_fill_them_to_the_last_row(tmp_path):
     head = head_file(tmp_path, (0.03, 0.0), (10, 1.0))
     eyes = recorded(tmp_path / "eyes.txt", fixations([0, 0, 0], [1, 0, 0])).eyes

@@ -32,8 +32,8 @@ def draw_stream(path: Path, stream: Stream) -> Path:
         _draw_viewpoint(row, time_s, stream.moments(eye))
         row.set_ylabel(f"{eye} pupil\nmoved (mm)")
     _draw_times(times, time_s, stream)
-    memory.plot(time_s, costs(stream.frames, "resident_mb"), color="#555555", linewidth=1.0)
-    memory.set(xlabel="time (s)", ylabel="memory (MB)", xlim=(time_s[0], time_s[-1]), ylim=(0, None))
+    _draw_memory(memory, time_s, stream)
+    memory.set(xlabel="time (s)", xlim=(time_s[0], time_s[-1]))
     for row in (*eye_rows, times, memory):
         row.spines[["top", "right"]].set_visible(False)
         if row.get_legend_handles_labels()[0]:
@@ -75,4 +75,13 @@ def _draw_times(row: "Axes", time_s: FloatArray, stream: Stream) -> None:
     for percent, style in ((50, "-"), (95, "--"), (99, ":")):
         value = float(np.percentile(total, percent))
         row.axhline(value, color="#c0392b", linestyle=style, linewidth=1.0, label=f"{percent} %: {value:.3g} ms")
+    row.plot(time_s[1:], costs(timed, "cpu_ms"), "k", linewidth=0.6, label="processor time, all threads")
     row.set(ylabel="frame time (ms)", ylim=(0, 1.05 * float(total.max())))
+
+
+def _draw_memory(row: "Axes", time_s: FloatArray, stream: Stream) -> None:
+    resident = costs(stream.frames, "resident_mb")
+    early, late = stream.resident_mb()
+    told = f"second tenth: {early:.1f} MB\nlast tenth: {late:.1f} MB"
+    row.plot(time_s, resident, color="#555555", linewidth=1.2, label=told)
+    row.set(ylabel="memory (MB)", ylim=(0, 1.3 * float(resident.max())))

@@ -45,12 +45,14 @@ class Moment:
         world_from_device: (4, 4) head pose when the frame begins.
         at_scan_out: (4, 4) head pose when the panels light up.
         eyes: by name.
+        head_lost: whether the head's tracker has nothing, and the poses are its last one.
     """
 
     time_s: float
     world_from_device: FloatArray
     at_scan_out: FloatArray
     eyes: Mapping[str, EyeMoment]
+    head_lost: bool = False
 
     @property
     def viewpoints(self) -> dict[str, FloatArray]:

@@ -154,9 +154,11 @@ def _dropped(stream: Stream) -> ReportTable:
 def _rest(stream: Stream) -> ReportTable:
     early, late = stream.resident_mb()
     brought_back = sum(moment.brought_back for eye in stream.eyes for moment in stream.moments(eye))
+    head_lost = sum(frame.moment.head_lost for frame in stream.frames)
     at_rest = sum(moment.moved_mm == 0 for eye in stream.eyes for moment in stream.moments(eye)[1:])
     outside = sum("outside fit" in counts for frame in stream.frames for counts in frame.unsolved.values())
     rows: list[list[Cell]] = [
+        ["frames with the head's last pose, because its tracker had none", head_lost],
         ["maps kept, because the viewpoint was that of the frame before", at_rest],
         ["maps with points that did not converge", len(stream.dropped())],
         ["maps with points outside what the model was fitted on", outside],
@@ -164,7 +166,9 @@ def _rest(stream: Stream) -> ReportTable:
         ["memory in the second tenth of the frames (MB)", f"{early:.1f}"],
         ["memory in the last tenth (MB)", f"{late:.1f}"],
     ]
-    return ReportTable(f"In {len(stream.frames) * len(stream.eyes)} maps", ("what", "value"), rows)
+    return ReportTable(
+        f"In {len(stream.frames)} frames, {len(stream.frames) * len(stream.eyes)} maps", ("what", "value"), rows
+    )
 
 
 def _frames_csv(stream: Stream) -> str:

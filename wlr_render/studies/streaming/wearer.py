@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.compositing.checks import nearest_in_reach
 from wlr_render.errors import BadInputError
@@ -18,7 +19,7 @@ from wlr_render.tracking.trajectory import EYES, EyeTrajectory, HeadTrajectory
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 
 GAP = 2.5
-"""Rows of an eye's track that are so many times farther apart in time than usual have a gap between them."""
+"""Rows of a track that are so many times farther apart in time than usual have a gap between them."""
 
 JITTER_M = 20e-6
 """Standard deviation, per axis, of a made-up tracker's samples: ours. Real ones never say the same twice, so that every
@@ -35,7 +36,7 @@ class Wearer:
 
     Attributes:
         head: trajectory file (TUM or EuRoC); None for a made-up head.
-        eyes: eye trajectory file; None for made-up eyes with saccades, and a tracker that jitters, blinks and drops out.
+        eyes: eye trajectory file; None for made-up eyes that jump, and a tracker that jitters, blinks and drops out.
         seed: of what is made up.
     """
 
@@ -70,9 +71,10 @@ class Wearer:
             )
         time_s = np.minimum(time_s, end - late_s)
         followed = {eye: _followed(self._samples(eyes, eye, time_s), time_s, box) for eye, box in boxes.items()}
-        begun, lit = head.at(time_s), head.at(np.minimum(time_s + late_s, end))
+        begun, lit = (_newest_pose(head, at_s) for at_s in (time_s, np.minimum(time_s + late_s, end)))
+        lost = in_gap(head.time_s, time_s)
         return [
-            Moment(float(t), begun[k], lit[k], {eye: track[k] for eye, track in followed.items()})
+            Moment(float(t), begun[k], lit[k], {eye: track[k] for eye, track in followed.items()}, bool(lost[k]))
             for k, t in enumerate(time_s)
         ]
 
@@ -107,12 +109,18 @@ class Wearer:
         return " and ".join(str(path) for path in (self.head, self.eyes) if path)
 
 
-def in_gap(row_s: FloatArray, time_s: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def in_gap(row_s: FloatArray, time_s: FloatArray) -> NDArray[np.bool_]:
     """Moments (n,) strictly between rows (m,) that are farther apart than a tracker's own interval explains, (n,)."""
     step_s = np.diff(row_s)
     before = np.clip(np.searchsorted(row_s, time_s, side="right") - 1, 0, len(step_s) - 1)
     on_a_row = (time_s == row_s[before]) | (time_s == row_s[before + 1])
     return np.asarray((step_s[before] > GAP * np.median(step_s)) & ~on_a_row)
+
+
+def _newest_pose(head: HeadTrajectory, time_s: FloatArray) -> FloatArray:
+    """(n, 4, 4): interpolated between rows, but in a gap the last row's, as who draws knows no later one."""
+    last_s = head.time_s[np.searchsorted(head.time_s, time_s, side="right") - 1]
+    return head.at(np.where(in_gap(head.time_s, time_s), last_s, time_s))
 
 
 def _followed(samples: Samples, time_s: FloatArray, box: EyeBox) -> list[EyeMoment]:
