@@ -33,6 +33,12 @@ def test_the_place_where_the_map_shrinks_most_counts_and_holes_do_not():
     assert largest_shrink(bend, lattice, CAMERA, (100, 80)) == pytest.approx(1.8, 1e-3)
 
 
+def test_where_no_ray_is_known_nothing_shrinks():
+    lattice = Lattice.of_pixels(PANEL)
+    assert largest_shrink(np.full((4, 80, 100), np.nan, np.float32), lattice, CAMERA, (100, 80)) == 0.0
+    assert taps_for(0.0) == 1
+
+
 def test_taps_leave_no_gap_between_samples():
     shrink = np.linspace(0.1, MAX_TAPS * SPACING_PX, 200)
     taps = np.array([taps_for(x) for x in shrink])

@@ -10,7 +10,7 @@ import numpy as np
 
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.compositing.steady_fields import SteadyFields
-from wlr_render.compositing.targets import draw_buffers_kept, targets_of
+from wlr_render.compositing.targets import CallersFramebuffers
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, FloatArray, PlanarDisplay, PlanarSeeThrough, count_unsolved
@@ -57,8 +57,16 @@ class GlComposed:
 class GlEye:
     """One eye on the GPU."""
 
-    def __init__(self, context: gl.GlContext, plan: EyePlan, solve: str, background: tuple[int, int, int]) -> None:
-        self._context, self._plan, self._background = context, plan, background
+    def __init__(
+        self,
+        context: gl.GlContext,
+        framebuffers: CallersFramebuffers,
+        plan: EyePlan,
+        solve: str,
+        background: tuple[int, int, int],
+    ) -> None:
+        self._context, self._framebuffers = context, framebuffers
+        self._plan, self._background = plan, background
         self._fields = SteadyFields([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
         self._warp = GlWarp(context, len(plan.channels))
         self._import = PictureImport(context)
@@ -93,7 +101,7 @@ class GlEye:
         fields = self._fields.at(viewpoint)
         drawn = (self._picture, fields, image_from_field)
         if target is not None:
-            with draw_buffers_kept(self._context, target.framebuffer):
+            with self._framebuffers.draw_buffers_kept(target.framebuffer):
                 self._warp.draw_into(target, *drawn, self._background, self._plan.taps)
             return GlComposed(None, fields)
         warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.taps, with_source)
@@ -116,8 +124,9 @@ class GlBackend:
         """
         self.context = _context(context)
         self.name = self.context.renderer
+        self._framebuffers = CallersFramebuffers(self.context)
         try:
-            self.eyes = {plan.eye: GlEye(self.context, plan, solve, background) for plan in plans}
+            self.eyes = {plan.eye: GlEye(self.context, self._framebuffers, plan, solve, background) for plan in plans}
         except BaseException:
             self.release()
             raise
@@ -128,7 +137,7 @@ class GlBackend:
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
         """See `Backend`."""
-        return {} if into is None else targets_of(self.context, into, eyes, size_px)
+        return {} if into is None else self._framebuffers.targets(into, eyes, size_px)
 
     def finish(self) -> None:
         """See `Backend`."""

@@ -16,7 +16,8 @@ MAX_TAPS = 4
 def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_px: tuple[int, int]) -> float:
     """Image pixels that one pixel of the display picture covers, in the direction and at the place where it is most.
 
-    The largest singular value of the map's derivative for points at infinity, by differences between lattice points.
+    The largest singular value of the map's derivative for points at infinity, by differences between lattice points; 0
+    if no ray is known.
 
     Args:
         bend: (4, rows, columns) in the image's camera frame, at the points of `lattice`; at least 2 x 2.
@@ -31,7 +32,7 @@ def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_p
     squares = (across**2 + down**2).sum(axis=-1)
     area = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
     largest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0)))
-    return float(np.sqrt(np.nanmax(largest_squared)))
+    return float(np.sqrt(np.max(largest_squared, initial=0.0, where=np.isfinite(largest_squared))))
 
 
 def taps_for(shrink: float) -> int:
