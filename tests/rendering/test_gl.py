@@ -84,3 +84,25 @@ def test_osmesa_draws_what_egl_draws(gl_context, tmp_path):
     egl = raster.GlRaster(gl_context, scene).draw(gl_scenes.view())
     assert np.abs(egl.colour.astype(int) - osmesa["colour"]).max() <= 1
     np.testing.assert_allclose(egl.inverse_depth, osmesa["inverse_depth"], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("told", "first"), [("osmesa", "osmesa"), ("egl", "egl"), (None, "egl")])
+def test_auto_opens_first_what_pyopengl_was_told(monkeypatch, told, first):
+    tried = []
+
+    def refusing(name):
+        def refuse():
+            tried.append(name)
+            raise OSError("not here")
+
+        return refuse
+
+    monkeypatch.setattr(gl, "_OPENERS", {name: refusing(name) for name in ("egl", "osmesa")})
+    if told is None:
+        monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+    else:
+        monkeypatch.setenv("PYOPENGL_PLATFORM", told)
+    with pytest.raises(MissingGlError):
+        gl.open_context()
+    assert sorted(tried) == ["egl", "osmesa"]
+    assert tried[0] == first

@@ -6,6 +6,7 @@ is turned over; so reading and writing textures here turns nothing.
 
 import contextlib
 import ctypes
+import os
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
@@ -274,13 +275,14 @@ def open_context(backend: str = "auto") -> GlContext:
     Do not fork the process afterwards: drivers hang. Spawned workers open their own.
 
     Args:
-        backend: "egl" (a GPU or Mesa's llvmpipe), "osmesa" (software), or "auto" for the first that opens.
+        backend: "egl" (a GPU or Mesa's llvmpipe), "osmesa" (software), or "auto" for the first that opens,
+            beginning with what PYOPENGL_PLATFORM names.
 
     Raises:
         MissingGlError: none opens; the sentence says what to install.
     """
     reasons = []
-    for name in _OPENERS if backend == "auto" else (backend,):
+    for name in _in_order() if backend == "auto" else (backend,):
         try:
             ctx = _OPENERS[name]()
             return GlContext(ctx, CurrentContext((name,)), Own(ctx))
@@ -347,6 +349,11 @@ def _default_context_kept() -> Iterator[None]:
 
 def _open(**settings: Any) -> moderngl.Context:
     return moderngl.create_context(standalone=True, require=_VERSION_CODE, **settings)
+
+
+def _in_order() -> list[str]:
+    """Names of what may be opened; first what PyOpenGL has been told, because two platforms in a process disturb it."""
+    return sorted(_OPENERS, key=lambda name: name != os.environ.get("PYOPENGL_PLATFORM"))
 
 
 _OPENERS: dict[str, Callable[[], moderngl.Context]] = {
