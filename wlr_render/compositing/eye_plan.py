@@ -2,21 +2,16 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from wlr_render.compositing.checks import Channels
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import FloatArray
 from wlr_render.rendering.choose_lattice import ChosenLattice, choose_lattice
 from wlr_render.rendering.covering import covering_camera
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.map_shrink import largest_shrink, taps_for
+from wlr_render.rendering.map_shrink import shrink_over_eye_box, taps_for
 from wlr_render.rendering.raster_eye import RasterEye
-from wlr_render.rendering.ray_field import middle_axes, solve_pixels
+from wlr_render.rendering.ray_field import middle_axes
 from wlr_render.rendering.view import View
-
-_SHRINK_POINTS = 33
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +53,10 @@ class EyePlan:
         camera = covering_camera(channels, axes, resolution, size_px, late_margin)
         chosen = [choose_lattice(mappings, axes, size_px) for mappings in channels]
         finest = min(chosen, key=lambda each: float(each.cell_px.min()))
-        taps = taps_for(_largest_shrink(middle, axes, camera, size_px))
+        taps = taps_for(shrink_over_eye_box(middle, axes, camera, size_px))
         return cls(middle.eye, channels, size_px, axes, camera, RasterEye(middle, axes), finest, taps)
 
     def eye_camera(self, viewpoint: FloatArray, world_from_device: FloatArray) -> EyeCamera:
         """From where to draw for a viewpoint (3,) and a head pose (4, 4)."""
         place = self.raster_eye.at(viewpoint)
         return EyeCamera(self.eye, View(self.camera, place, world_from_device, self.device_from_camera))
-
-
-def _largest_shrink(
-    mappings: EyeMappings, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
-) -> float:
-    """At the centre of the eye box and at its nearest and farthest corners."""
-    lattice = Lattice.edge_to_edge(mappings.display.panel, _SHRINK_POINTS, _SHRINK_POINTS)
-    box, pixel = mappings.eye_box, lattice.panel_pixel()
-    bends = [
-        solve_pixels(mappings, device_from_camera, pixel, box.at(unit)).bend
-        for unit in np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1]])
-    ]
-    shrinks = [largest_shrink(np.moveaxis(bend, -1, 0).astype(np.float32), lattice, camera, size_px) for bend in bends]
-    return max(shrinks)

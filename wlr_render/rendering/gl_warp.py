@@ -143,6 +143,7 @@ class GlWarp:
         bend: NDArray[np.float32],
         image_from_field: FloatArray | None = None,
         background: tuple[int, int, int] = (0, 0, 0),
+        taps: int = 1,
         with_source: bool = False,
     ) -> WarpedImage:
         """As `draw` along rays (4, height, width) of each display pixel, in the image's own frame if None; fetched."""
@@ -155,7 +156,7 @@ class GlWarp:
         field = GpuField(self._context, np.zeros(3), np.eye(3), lattice, texture)
         fields = [field] * self._channels
         moved = np.eye(4) if image_from_field is None else image_from_field
-        return self.draw(image, fields, moved, (width, height), background, with_source=with_source).read()
+        return self.draw(image, fields, moved, (width, height), background, taps, with_source).read()
 
     def _draw(
         self,

@@ -5,12 +5,15 @@ import math
 import numpy as np
 
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.ray_field import solve_pixels
 from wlr_render.rendering.scene import Float32Array
 
 SPACING_PX = 1.25
 """Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""
 MAX_TAPS = 4
+_POINTS = 33
 
 
 def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_px: tuple[int, int]) -> float:
@@ -33,6 +36,26 @@ def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_p
     area = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
     largest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0)))
     return float(np.sqrt(np.max(largest_squared, initial=0.0, where=np.isfinite(largest_squared))))
+
+
+def shrink_over_eye_box(
+    mappings: EyeMappings, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
+) -> float:
+    """`largest_shrink` of an eye's field at the centre of the eye box and at its nearest and farthest corners.
+
+    Args:
+        mappings: any pair.
+        device_from_camera: (3, 3) axes of the camera.
+        camera: of the image.
+        size_px: (width, height) of the display picture.
+    """
+    lattice = Lattice.edge_to_edge(mappings.display.panel, _POINTS, _POINTS)
+    box, pixel = mappings.eye_box, lattice.panel_pixel()
+    bends = [
+        solve_pixels(mappings, device_from_camera, pixel, box.at(unit)).bend
+        for unit in np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1]])
+    ]
+    return max(largest_shrink(np.moveaxis(bend, -1, 0).astype(np.float32), lattice, camera, size_px) for bend in bends)
 
 
 def taps_for(shrink: float) -> int:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings, FloatArray
 from wlr_render.rendering.covering import covering_camera
+from wlr_render.rendering.map_shrink import shrink_over_eye_box, taps_for
 from wlr_render.rendering.raster_eye import RasterEye
 from wlr_render.rendering.rasteriser import Rasteriser
 from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, middle_axes, ray_field
@@ -156,6 +157,9 @@ class WarpedPainter:
         self._device_from_camera = middle_axes(middle)
         self._camera = covering_camera(colours, self._device_from_camera, resolution)
         self._raster_eye = None if at_viewpoint else RasterEye(middle, self._device_from_camera)
+        panel = middle.display.panel
+        size_px = panel.width_px, panel.height_px
+        self._taps = taps_for(shrink_over_eye_box(middle, self._device_from_camera, self._camera, size_px))
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
@@ -172,7 +176,7 @@ class WarpedPainter:
         """See `Painter`."""
         field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
         view = self.view(viewpoint, world_from_device)
-        warped = self._rasteriser.draw_warped(view, field, with_geometry)
+        warped = self._rasteriser.draw_warped(view, field, self._taps, with_geometry)
         frame = Frame(warped.image.colour, field, warped.image.status)
         if warped.intermediate is None or warped.image.source is None:
             return frame

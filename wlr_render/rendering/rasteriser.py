@@ -39,10 +39,11 @@ class Rasteriser(Protocol):
     def draw(self, view: View) -> GeometryImage:
         """Draw `view` and fetch colour and inverse depth."""
 
-    def draw_warped(self, view: View, field: RayField, with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
         """Draw `view` and warp it along the bent rays of a field, whose viewpoint need not be that of the view.
 
-        `with_geometry` also gives the pull map and the intermediate image.
+        `taps` samples per pixel along each axis, see `map_shrink.taps_for`; `with_geometry` also gives the pull map and
+        the intermediate image.
         """
 
 
@@ -92,10 +93,10 @@ class _GlRasteriser:
     def draw(self, view: View) -> GeometryImage:
         return self._draw_on_gpu(view).read()
 
-    def draw_warped(self, view: View, field: RayField, with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
         image = self._draw_on_gpu(view)
         moved = _image_from_field(view, field)
-        warped = self._warp.warp(image, field.bend, moved, self._background, with_source=with_geometry)
+        warped = self._warp.warp(image, field.bend, moved, self._background, taps, with_source=with_geometry)
         return Warped(warped, image.read() if with_geometry else None)
 
 
@@ -111,11 +112,12 @@ class _CpuRasteriser:
     def draw(self, view: View) -> GeometryImage:
         return self._raster.draw(view)
 
-    def draw_warped(self, view: View, field: RayField, with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
         from wlr_render.rendering.cpu_warp import warp_on_cpu
 
         image = self._raster.draw(view)
-        warped = warp_on_cpu(image, view.camera, [field.bend], _image_from_field(view, field), self._background)
+        moved = _image_from_field(view, field)
+        warped = warp_on_cpu(image, view.camera, [field.bend], moved, self._background, taps)
         return Warped(warped, image if with_geometry else None)
 
 
