@@ -1,0 +1,204 @@
+"""The order of a frame's calls, faulty poses and viewpoints, and many frames."""
+
+import gc
+import tracemalloc
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
+from gl_caller import Caller
+from gl_scenes import at
+
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.errors import BadInputError
+
+
+@pytest.fixture
+def pair(flat_image_headset):
+    return {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
+
+
+def scaled(pose, factor):
+    return pose @ np.diag([factor] * 3 + [1.0])
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_calls_out_of_order_are_told_in_a_sentence(compositor, pair, context):
+    made = compositor(pair, context=context)
+    source, seen = SceneSource(made, scene()), dict.fromkeys(pair, pair["left"].eye_box.centre)
+    expected = None
+    for call, words in ((made.submit, "call begin_frame"), (made.compose, "call begin_frame")):
+        with pytest.raises(BadInputError, match=words):
+            call(None) if call == made.submit else call()
+    for _ in range(2):
+        cameras = made.begin_frame(HEAD, seen)
+        with pytest.raises(BadInputError, match="left eye has not been submitted"):
+            made.compose()
+        source.submit(cameras["left"])
+        with pytest.raises(BadInputError, match="left eye was submitted already"):
+            source.submit(cameras["left"])
+        with pytest.raises(BadInputError, match="right eye has not been submitted"):
+            made.compose()
+        for eye in (None, "middle"):
+            with pytest.raises(BadInputError, match="name one of left, right"):
+                made.submit(None, eye=eye)
+        source.submit(cameras["right"])
+        frame = made.compose()
+        with pytest.raises(BadInputError, match="name one of left, right"):
+            frame.read()
+        pictures = [frame.read(eye) for eye in pair]
+        expected = expected or pictures
+        np.testing.assert_array_equal(pictures, expected)
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_faulty_poses_and_viewpoints_leave_the_frame_as_it_was(compositor, flat_image_headset, context):
+    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+    draw(made, SceneSource(made, scene()), HEAD, seen)
+    expected = made.compose().read()
+    away, unfinite = seen + [0.0, 0.02, 0.0], np.where(np.eye(4) > 0, np.nan, HEAD)
+    poses = (unfinite, np.full((4, 4), np.inf), scaled(HEAD, 1.01), scaled(HEAD, -1.0), HEAD.T, HEAD[:3], HEAD[None])
+    viewpoints = (away, seen * np.nan, seen[:2], {"left": seen}, np.stack([seen, seen]))
+    for fault in (
+        *(lambda pose=pose: made.begin_frame(pose, seen) for pose in poses),
+        *(lambda pose=pose: made.compose(pose=pose) for pose in poses),
+        *(lambda pose=pose: made.compose(pose_at_last_row=pose) for pose in poses),
+        *(lambda given=given: made.begin_frame(HEAD, given) for given in viewpoints),
+        *(lambda given=given: made.compose(viewpoint=given) for given in viewpoints),
+        lambda: made.within_reach("left", seen),
+        lambda: made.plan("left"),
+    ):
+        with pytest.raises(BadInputError) as told:
+            fault()
+        assert str(told.value).count("\n") == 0
+        np.testing.assert_array_equal(made.compose().read(), expected)
+    reached = made.within_reach("right", away)
+    assert made.compose(viewpoint=reached).read().any()
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
+    seen = viewpoint(flat_image_headset)
+    made = compositor(flat_image_headset, context=context)
+    with made:
+        draw(made, SceneSource(made, scene()), HEAD, seen)
+        made.compose()
+    made.release()
+    for call in (
+        lambda: made.begin_frame(HEAD, seen),
+        lambda: made.submit(np.zeros(3)),
+        made.compose,
+        made.forget,
+        made.finish,
+    ):
+        with pytest.raises(BadInputError, match="has been released; make another one"):
+            call()
+    assert made.renderer
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_choices_that_are_none_are_told_in_a_sentence(compositor, flat_image_headset, context):
+    compositor(flat_image_headset, context=context)
+    for options, words in (
+        ({"size": (0, 60)}, "size"),
+        ({"size": (72, 60.5)}, "size"),
+        ({"solve": "pixels"}, "planar models"),
+        ({"solve": "exact"}, "choose from auto, pixels, nodes"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": np.nan}, "resolution"),
+        ({"late_margin_deg": -1.0}, "late_margin_deg"),
+        ({"background": (0, 0, 300)}, "background"),
+        ({"models": {"left": flat_image_headset}}, "model of the right eye"),
+        ({"context": "vulkan"}, "choose from auto, egl, osmesa, cpu, current"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            Compositor(**{"models": flat_image_headset, "size": SMALL, "context": context} | options)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (300, 5)])
+@pytest.mark.parametrize("context", ["cpu", pytest.param("egl", marks=pytest.mark.gl)])
+def test_pictures_of_any_size_and_shape(compositor, flat_image_headset, context, size):
+    made, seen = compositor(flat_image_headset, size, context=context), viewpoint(flat_image_headset)
+    draw(made, SceneSource(made, scene()), HEAD, seen)
+    composed = made.compose(pose_at_last_row=HEAD).read()
+    assert composed.shape == (size[1], size[0], 3)
+    assert composed.any(axis=-1).all()
+
+
+def moved(frame):
+    """A head that shakes and a pupil that wanders, and returns every 20 frames."""
+    phase = 2 * np.pi * frame / 20
+    return HEAD @ at(0.003 * np.sin(phase), 0.002 * np.cos(phase), 0), (0.7 * np.sin(phase), 0.6 * np.cos(phase), 0)
+
+
+def grown_bytes(run, first, middle, last):
+    """By how much Python's memory grows from a middle frame to the last; numpy fills its stores before."""
+    tracemalloc.start()
+    run(range(first, middle))
+    gc.collect()
+    before, _ = tracemalloc.get_traced_memory()
+    run(range(middle, last))
+    gc.collect()
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return after - before
+
+
+@pytest.mark.gl
+def test_three_hundred_frames_leave_nothing_behind(compositor, gl_context):
+    if gl_context.backend != "egl":
+        pytest.skip("EGL does not open here, so that there is no other context to adopt.")
+    headset, caller = planar(), Caller()
+    made = compositor(headset, context=caller.ctx)
+    source, screen = SceneSource(made, scene()), caller.ctx.simple_framebuffer(SMALL)
+    image = source.read(made.begin_frame(HEAD, viewpoint(headset))["right"].view)
+
+    def run(frames):
+        for frame in frames:
+            pose, unit = moved(frame)
+            (camera,) = made.begin_frame(pose, viewpoint(headset, *unit)).values()
+            with pytest.raises(BadInputError):
+                made.submit(image.colour)
+            if frame % 2:
+                source.submit(camera)
+            else:
+                made.submit(image.colour, image.inverse_depth)
+            late, last = moved(frame + 0.3)[0], moved(frame + 0.5)[0] if frame % 3 else None
+            with pytest.raises(BadInputError):
+                made.compose(4321)
+            made.compose(screen.glo, pose=late, pose_at_last_row=last)
+            made.compose(with_source=frame % 5 == 0).unsolved()
+
+    run(range(60))  # all ways of drawing have been met
+    objects = caller.objects()
+    assert grown_bytes(run, 60, 210, 360) < 150 * 112  # less than an array a frame
+    assert caller.objects() == objects
+    made.release()
+    caller.ctx.release()
+
+
+def test_frames_without_opengl_leave_nothing_behind(compositor, flat_image_headset):
+    made = compositor(flat_image_headset, (24, 20), context="cpu")
+    source = SceneSource(made, scene())
+
+    def run(frames):
+        for frame in frames:
+            pose, unit = moved(frame)
+            draw(made, source, pose, viewpoint(flat_image_headset, *unit))
+            made.compose()
+
+    run(range(3))
+    assert grown_bytes(run, 3, 40, 80) < 40 * 256  # less than a row of a field each
+
+
+def test_the_context_that_is_asked_for_is_used(compositor, flat_image_headset, gl_context):
+    assert compositor(flat_image_headset, context="cpu").renderer == "cpu"
+    assert compositor(flat_image_headset, context="auto").renderer == gl_context.renderer
+    theirs = moderngl.create_context(standalone=True, require=430, backend=gl_context.backend)
+    current = compositor(flat_image_headset, context="current")
+    assert current.renderer == theirs.info["GL_RENDERER"]
+    current.release()
+    theirs.release()

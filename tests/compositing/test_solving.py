@@ -1,0 +1,159 @@
+"""When an eye's field is solved, from where, and what is said of what has no answer."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
+
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.mappings import Mapped, Status
+from wlr_render.rendering.cpu_solve import CpuNodes, CpuSolve
+from wlr_render.rendering.gl_nodes import GlNodes
+from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.ray_field import RayField
+
+KINDS = [("planar", "pixels"), ("planar", "nodes"), ("flat image", "nodes")]
+
+
+@pytest.fixture(params=KINDS, ids="-".join)
+def headset_and_solve(request, flat_image_headset):
+    kind, solve = request.param
+    return (planar() if kind == "planar" else flat_image_headset), solve
+
+
+@pytest.fixture
+def solved_at(monkeypatch):
+    """Viewpoints that any solver was asked for."""
+    asked = []
+
+    def counting(solve):
+        def solve_and_count(self, at):
+            asked.append(np.array(at))
+            return solve(self, at)
+
+        return solve_and_count
+
+    for solver in (GlSolve, GlNodes, CpuSolve, CpuNodes):
+        monkeypatch.setattr(solver, "solve", counting(solver.solve))
+    return asked
+
+
+def bend(frame):
+    (field,) = frame.eyes["right"].fields
+    return (field if isinstance(field, RayField) else field.read()).bend.astype(np.float64)
+
+
+def angle_arcmin(first, second):
+    return arcmin_between(*(dir_of_tangents(np.moveaxis(each[:2], 0, -1)) for each in (first, second)))
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_a_resting_pupil_is_solved_once(compositor, headset_and_solve, context, solved_at):
+    headset, solve = headset_and_solve
+    made = compositor(headset, context=context, solve=solve)
+    source, seen = SceneSource(made, scene()), viewpoint(headset)
+    del solved_at[:]
+    for _ in range(3):
+        draw(made, source, HEAD, seen)
+        made.compose()
+        made.compose(pose=HEAD)
+    asked = len(solved_at)
+    assert 1 <= asked <= 2  # nodes on a GPU are solved on the CPU
+    first = bend(made.compose())
+    made.compose(viewpoint=seen + 1e-6)
+    assert len(solved_at) == 2 * asked
+    made.forget()
+    again = bend(made.compose())
+    assert len(solved_at) == 3 * asked
+    assert np.nanmax(angle_arcmin(first, again)) < 1e-3
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(compositor, flat_image_headset, context):
+    made, cold = (compositor(flat_image_headset, context=context) for _ in range(2))
+    tracked, pose = viewpoint(flat_image_headset), HEAD.copy()
+    source = SceneSource(made, scene())
+    draw(made, source, pose, tracked)
+    before = made.compose().read()
+    tracked[:], pose[:3, 3] = viewpoint(flat_image_headset, -0.8, 0.7, 0), 0.0
+    np.testing.assert_array_equal(made.compose().read(), before)
+    draw(made, source, HEAD, tracked)
+    draw(cold, SceneSource(cold, scene()), HEAD, tracked)
+    assert np.abs(made.compose().read().astype(int) - cold.compose().read()).max() <= 1
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset_and_solve, context):
+    headset, solve = headset_and_solve
+    warm, cold = (compositor(headset, context=context, solve=solve) for _ in range(2))
+    before = headset.eye_box.centre - [0.0025, 0.001, 0.0]
+    after = before + [0.005, 0.0, 0.0]
+    draw(warm, SceneSource(warm, scene()), HEAD, before)
+    warm.compose()
+    frames = []
+    for made in (warm, cold):
+        draw(made, SceneSource(made, scene()), HEAD, after)
+        frames.append(made.compose())
+    there, wanted = map(bend, frames)
+    assert np.isfinite(there).all()
+    assert angle_arcmin(there, wanted).max() < 0.003
+    assert np.abs(there[2:] - wanted[2:]).max() < 1e-7
+    assert np.abs(frames[0].read().astype(int) - frames[1].read()).max() <= 1
+    assert frames[0].unsolved() == frames[1].unsolved()
+
+
+@dataclass(frozen=True)
+class Troubled:
+    """A display whose solve fails in the panel's left quarter, and everywhere for a pupil far to the right."""
+
+    whole: object
+
+    @property
+    def panel(self):
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel, at, warm_start=None):
+        answer, pixel = self.whole.view_dir_of_pixel(pixel, at), np.asarray(pixel)
+        failed = (pixel[..., 0] < 0.25 * self.panel.width_px) | (np.asarray(at)[..., 0] > 0.0055)
+        failed = np.broadcast_to(failed, answer.status.shape)
+        value = np.where(failed[..., None], np.nan, answer.value)
+        return Mapped(value, np.where(failed, Status.NOT_CONVERGED, answer.status).astype(np.uint8))
+
+
+@pytest.fixture
+def troubled(flat_image_headset):
+    return replace(flat_image_headset, display=Troubled(flat_image_headset.display))
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troubled, context):
+    made = compositor(troubled, context=context, background=(9, 8, 7))
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
+    frame = made.compose()
+    unsolved, status = frame.unsolved(), frame.eyes["right"].read().status
+    assert set(unsolved) == {"right"}
+    assert set(unsolved["right"]) == {"not converged"}
+    quarter = SMALL[0] // 4
+    lattice = made.plan("right").lattice.lattice
+    share = unsolved["right"]["not converged"] / (np.prod(SMALL) if context == "cpu" else np.prod(lattice.size))
+    assert 0.2 < share < 0.4
+    assert (frame.read()[:, : quarter - 1] == [9, 8, 7]).all()
+    assert (status[:, : quarter - 1] == 3).all()
+    assert (status[:, SMALL[0] // 2 :] == 0).mean() > 0.95
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_a_pupil_for_which_nothing_converges_sees_black_and_the_next_frame_is_right(compositor, troubled, context):
+    made = compositor(troubled, context=context)
+    source, seen = SceneSource(made, scene()), viewpoint(troubled)
+    draw(made, source, HEAD, seen)
+    expected = made.compose().read()
+    draw(made, source, HEAD, viewpoint(troubled, 0.95, 0, 0))
+    blind = made.compose()
+    (count,) = blind.unsolved()["right"].values()
+    assert not blind.read().any()
+    assert count == bend(blind)[0].size
+    draw(made, source, HEAD, seen)
+    assert np.abs(made.compose().read().astype(int) - expected).max() <= 1
