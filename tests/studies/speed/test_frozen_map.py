@@ -131,7 +131,14 @@ def test_a_panel_with_a_hole_is_refused(flat_image_headset):
 
 def test_the_table_says_what_the_map_and_what_the_pupil_costs(bare_panel):
     table = frozen_map_table(bare_panel)
-    own_mesh, frozen_mesh, own_maps, frozen_maps = table.rows
-    assert max(own_mesh[1:] + own_maps[1:]) < 1e-6
+    own_mesh, frozen_mesh, own_maps, frozen_maps, followed = table.rows
+    assert max(own_mesh[1:] + own_maps[1:] + followed[1:]) < 1e-6
     np.testing.assert_allclose(frozen_mesh[1:], frozen_maps[1:], atol=1e-6)
     assert frozen_mesh[1] < 1e-6 < 1 < frozen_mesh[3] < frozen_mesh[5]
+
+
+def test_a_map_that_follows_the_eye_is_right_where_a_frozen_one_is_not(small_panel_model):
+    """So few pixels are points of the lattice themselves."""
+    *_, frozen, followed = frozen_map_table(small_panel_model).rows
+    assert max(followed[1:]) < 1e-6
+    assert min(frozen[1:]) > 10

@@ -1,10 +1,12 @@
 """Runs take turns; the exponent of synthetic times is the one that made them."""
 
+import time
+
 import numpy as np
 import pytest
 
 from wlr_render.studies.speed.scaling import Scaling, scaling_table, time_over
-from wlr_render.studies.speed.timing import ROUNDS, Exponent, alternately, exponent
+from wlr_render.studies.speed.timing import ROUNDS, Estimate, alternately, exponent, in_ms, ratio, times_ms
 
 
 def test_runs_are_timed_in_turn_and_the_first_round_is_dropped():
@@ -13,6 +15,31 @@ def test_runs_are_timed_in_turn_and_the_first_round_is_dropped():
     assert calls[:4] == [("a", 0), ("b", 0), ("a", 1), ("b", 1)]
     assert len(calls) == 2 * (ROUNDS + 1)
     assert min(first, second) >= 0
+
+
+def test_times_are_milliseconds_by_round_and_run():
+    times = times_ms(lambda _: None, lambda turn: time.sleep(0.002 * turn), rounds=2)
+    assert times.shape == (2, 2)
+    assert (times[:, 1] >= [2, 4]).all()
+
+
+@pytest.mark.parametrize(("given", "text"), [(0.01234, "0.0123 ms"), (7, "7 ms"), (1234.5, "1234 ms")])
+def test_times_are_written_with_three_digits(given, text):
+    assert in_ms(given) == text
+
+
+def test_a_ratio_is_taken_round_by_round_and_one_interruption_does_not_count():
+    second = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
+    found = ratio(second * [1.3, 1.3, 1.3, 1.3, 9.0], second)
+    assert found == Estimate(pytest.approx(1.3), pytest.approx(0, abs=1e-12))
+
+
+def test_ratios_scatter_as_their_standard_error_says():
+    rng = np.random.default_rng(5)
+    found = [ratio(rng.normal(1.2, 0.05, 41), np.ones(41)) for _ in range(400)]
+    pulls = np.array([(each.value - 1.2) / each.standard_error for each in found])
+    assert abs(pulls.mean()) < 0.2
+    assert 0.9 < pulls.std() < 1.25
 
 
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.5])
@@ -69,5 +96,5 @@ def test_sizes_take_turns_and_preparing_is_not_timed():
 
 
 def test_the_table_has_sizes_times_and_exponent():
-    table = scaling_table([Scaling("solve", "pixels", (1e3, 1e6), (0.5, 400.0), Exponent(0.967, 0.012))])
-    assert table.text_rows() == [["solve, over pixels", "1000, 1e+06", "0.5 ms, 400.0 ms", "0.97 +- 0.01"]]
+    table = scaling_table([Scaling("solve", "pixels", (1e3, 1e6), (0.5, 400.0), Estimate(0.967, 0.012))])
+    assert table.text_rows() == [["solve, over pixels", "1000, 1e+06", "0.5 ms, 400 ms", "0.97 +- 0.01"]]
