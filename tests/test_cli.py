@@ -15,8 +15,9 @@ from wlr_render.errors import MissingGlError
 from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import resource
 from wlr_render.rendering import gl
-from wlr_render.studies import alignment_demo, bench, render_sequence, sampling_study, trace_device
+from wlr_render.studies import alignment_demo, render_sequence, sampling_study, trace_device
 from wlr_render.studies.diagnosis_trials import study
+from wlr_render.studies.speed import study as speed
 
 VERBS = (
     "demo",
@@ -350,13 +351,13 @@ def test_demo_options_reach_the_job_and_its_tables_are_printed(monkeypatch, caps
 def test_bench_and_evaluate_options_reach_their_jobs(monkeypatch, capsys):
     given = []
     report = sampling_study.StudyReport(sampling_study.QUICK, (TABLE,), ())
-    monkeypatch.setattr(bench, "run", lambda options, progress: given.append(options) or [TABLE])
+    monkeypatch.setattr(speed, "run", lambda options, progress: given.append(options) or [TABLE])
     monkeypatch.setattr(sampling_study, "run", lambda options, progress: given.append(options) or report)
     monkeypatch.setattr(sampling_study, "write", lambda report, out: [out / "study.md"])
-    assert main(["bench", "--backend", "osmesa"]) == 0
+    assert main(["bench", "--backend", "osmesa", "--record", "kept"]) == 0
     chosen = ["--device", "northstar", "--device", "freeform40", "--experiment", "position", "--workers", "1"]
     assert main(["evaluate", "--preset", "full", *chosen, "--seed", "8"]) == 0
-    assert given[0] == bench.Options("osmesa")
+    assert given[0] == speed.Options("osmesa", record=Path("kept"))
     assert (given[1].devices, given[1].experiments) == (("northstar", "freeform40"), ("position",))
     assert (given[1].seed, given[1].workers, given[1].repeats) == (8, 1, sampling_study.FULL.repeats)
     assert capsys.readouterr().out.count("A title") == 2
@@ -373,7 +374,7 @@ def test_the_judge_of_the_diagnosis_is_a_bench_too(monkeypatch, capsys):
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
     wide = ReportTable("Wide", ("what", *("a long column head (arcmin)",) * 4), [["row", 1.0, 2.0, None, 12345.0]])
     monkeypatch.setenv("COLUMNS", "40")
-    monkeypatch.setattr(bench, "run", lambda options, progress: [wide])
+    monkeypatch.setattr(speed, "run", lambda options, progress: [wide])
     assert main(["bench"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if "12345" in line)
     assert all(text in row for text in ("row", "1", "2", "-"))
