@@ -162,7 +162,7 @@ class Compositor:
                 out.
 
         Raises:
-            BadInputError: no frame begun, an eye submitted twice, or a picture of another size or kind.
+            BadInputError: no frame begun, an eye submitted twice, or a picture of another size, kind or context.
         """
         frame, eye = self._begun(), self._checked_eye(eye)
         if eye in frame.submitted:
@@ -187,7 +187,9 @@ class Compositor:
 
         Args:
             into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also
-                one of twice the width, the left eye to the left. Textures of our own if None.
+                one of twice the width, the left eye to the left. Its first colour is drawn to, upright as OpenGL shows
+                it, with sRGB codes whatever its format. 0 is the window's, whose size is not checked. Textures of our
+                own if None.
             pose: (4, 4) newest world_from_device, when the first row lights up; that of `begin_frame` if None.
             viewpoint: newest viewpoints; those of `begin_frame` if None.
             pose_at_last_row: for a display that lights up row by row, the head's pose when the last row does.
@@ -195,7 +197,7 @@ class Compositor:
 
         Raises:
             BadInputError: no frame begun, an eye not submitted, a faulty pose or viewpoint, or a framebuffer of another
-                size.
+                size, kind or context.
         """
         frame = self._begun()
         missing = [eye for eye in self.eyes if eye not in frame.submitted]
