@@ -13,7 +13,8 @@ from gl_scenes import at
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
-from wlr_render.errors import BadInputError
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.rendering import gl
 
 
 @pytest.fixture
@@ -202,3 +203,14 @@ def test_the_context_that_is_asked_for_is_used(compositor, flat_image_headset, g
     assert current.renderer == theirs.info["GL_RENDERER"]
     current.release()
     theirs.release()
+
+
+def test_without_opengl_auto_works_on_the_cpu_and_a_name_does_not(flat_image_headset, monkeypatch):
+    def refuse(backend="auto"):
+        raise MissingGlError(f"No OpenGL ({backend}).")
+
+    monkeypatch.setattr(gl, "open_context", refuse)
+    with Compositor(flat_image_headset, SMALL) as made:
+        assert (made.renderer, made.context) == ("cpu", None)
+    with pytest.raises(MissingGlError, match="egl"):
+        Compositor(flat_image_headset, SMALL, context="egl")
