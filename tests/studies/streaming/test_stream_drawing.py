@@ -47,6 +47,22 @@ class FailsLeftWhenFarRight:
         return Mapped(np.where(failed[..., None], np.nan, good.value), status)
 
 
+@dataclasses.dataclass(frozen=True)
+class TrustsItsStart:
+    """A display whose warm solve is satisfied with the last frame's solution."""
+
+    whole: object
+
+    @property
+    def panel(self):
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        good = self.whole.view_dir_of_pixel(pixel, viewpoint)
+        value = good.value if warm_start is None else warm_start
+        return Mapped(value, good.status, value)
+
+
 def options(scene_file, wearer, frames, **others):
     return study.Options(
         ("headset",), scene_file, wearer=wearer, frames=frames, frames_per_second=RATE_HZ, size=(56, 40), **others
@@ -73,6 +89,14 @@ def test_after_a_jump_the_frames_own_map_is_right_and_the_one_before_is_not(
         assert check.one_sided == 0
         # The picture is 2 m away: a move of 1 mm across turns every ray by some 1.7'.
         assert (check.kept_arcmin > 1.0) == (check.moved_mm > 1.0)
+
+
+def test_a_map_that_lags_behind_its_viewpoint_is_found_out(flat_image_headset, scene_file, tmp_path):
+    lagging = dataclasses.replace(flat_image_headset, display=TrustsItsStart(flat_image_headset.display))
+    wearer = recorded(tmp_path / "eyes.txt", fixations([-3, 0, 1], [3, 2, -1]))
+    stream = streamed(options(scene_file, wearer, 8, context="cpu"), {"right": lagging})
+    (jumped,) = (check for check in stream.checks if check.moved_mm > 1.0)
+    assert jumped.own_arcmin > 1.0
 
 
 @pytest.mark.parametrize("device", ["small_northstar", "model_file"])
@@ -135,6 +159,21 @@ def test_both_eyes_of_a_late_head_are_drawn_and_each_is_noted(straight_device, s
         assert frame.unsolved.keys() == frame.moment.eyes.keys() == {"left", "right"}
         assert min(frame.cost.draw_ms, frame.cost.compose_ms, frame.cost.cpu_ms, frame.cost.resident_mb) > 0
     assert len(stream.checks) == 2 * len({check.time_s for check in stream.checks})
+
+
+def test_each_frame_is_drawn_for_the_pose_at_its_beginning_and_composed_for_that_at_scan_out(
+    straight_device, scene_file, monkeypatch
+):
+    begun, composed = [], []
+    begin_frame, compose = Compositor.begin_frame, Compositor.compose
+    monkeypatch.setattr(Compositor, "begin_frame", lambda c, pose, at: begun.append(pose) or begin_frame(c, pose, at))
+    monkeypatch.setattr(Compositor, "compose", lambda c, *, pose: composed.append(pose) or compose(c, pose=pose))
+    models = {"right": study.open_eye(straight_device)}
+    stream = study.draw(options(scene_file, Wearer(), 4, context="cpu", late_ms=20.0), models)
+    for k, frame in enumerate(stream.frames):
+        np.testing.assert_array_equal(begun[k], frame.moment.world_from_device)
+        np.testing.assert_array_equal(composed[k], frame.moment.at_scan_out)
+        assert (begun[k] != composed[k]).any()
 
 
 def test_the_farthest_jumps_are_checked_and_some_frames_at_rest(tmp_path):
