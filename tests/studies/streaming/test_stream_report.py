@@ -85,7 +85,7 @@ def test_a_jump_that_was_not_caught_up_with_is_seen_in_the_table():
     assert rows["0.010 s, right eye"]["own map's error (')"] == 13.0
     assert rows["0.010 s, right eye"]["points only one has"] == 4
     assert rows["worst of 2 without a jump"]["own map's error (')"] == 0.2
-    assert found.notes[0].startswith("2 jumps by more than 1 mm; in 1 every point converged")
+    assert found.notes[0].startswith("Of 2 jumps by more than 1 mm, 1 have every point converged")
 
 
 def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(straight_device, scene_file, tmp_path):

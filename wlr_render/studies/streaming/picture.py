@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wlr_render.evaluation.report import cell_text
 from wlr_render.files import written_whole
 from wlr_render.mappings import FloatArray
 from wlr_render.studies.streaming.records import EyeMoment, Stream
@@ -74,7 +75,7 @@ def _draw_times(row: "Axes", time_s: FloatArray, stream: Stream) -> None:
     total = costs(timed, "frame_ms")
     for percent, style in ((50, "-"), (95, "--"), (99, ":")):
         value = float(np.percentile(total, percent))
-        row.axhline(value, color="#c0392b", linestyle=style, linewidth=1.0, label=f"{percent} %: {value:.3g} ms")
+        row.axhline(value, color="#c0392b", linestyle=style, linewidth=1.0, label=f"{percent} %: {cell_text(value)} ms")
     row.plot(time_s[1:], costs(timed, "cpu_ms"), "k", linewidth=0.6, label="processor time, all threads")
     row.set(ylabel="frame time (ms)", ylim=(0, 1.05 * float(total.max())))
 

@@ -25,7 +25,7 @@ _COSTS = {
     "garbage collector (ms)": "collecting_ms",
     "processor taken away by the system (times)": "preempted",
 }
-_TIMED = ("scene drawn (ms)", "maps and warp (ms)", "whole frame (ms)")
+_TIMED = ("scene drawn (ms)", "maps and warp (ms)", "whole frame (ms)", "processor time of all threads (ms)")
 
 
 def tables_of(stream: Stream) -> tuple[ReportTable, ...]:
@@ -126,8 +126,8 @@ def _jumps(stream: Stream) -> ReportTable:
     rows += [_check_row(f"worst of {len(rest)} without a jump", _worst(rest))] if rest else []
     columns = ("frame", "viewpoint moved (mm)", "old map's error (')", "own map's error (')", "points only one has")
     notes = (
-        f"{len(jumps)} jumps by more than {SACCADE_MM:g} mm; in {whole} every point converged in the same frame. The "
-        "farthest:",
+        f"Of {len(jumps)} jumps by more than {SACCADE_MM:g} mm, {whole} have every point converged in the same frame; "
+        "the farthest are above.",
         "Errors are the largest of any point, in arcminutes, against a map solved from nothing for the frame's own "
         "viewpoint; the old map is that of the frame before. For this, these frames are drawn again after the stream.",
     )
