@@ -5,17 +5,7 @@ import pytest
 from speed_work import needs_gl, small_work
 
 from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.studies.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, is_software, later_pose
-
-
-@pytest.mark.parametrize("name", ["llvmpipe (LLVM 15.0.6, 256 bits)", "softpipe", "Google SwiftShader"])
-def test_programs_that_play_a_gpu(name):
-    assert is_software(name)
-
-
-@pytest.mark.parametrize("name", ["NVIDIA H100 80GB HBM3/PCIe/SSE2", "AMD Radeon RX 7800", "Mesa Intel(R) Arc"])
-def test_gpus(name):
-    assert not is_software(name)
+from wlr_render.studies.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
 
 
 def test_a_later_pose_is_as_late_as_its_speeds_say():

@@ -10,7 +10,8 @@ from wlr_render.evaluation.report import ReportTable
 from wlr_render.rendering import gl
 from wlr_render.studies.speed import study
 
-RENDERER = "A GPU (model 5)"
+GPU = study.Renderer("A GPU (model 5)", is_software=False)
+CPU = study.Renderer("llvmpipe", is_software=True)
 ROWS = ("ray_rows", "raster_rows", "map_rows", "memory_rows")
 TIMED = ("price_table", "warm_start_table", "warp_table", "frozen_map_table", "growth_table")
 JUDGED = ("field_table", "landing_table", "late_table")
@@ -43,7 +44,7 @@ def jobs(monkeypatch, small_panel_model):
             monkeypatch.setattr(module, name, instead(name))
     monkeypatch.setattr(study, "workload", lambda panel, rounds: small_work(small_panel_model).with_rounds(rounds))
     monkeypatch.setattr(study, "bench_model", lambda panel, device: small_panel_model)
-    monkeypatch.setattr(study, "_renderer", lambda backend: RENDERER)
+    monkeypatch.setattr(study, "_renderer", lambda backend: GPU)
     return told
 
 
@@ -53,7 +54,7 @@ def test_all_tables_are_written_and_kept_by_the_renderers_name(jobs, tmp_path):
     names = ["stage_tables", *TIMED, *JUDGED]
     assert [table.title for table in tables[1:]] == names
     assert tables[0].title.startswith("Offline, 90 x 100")
-    assert tables[0].notes[0].startswith(RENDERER)
+    assert tables[0].notes[0].startswith(GPU.name)
     written = json.loads((tmp_path / "out/bench.json").read_text(encoding="utf-8"))
     assert [each["title"] for each in written["tables"]] == [table.title for table in tables]
     kept = (tmp_path / "kept/a-gpu-model-5.md").read_text(encoding="utf-8")
@@ -61,7 +62,7 @@ def test_all_tables_are_written_and_kept_by_the_renderers_name(jobs, tmp_path):
     assert all(f"### {name}" in text for name in names for text in (kept, markdown))
 
 
-@pytest.mark.parametrize(("renderer", "rounds"), [(RENDERER, 77), ("llvmpipe", 5)])
+@pytest.mark.parametrize(("renderer", "rounds"), [(GPU, 77), (CPU, 5)])
 def test_where_a_frame_takes_a_millisecond_there_are_more_rounds(jobs, monkeypatch, tmp_path, renderer, rounds):
     monkeypatch.setattr(study, "_renderer", lambda backend: renderer)
     study.run(study.Options(out=tmp_path), extent=study.Extent(rounds=5, gpu_rounds=77))

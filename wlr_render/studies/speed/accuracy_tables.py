@@ -35,9 +35,8 @@ def field_table(models: Mapping[str, EyeMappings], context: str) -> ReportTable:
     rows = [row for device, mappings in models.items() for row in _field_rows(device, mappings, context)]
     notes = (
         f"Against the float64 solve at {_PIXELS} pixels from each of {len(JUDGED_PLACES)} places in the eye box: the "
-        "angle at infinity plus the offset's angle at 0.25 m. Lattices are read with exact weights; the filter of a "
-        "GPU's textures may have coarser ones, which count in the table on composed frames. A lattice's bound "
-        "is without what the shader's float32 adds.",
+        "angle at infinity plus the offset's angle at 0.25 m. Lattices are read with exact weights, as the warp "
+        "does. A lattice's bound is without what the shader's float32 adds.",
     )
     columns = "field", "bound when chosen (arcmin)", "rms (arcmin)", "max (arcmin)", "goal"
     return ReportTable("Rays of the shader", columns, rows, notes)

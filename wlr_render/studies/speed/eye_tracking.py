@@ -11,7 +11,7 @@ from wlr_render.rendering.gl_nodes import GlNodes
 from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import FieldPlan, choose_plan
-from wlr_render.studies.speed.running import Running, is_software
+from wlr_render.studies.speed.running import Running
 from wlr_render.studies.speed.timing import in_ms, ratio, times_ms
 from wlr_render.studies.speed.workload import Workload
 
@@ -28,7 +28,7 @@ def price_table(work: Workload, context: str) -> ReportTable:
     rows, name = [], ""
     for solve in SOLVES:
         with Running.of(work, context, solve=solve) as on:
-            rows.append(price_row(solve, on.frame, on.compositor.renderer, work.rounds))
+            rows.append(price_row(solve, on.frame, on.gl_context.is_software, work.rounds))
             name = on.compositor.renderer
     notes = (
         f"{len(work.eyes)} eyes on {name}. Each round draws the frame of a viewpoint that is new, and then the same "
@@ -38,11 +38,11 @@ def price_table(work: Workload, context: str) -> ReportTable:
     return ReportTable("The price of eye tracking", ("solve", "new map", "map kept", "price", "goal"), rows, notes)
 
 
-def price_row(solve: str, frame: Callable[[int], object], renderer: str, rounds: int) -> list[Cell]:
+def price_row(solve: str, frame: Callable[[int], object], software: bool, rounds: int) -> list[Cell]:
     """Its row, of a frame that solves its field only when it is called with another round."""
     times = times_ms(frame, frame, rounds=rounds)
     tracked, kept = np.median(times, axis=0)
-    goal = PRICE_GOAL_SOFTWARE if is_software(renderer) else PRICE_GOAL_GPU
+    goal = PRICE_GOAL_SOFTWARE if software else PRICE_GOAL_GPU
     return [solve, in_ms(tracked), in_ms(kept), str(ratio(times[:, 0], times[:, 1])), f"<= {goal}"]
 
 

@@ -21,12 +21,6 @@ LATE_S = 0.010
 """From drawing to scan-out, and from the first row's to the last one's."""
 TURN_DEG_PER_S, WALK_M_PER_S, PUPIL_M_PER_S = 100.0, 0.5, 0.05
 """A brisk turn of the head, a step, and a pupil 10.5 mm before the centre of an eye that turns by 270 deg/s."""
-_SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
-
-
-def is_software(renderer: str) -> bool:
-    """Whether OpenGL's name of a renderer is that of a program that runs on the CPU."""
-    return any(name in renderer.lower() for name in _SOFTWARE)
 
 
 def later_pose(pose: FloatArray, seconds: float = LATE_S) -> FloatArray:

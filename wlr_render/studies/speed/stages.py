@@ -7,7 +7,7 @@ from wlr_render.rendering.intermediate_view import PyrenderView
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.raster import GlRaster
 from wlr_render.rendering.ray_field import FieldPlan, choose_plan
-from wlr_render.studies.speed.running import Running, is_software, later_pose
+from wlr_render.studies.speed.running import Running, later_pose
 from wlr_render.studies.speed.timing import Run, alternately, in_ms
 from wlr_render.studies.speed.workload import HEAD_POSE, Workload
 
@@ -89,8 +89,7 @@ def _both_eyes(work: Workload, context: str, large_px: tuple[int, int]) -> Repor
     with Running.of(work, context) as usual, Running.of(work, context, large_px) as large:
         times = alternately(usual.frame, large.frame, rounds=work.rounds)
         sizes = usual.compositor.size_px, large.compositor.size_px
-        software = is_software(usual.compositor.renderer)
-    only_there = " (needs a GPU)" if software else ""
+        only_there = " (needs a GPU)" if usual.gl_context.is_software else ""
     rows: list[list[Cell]] = [
         [f"whole frame, {_by(size)} per eye", in_ms(time), f"<= {in_ms(goal)}{only_there}"]
         for size, time, goal in zip(sizes, times, (FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS), strict=True)

@@ -18,7 +18,6 @@ from wlr_render.studies.speed import accuracy_tables, eye_tracking, fixed_maps, 
 from wlr_render.studies.speed.frozen_map import frozen_map_table
 from wlr_render.studies.speed.offline import map_rows, memory_rows, raster_rows, ray_rows
 from wlr_render.studies.speed.record import record
-from wlr_render.studies.speed.running import is_software
 from wlr_render.studies.speed.timing import GPU_ROUNDS, ROUNDS
 from wlr_render.studies.speed.workload import PANEL, Workload, bench_model, workload
 
@@ -79,34 +78,42 @@ def run(options: Options, progress: Progress = silent, extent: Extent = Extent()
     work = workload(extent.panel, extent.rounds)
     parts: list[Tables] = [partial(_offline, work, options.backend, machine)]
     if renderer is not None:
-        rounds = extent.rounds if is_software(renderer) else extent.gpu_rounds
+        rounds = extent.rounds if renderer.is_software else extent.gpu_rounds
         parts += _in_real_time(work.with_rounds(rounds), options.backend, extent)
     parts += _accuracy(options.backend, extent, with_gl=renderer is not None)
     tables = [table for part in progress(iter(parts), len(parts), "benchmarks") for table in part()]
     write_text(folder / "bench.md", "\n".join(table.markdown() for table in tables))
     write_text(folder / "bench.json", tables_as_json(tables))
     if options.record is not None and renderer is not None:
-        record(tables, options.record, renderer)
+        record(tables, options.record, renderer.name)
     return tables
 
 
-def _renderer(backend: str) -> str | None:
-    """OpenGL's name of what draws; None where there is no OpenGL, or none is asked for."""
+@dataclass(frozen=True)
+class Renderer:
+    """What draws, by OpenGL's name, and whether it is a program on the CPU."""
+
+    name: str
+    is_software: bool
+
+
+def _renderer(backend: str) -> Renderer | None:
+    """None where there is no OpenGL, or none is asked for."""
     if backend == "cpu":
         return None
     try:
         with gl.open_context(backend) as context:
-            return context.renderer
+            return Renderer(context.renderer, context.is_software)
     except MissingGlError:
         if backend != "auto":
             raise
         return None
 
 
-def _machine(renderer: str | None) -> tuple[str, str]:
+def _machine(renderer: Renderer | None) -> tuple[str, str]:
     load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     return (
-        f"{renderer or 'no OpenGL'}; {worker_count()} processors, {platform.machine()}, Python "
+        f"{renderer.name if renderer else 'no OpenGL'}; {worker_count()} processors, {platform.machine()}, Python "
         f"{platform.python_version()}.",
         f"Medians of runs that take turns. The machine's load when it began: {load}; who else uses it is not known.",
     )
