@@ -97,4 +97,4 @@ def test_sizes_take_turns_and_preparing_is_not_timed():
 
 def test_the_table_has_sizes_times_and_exponent():
     table = scaling_table([Scaling("solve", "pixels", (1e3, 1e6), (0.5, 400.0), Estimate(0.967, 0.012))])
-    assert table.text_rows() == [["solve, over pixels", "1000, 1e+06", "0.5 ms, 400 ms", "0.97 +- 0.01"]]
+    assert table.text_rows() == [["solve, over pixels", "1000, 1000000", "0.5 ms, 400 ms", "0.97 +- 0.01"]]

@@ -53,7 +53,7 @@ def scaling_table(found: Sequence[Scaling]) -> ReportTable:
     rows: list[list[Cell]] = [
         [
             f"{each.job}, over {each.unit}",
-            ", ".join(f"{size:g}" for size in each.sizes),
+            ", ".join(f"{size:.10g}" for size in each.sizes),
             ", ".join(in_ms(time) for time in each.milliseconds),
             str(each.growth),
         ]
