@@ -47,3 +47,15 @@ def test_three_models_alike_are_one(compositor, flat_image_headset, context, kin
     alone, together = composed(one, model), composed(three, model)
     np.testing.assert_array_equal(together.read(), alone.read())
     assert together.unsolved()["right"] == {name: 3 * count for name, count in alone.unsolved()["right"].items()}
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_the_most_curved_colour_says_how_fine_the_lattice_is(compositor, flat_image_headset, place):
+    near = replace(flat_image_headset, display=replace(flat_image_headset.display, distance_m=0.8))
+    colours = [flat_image_headset] * 3
+    colours[place] = near
+    flat, together = (
+        compositor({"right": models}, context="cpu").plan("right").lattice.cell_px
+        for models in (flat_image_headset, colours)
+    )
+    assert (together < 0.95 * flat).all()
