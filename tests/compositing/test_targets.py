@@ -95,6 +95,12 @@ def test_only_the_first_colour_is_drawn_and_draw_buffers_come_back(theirs, one_e
     assert np.ptp(np.frombuffer(given.depth_attachment.read(), np.float32)) == 0
 
 
+def test_two_eyes_do_not_share_a_framebuffer_of_one_eyes_size(theirs, two_eyes):
+    shared = theirs.simple_framebuffer(SMALL)
+    with pytest.raises(BadInputError, match="same framebuffer"):
+        two_eyes.compose({"left": shared, "right": shared.glo})
+
+
 def test_samples_and_floats_are_drawn_as_bytes_are(theirs, one_eye):
     expected = one_eye.compose().read()
     samples, resolved = theirs.simple_framebuffer(SMALL, samples=4), theirs.simple_framebuffer(SMALL)

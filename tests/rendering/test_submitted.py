@@ -218,7 +218,10 @@ def test_bad_textures_are_told_in_a_sentence(gl_context, take, drawn):
             ctx.texture(SIZE, 4, dtype="u1"),
             ctx.texture(SIZE, 4, samples=4),
         )
+        gone = ctx.texture(SIZE, 4)
+        gone.release()
     for bad, told in (
+        (gone, "has been released"),
         (small, "The colour texture has 3x4 pixels, the camera 64x48"),
         (numbers, "4 components of 'u1'"),
         (drawn.inverse_depth, "1 components of 'f4': it needs 3"),

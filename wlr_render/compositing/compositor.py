@@ -79,9 +79,9 @@ class Compositor:
             background: sRGB of pixels that see nothing of the picture.
 
         Raises:
-            BadInputError: models that do not fit together, no size, an unknown choice, pixels for models that are not
-                planar, or a context that is too old.
-            MissingGlError: OpenGL was asked for by name, and does not open.
+            BadInputError: models that do not fit together, no size, an unknown choice, or pixels for models that are
+                not planar.
+            MissingGlError: OpenGL was asked for by name and does not open, or a context of yours is below version 4.3.
         """
         channels = checked_models(models)
         self.size_px = checked_size(size)
@@ -182,8 +182,8 @@ class Compositor:
     ) -> ComposedFrame:
         """What the panels must show; may be called again for the same frame with newer poses (late correction).
 
-        The intermediate image is drawn anew from where the head and the eyes are now, with its depth: one resampling,
-        however late.
+        What was submitted is warped for where the head and the eyes are now, with its depth: one resampling, however
+        late.
 
         Args:
             into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also

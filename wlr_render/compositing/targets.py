@@ -35,7 +35,12 @@ class CallersFramebuffers:
                 raise BadInputError(
                     f"there is no framebuffer for the {sorted(missing)[0]} eye; give one for every eye."
                 )
-            return {eye: WarpTarget(self._of_size(into[eye], size_px), (0, 0), size_px, False) for eye in eyes}
+            found = {eye: self._of_size(into[eye], size_px) for eye in eyes}
+            if len({framebuffer.glo for framebuffer in found.values()}) < len(found):
+                raise BadInputError(
+                    "both eyes are given the same framebuffer; give each its own, or one of twice the width."
+                )
+            return {eye: WarpTarget(framebuffer, (0, 0), size_px, False) for eye, framebuffer in found.items()}
         width, height = size_px
         framebuffer = self._of_size(into, (width * len(eyes), height))
         return {

@@ -247,6 +247,11 @@ def bind_textures(program: Program, **textures: Texture | Sequence[Texture]) -> 
         free += len(bound)
 
 
+def is_released(thing: Texture | Framebuffer) -> bool:
+    """Whether its owner has destroyed it."""
+    return isinstance(thing.mglo, moderngl.InvalidObject)
+
+
 def read_between_texels(texture: Texture) -> None:
     """From now on shaders that sample the texture see values between its texels, bilinear.
 

@@ -141,6 +141,8 @@ class PictureImport:
 
 
 def _check_context(context: gl.GlContext, name: str, thing: gl.Texture | gl.Framebuffer) -> None:
+    if gl.is_released(thing):
+        raise BadInputError(f"The {name} has been released: submit a picture before you release it.")
     if not context.has(thing):
         raise BadInputError(
             f"The {name} belongs to another ModernGL context: adopt that one, or hand the picture over as arrays."
