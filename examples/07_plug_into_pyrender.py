@@ -8,7 +8,7 @@ import numpy as np
 import pyrender
 import trimesh
 
-from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing import Compositor
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye

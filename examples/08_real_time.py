@@ -5,11 +5,10 @@ import time
 import moderngl
 import numpy as np
 
-from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing import Compositor, DepthKind, StoredDepth
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 from wlr_render.tracking.synthetic import eye_motion, head_motion
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 

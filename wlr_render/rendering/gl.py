@@ -99,7 +99,7 @@ class GlContext:
             BadInputError: an adopted context is not current.
         """
         with self._host.entered(by_others):
-            self._ctx.gc()
+            _free_dropped(self._ctx)
             self._ctx.enable_only(moderngl.NOTHING)
             self._ctx.clear_errors()
             yield self._ctx
@@ -203,6 +203,14 @@ class GlContext:
     def _mine(self, made: _Object) -> _Object:
         self._objects.add(made)
         return made
+
+
+def _free_dropped(ctx: moderngl.Context) -> None:
+    """As ModernGL's `gc`, which stumbles over what its owner had released before Python dropped it."""
+    while ctx.objects:
+        dropped = ctx.objects.popleft()
+        if not isinstance(dropped, moderngl.InvalidObject):
+            dropped.release()
 
 
 def _source(name: str, constants: dict[str, float], functions: str = "") -> str:
