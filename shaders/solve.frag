@@ -3,7 +3,9 @@
 // display_hold, display, display_contains, deviation and deviation_contains.
 
 uniform sampler2D last_view_tangents;
+uniform sampler2D last_slopes;
 uniform bool has_last;
+uniform vec3 moved;  // since the last frame: the viewpoint's xy, behind_display_plane
 uniform vec2 first_px;  // panel position of the first point
 uniform vec2 step_px;
 uniform vec3 viewpoint;
@@ -15,6 +17,7 @@ uniform mat3 camera_from_device;
 layout(location = 0) out vec4 bend;  // a, b, c, d
 layout(location = 1) out vec2 view_tangents;
 layout(location = 2) out uvec2 status_and_iterations;
+layout(location = 3) out vec4 slopes;  // of view_tangents by the viewpoint's xy, columns
 
 const float NOWHERE = uintBitsToFloat(0x7fc00000u);
 const float INFINITE = uintBitsToFloat(0x7f800000u);
@@ -22,6 +25,7 @@ const float INFINITE = uintBitsToFloat(0x7f800000u);
 struct Root {
     vec2 point;
     vec2 tangents;
+    mat2 slope;  // of tangents by the point
     bool solved;
     int iterations;  // evaluations of the polynomial
 };
@@ -35,9 +39,8 @@ struct Root {
 Root solve(vec2 tangents, bool cold)
 {
     vec2 base, advance;
-    mat2 slope;
     float size_at_base;
-    Root root = Root(vec2(0.0), tangents, false, 0);
+    Root root = Root(vec2(0.0), tangents, mat2(0.0), false, 0);
     int limit = cold ? MAX_ITERATIONS : 2 * MAX_ITERATIONS;
     while (!root.solved && root.iterations < limit) {
         if (root.iterations % MAX_ITERATIONS == 0) {
@@ -46,16 +49,16 @@ Root solve(vec2 tangents, bool cold)
             size_at_base = INFINITE;
         }
         vec2 point = base - advance;
-        vec2 tangents_at_point = display(point, slope);
+        vec2 tangents_at_point = display(point, root.slope);
         vec2 residual = point - viewpoint.xy - behind_display_plane * tangents_at_point;
         float size = length(residual);
         bool shrunk = size < size_at_base;
         base = shrunk ? point : base;
-        advance = shrunk ? inverse(mat2(1.0) - behind_display_plane * slope) * residual : 0.5 * advance;
+        advance = shrunk ? inverse(mat2(1.0) - behind_display_plane * root.slope) * residual : 0.5 * advance;
         size_at_base = shrunk ? size : size_at_base;
         root.solved = shrunk && length(advance) <= LAST_STEP_M;
         root.point = point - advance;
-        root.tangents = tangents_at_point - slope * advance;
+        root.tangents = tangents_at_point - root.slope * advance;
         ++root.iterations;
     }
     return root;
@@ -65,9 +68,12 @@ void main()
 {
     vec2 pixel = first_px + step_px * (gl_FragCoord.xy - 0.5);
     display_hold(pixel);
-    vec2 last = texture(last_view_tangents, gl_FragCoord.xy / vec2(textureSize(last_view_tangents, 0))).xy;
-    bool cold = !has_last || any(isnan(last));
-    Root root = solve(cold ? vec2(0.0) : last, cold);
+    vec2 place = gl_FragCoord.xy / vec2(textureSize(last_view_tangents, 0));
+    vec2 last = texture(last_view_tangents, place).xy;
+    vec4 slope = texture(last_slopes, place);
+    vec2 start = last + mat2(slope.xy, slope.zw) * (moved.xy + moved.z * last);
+    bool cold = !has_last || any(isnan(start));
+    Root root = solve(cold ? vec2(0.0) : start, cold);
 
     vec4 inputs = vec4(viewpoint.xy + behind_see_through_plane * root.tangents, root.tangents);
     vec4 bent = deviation(inputs);
@@ -84,4 +90,6 @@ void main()
     bend = solved && forwards ? ray : vec4(NOWHERE);
     view_tangents = solved ? root.tangents : vec2(NOWHERE);
     status_and_iterations = uvec2(status, root.iterations);
+    mat2 by_viewpoint = inverse(mat2(1.0) - behind_display_plane * root.slope) * root.slope;
+    slopes = vec4(by_viewpoint[0], by_viewpoint[1]);
 }

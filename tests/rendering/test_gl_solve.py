@@ -115,16 +115,17 @@ def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, w
     assert np.isfinite(field.bend).all()
 
 
+@pytest.mark.parametrize("moved", [(1e-4, 0, 0), (-6e-4, 5e-4, -6e-4)], ids=["0.1 mm", "1 mm"])
 @pytest.mark.parametrize("device", DEVICES)
-def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, device):
+def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, device, moved):
     eye = fitted_eye(device, 5)
     solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
-    cold = solve.solve(viewpoint + [1e-4, 0, 0])
+    cold = solve.solve(viewpoint + moved)
     cold_field, cold_count = cold.read(), cold.read_iterations().mean()
     solve.forget()
     solve.solve(viewpoint)
-    warm = solve.solve(viewpoint + [1e-4, 0, 0])
-    print(f"{device}: {cold_count:.2f} iterations from cold, {warm.read_iterations().mean():.2f} after 0.1 mm")
+    warm = solve.solve(viewpoint + moved)
+    print(f"{device}: {cold_count:.2f} iterations from cold, {warm.read_iterations().mean():.2f} after a step")
     assert warm.read_iterations().mean() <= 0.55 * cold_count
     assert_same(warm.read(), cold_field)
 
@@ -138,7 +139,7 @@ def test_a_jump_of_the_viewpoint_is_recovered_in_one_solve(gl_context):
     exact = float64_field(eye, before + half)
     np.testing.assert_array_equal(after.read().status, exact.status)
     assert worst_arcmin(after.read(), exact) < 0.01
-    assert after.read_iterations().max() <= 3
+    assert after.read_iterations().max() <= 2
 
 
 def test_forgetting_makes_the_next_solve_the_first(gl_context):
@@ -165,7 +166,7 @@ def test_a_start_that_leads_nowhere_is_followed_by_the_cold_one(gl_context, spoi
     cold.view_tangents.write(tangents)
     again = solve.solve(viewpoint)
     expected_count = np.ones_like(iterations)
-    expected_count[every_other] = iterations[every_other] + (0 if np.isnan(spoilt) else MAX_ITERATIONS)
+    expected_count[every_other] = iterations[every_other] + (MAX_ITERATIONS if np.isfinite(spoilt) else 0)
     np.testing.assert_array_equal(again.read_iterations(), expected_count)
     assert_same(again.read(), expected)
 

@@ -139,7 +139,7 @@ class GlContext:
         return self._mine(self._ctx.vertex_array(self.program(vertex, fragment, functions, **constants), []))
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
-        """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f4", "i4" or "u1"."""
+        """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f2", "f4", "i4" or "u1"."""
         texture = self._mine(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False

@@ -1,9 +1,10 @@
 """The solve of every point of a lattice on the GPU, for planar models: display forward, then see-through forward.
 
 Each point, be it a display pixel or coarser, finds the tangents t under which the viewpoint sees it from
-p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t rather than
-from its p~: carried from the *new* viewpoint to the base plane along t, it misses p~ by dz times the change of t alone,
-which is small even after a saccade. Deviation and ray are a closed form of the solution.
+p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t, carried to
+the new viewpoint along its derivative, (1 - dz T)^-1 T (d viewpoint_xy + t d dz) with T the slope of t(pixel, p~) in
+p~: that misses the new t by second differences alone, so that one evaluation mostly does even after a saccade.
+Deviation and ray are a closed form of the solution.
 """
 
 from dataclasses import dataclass
@@ -24,6 +25,15 @@ MAX_ITERATIONS = 12
 LAST_STEP_M = 3e-6
 """A Newton step in the base plane that ends the solve: t follows its slope over it to 1e-4 arcmin, for slopes that
 change by less than 6 rad/m in a millimetre; and a thousand times what float32 leaves of a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """View tangents, and their slopes by the viewpoint's xy, with what they are drawn into."""
+
+    tangents: gl.Texture
+    slopes: gl.Texture
+    framebuffer: gl.Framebuffer
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +93,14 @@ class GlSolve:
             gl.read_between_texels(self._bend)
             self._status_and_iterations = context.target(lattice.size, 2, "u1")
             # The shader reads one while it writes the other.
-            self._new, self._last = (self._tangents_target() for _ in range(2))
-        self._has_last = False
+            self._new, self._last = (self._solution() for _ in range(2))
+        self._last_viewpoint: FloatArray | None = None
 
-    def _tangents_target(self) -> tuple[gl.Texture, gl.Framebuffer]:
+    def _solution(self) -> _Solution:
         tangents = self._context.target(self._lattice.size, 2, "f4")
-        return tangents, self._context.framebuffer([self._bend, tangents, self._status_and_iterations])
+        slopes = self._context.target(self._lattice.size, 4, "f2")  # only a start comes of them
+        textures = [self._bend, tangents, self._status_and_iterations, slopes]
+        return _Solution(tangents, slopes, self._context.framebuffer(textures))
 
     def solve(self, viewpoint: FloatArray) -> GlSolvedField:
         """See `PixelSolve.solve`."""
@@ -97,29 +109,31 @@ class GlSolve:
             box.contains(viewpoint, EYE_BOX_MARGIN) for box in (self._display.eye_box, self._see_through.eye_box)
         )
         self._new, self._last = self._last, self._new
-        tangents, framebuffer = self._new
         with self._context.drawing():
-            framebuffer.use()
-            gl.bind_textures(self._solve.program, last_view_tangents=self._last[0])
+            self._new.framebuffer.use()
+            last = {"last_view_tangents": self._last.tangents, "last_slopes": self._last.slopes}
+            gl.bind_textures(self._solve.program, **last)
             self._set_uniforms(viewpoint, inside)
             self._solve.render(vertices=3)
         # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
-        self._has_last = inside
+        self._last_viewpoint = viewpoint if inside else None
         return GlSolvedField(
             self._context,
             viewpoint,
             self._device_from_camera,
             self._lattice,
             self._bend,
-            tangents,
+            self._new.tangents,
             self._status_and_iterations,
         )
 
     def _set_uniforms(self, viewpoint: FloatArray, inside: bool) -> None:
         display, see_through, program = self._display, self._see_through, self._solve.program
+        last = viewpoint if self._last_viewpoint is None else self._last_viewpoint
         gl.set_uniforms(
             program,
-            has_last=self._has_last,
+            has_last=self._last_viewpoint is not None,
+            moved=tuple(viewpoint - last),
             first_px=tuple(self._lattice.first_px),
             step_px=tuple(self._lattice.step_px),
             viewpoint=tuple(viewpoint),
@@ -131,4 +145,4 @@ class GlSolve:
 
     def forget(self) -> None:
         """Start the next solve cold."""
-        self._has_last = False
+        self._last_viewpoint = None
