@@ -38,8 +38,8 @@ def warp_table(work: Workload, context: str) -> ReportTable:
                 runs[f"Monado: {scheme.name}"] = opened.enter_context(_monado(on, scheme, picture, camera.view.camera))
         rows, taps = warp_rows(runs, work.rounds), on.compositor.plan("right").taps
     notes = (
-        f"Ours follows every ray to the picture's depth and takes {taps**2} samples a pixel in linear light; the "
-        "others look each colour up once, as it is stored. Each time includes the wait for the end.",
+        f"Ours follows every ray to the picture's depth and takes {taps**2} samples a pixel; the others look "
+        "each colour up once. Each time includes the wait for the end.",
         "Monado's schemes need EGL. What they get wrong is in the table on maps that are computed once.",
     )
     return ReportTable("Warps of one picture", ("warp", "time", "ours / this"), rows, notes)
