@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gl_caller import Caller
 
 from wlr_render.errors import MissingGlError
 from wlr_render.geometry import directions, rays
@@ -100,3 +101,13 @@ def gl_context(request):
         assert ctx.error == "GL_NO_ERROR"
     yield context
     assert ctx.error == "GL_NO_ERROR"
+
+
+@pytest.fixture
+def caller(gl_context):
+    """Another program's context, by EGL; `gl_context` skips the test where there is no OpenGL."""
+    if gl_context.backend != "egl":
+        pytest.skip("EGL does not open here, so that there is no other context to adopt.")
+    made = Caller()
+    yield made
+    made.ctx.release()

@@ -6,23 +6,13 @@ import moderngl
 import numpy as np
 import pytest
 from composing import HEAD, SMALL, draw, scene, viewpoint
-from gl_caller import Caller, assert_same, run
+from gl_caller import assert_same, run
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 
 pytestmark = pytest.mark.gl
-
-
-@pytest.fixture
-def caller(gl_context):
-    """In EGL; `gl_context` skips the test where there is no OpenGL."""
-    if gl_context.backend != "egl":
-        pytest.skip("EGL does not open here, so that there is no other context to adopt.")
-    made = Caller()
-    yield made
-    made.ctx.release()
 
 
 def own_frame(compositor, models, seen):

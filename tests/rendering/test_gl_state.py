@@ -5,7 +5,7 @@ import moderngl
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
-from gl_caller import Caller, assert_same, run
+from gl_caller import assert_same, run
 
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
@@ -18,15 +18,6 @@ from wlr_render.rendering.raster import GlRaster
 pytestmark = pytest.mark.gl
 
 SCENE = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
-
-
-@pytest.fixture
-def caller(gl_context):
-    if gl_context.backend != "egl":
-        pytest.skip("EGL does not open here, so that there is no other context to adopt.")
-    caller = Caller()
-    yield caller
-    caller.ctx.release()
 
 
 @pytest.fixture

@@ -40,18 +40,7 @@ class PictureImport:
         stored: StoredDepth,
         rows: Rows = Rows.TOP_FIRST,
     ) -> GpuImage:
-        """A picture in memory.
-
-        Args:
-            camera: drawn with.
-            colour: (height, width, 3 or 4) sRGB; alpha is not read.
-            depth: (height, width).
-            stored: what `depth` holds.
-            rows: their order, of both.
-
-        Raises:
-            BadInputError: shape, type or size is another, or a depth is negative or NaN.
-        """
+        """A picture in memory; arguments and faults are those of `stored_picture.picture_of_arrays`."""
         size = camera.width_px, camera.height_px
         check_arrays(colour, depth, size)
         with self._context.drawing():
