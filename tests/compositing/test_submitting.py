@@ -1,5 +1,7 @@
 """However a picture is handed over, the same frame comes out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from composing import CONTEXTS, HEAD, draw, scene, viewpoint
@@ -148,3 +150,16 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(compositor, flat_image
     on_cpu.begin_frame(HEAD, seen)
     with pytest.raises(BadInputError, match=r"GpuImage .* without OpenGL"):
         on_cpu.submit(image)
+
+
+@pytest.mark.gl
+def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor, flat_image_headset):
+    models = {"left": replace(flat_image_headset, eye="left"), "right": flat_image_headset}
+    made, seen = compositor(models, context="egl"), viewpoint(flat_image_headset)
+    raster = GlRaster(made.context, scene())
+    cameras = made.begin_frame(HEAD, dict.fromkeys(models, seen))
+    made.submit(raster.draw_on_gpu(cameras["left"].view), eye="left")
+    with pytest.raises(BadInputError, match="has overwritten the other eye's"):
+        made.submit(raster.draw_on_gpu(cameras["right"].view), eye="right")
+    made.submit(raster.draw_on_gpu(cameras["right"].view, "right"), eye="right")
+    assert made.compose().read("right").std() > 5

@@ -35,12 +35,12 @@ METRES = StoredDepth()
 
 @dataclass(eq=False)
 class _OpenFrame:
-    """A frame between `begin_frame` and the next one."""
+    """A frame between `begin_frame` and the next one; `submitted` has, by eye, the texture that was not copied."""
 
     world_from_device: FloatArray
     viewpoints: dict[str, FloatArray]
     cameras: dict[str, EyeCamera]
-    submitted: set[str] = field(default_factory=set)
+    submitted: dict[str, Any] = field(default_factory=dict)
 
 
 class Compositor:
@@ -167,9 +167,15 @@ class Compositor:
         frame, eye = self._begun(), self._checked_eye(eye)
         if eye in frame.submitted:
             raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
+        not_copied = getattr(color, "colour", None)  # of a GpuImage
+        if not_copied is not None and any(not_copied is other for other in frame.submitted.values()):
+            raise BadInputError(
+                f"the {eye} eye's picture has overwritten the other eye's; let each have a name, as in draw_on_gpu(view, "
+                "eye)."
+            )
         with self._backend.working():
             self._backend.eyes[eye].take(color, depth, stored, rows)
-        frame.submitted.add(eye)
+        frame.submitted[eye] = not_copied
 
     def compose(
         self,
