@@ -170,8 +170,8 @@ class Compositor:
         not_copied = getattr(color, "colour", None)  # of a GpuImage
         if not_copied is not None and any(not_copied is other for other in frame.submitted.values()):
             raise BadInputError(
-                f"the {eye} eye's picture has overwritten the other eye's; let each have a name, as in draw_on_gpu(view, "
-                "eye)."
+                f"the {eye} eye's picture has overwritten the other eye's; draw each under a name of its own, as in "
+                "draw_on_gpu(view, eye)."
             )
         with self._backend.working():
             self._backend.eyes[eye].take(color, depth, stored, rows)
