@@ -286,9 +286,19 @@ def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
     assert np.abs(np.diff(source[..., 0], axis=0)).max() < 1e-3
     np.testing.assert_allclose(source[0, 0, 2], 1 / 1.5, rtol=1e-4)
     assert source[..., 2].max() == pytest.approx(1 / 0.44, rel=1e-2)
-    # A frame whose map is missing is drawn again.
-    (options.out / f"right-000000.{suffix}").unlink()
-    assert render_sequence.run(replace(options, maps=suffix)).drawn == 1
+    # With the file beside it the map says where in the world each pixel's point is: ball and wall, by hand.
+    view = json.loads((options.out / "right-000000.json").read_text())
+    tangents = (source[..., :2] - view["centre_px"]) / view["focal_px"] * [1, -1]
+    in_camera = np.concatenate([tangents, -np.ones((36, 64, 1))], axis=-1) / source[..., 2:]
+    world_from_camera = np.array(view["world_from_camera"])
+    point = in_camera @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
+    on_wall = source[..., 2] < 1
+    np.testing.assert_allclose(point[on_wall][:, 2], point[on_wall][0, 2], atol=1e-4)
+    np.testing.assert_allclose(view["position_in_device_m"], open_eye(options.headset[0]).eye_box.centre, atol=1e-9)
+    # A frame whose map, or the file beside it, is missing is drawn again.
+    for lost in (f"right-000000.{suffix}", "right-000000.json"):
+        (options.out / lost).unlink()
+        assert render_sequence.run(replace(options, maps=suffix)).drawn == 1
 
 
 WHITE_DISC = """

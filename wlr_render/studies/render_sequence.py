@@ -22,6 +22,7 @@ from wlr_render.rendering.ray_field import WarmStart
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.view_file import write_view
 from wlr_render.studies.headset import open_channels, open_eye, require_in_eye_box
 from wlr_render.studies.progress import Progress, silent
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
@@ -58,7 +59,8 @@ class Options:
         materials: "own" or "gltf" ("raster").
         resolution: of the intermediate image, as in `WarpedPainter` ("raster").
         map_from: where a world ray meets the scene: in the intermediate image's "depth", or on the "mesh" ("raster").
-        maps: also write the warp map of each frame ("raster"), as "tiff" or "pfm"; None for none.
+        maps: also write the warp map of each frame ("raster"), as "tiff" or "pfm", and from where the intermediate
+            image was drawn that it leads into; None for none.
         per_colour: whether red, green and blue follow rays of their own, and have maps of their own; a device is traced
             at `headset.PRIMARIES_UM`.
         video: also write EYE.mp4.
@@ -259,8 +261,14 @@ def _picture_file(folder: Path, moment: Moment) -> Path:
     return folder / f"{moment.stem}.png"
 
 
+def _view_file(folder: Path, moment: Moment) -> Path:
+    return folder / f"{moment.stem}.json"
+
+
 def _is_done(folder: Path, moment: Moment, options: Options) -> bool:
-    return all(path.exists() for path in (*_map_files(folder, moment, options), _picture_file(folder, moment)))
+    maps = _map_files(folder, moment, options)
+    beside = [_view_file(folder, moment)] if maps else []
+    return all(path.exists() for path in (*maps, *beside, _picture_file(folder, moment)))
 
 
 def _painters(options: Options, channels: dict[str, Channels], scene: Scene) -> dict[str, list[Painter]]:
@@ -295,6 +303,8 @@ def _drawn(
         for path, frame in zip(_map_files(folder, moment, options), frames, strict=False):
             assert frame.source is not None, "a rasterised frame painted with its geometry has a map"
             write_map(path, frame.source)
+        if frames[0].view is not None:  # the same for all colours
+            write_view(_view_file(folder, moment), frames[0].view)
         write_png(_picture_file(folder, moment), colour_by_colour(frames))
         yield moment
 
