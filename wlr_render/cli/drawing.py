@@ -151,8 +151,8 @@ def _add_bench(verbs: Verbs) -> None:
         "--record",
         type=Path,
         metavar="FOLDER",
-        help="also keep the figures there, in a file named after what draws; docs/benchmarks has those of other "
-        "machines, and wants those of a GPU",
+        help="also keep the figures there, in a file named after what draws; in a checkout those of a GPU are kept in "
+        "docs/benchmarks without asking",
     )
     diagnosis = parser.add_argument_group("diagnosis")
     diagnosis.add_argument("--trials", type=count, default=20, help="of every cause; one of each takes minutes")

@@ -92,3 +92,16 @@ def test_only_opengl_that_is_asked_for_by_name_is_missed(monkeypatch):
     assert study._renderer("cpu") is None
     with pytest.raises(MissingGlError):
         study._renderer("egl")
+
+
+def test_in_a_checkout_the_figures_of_a_gpu_are_kept_without_asking(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    gpu, software = study.Renderer("GPU 1", False), study.Renderer("llvmpipe", True)
+    asked = study.Options(record=tmp_path / "kept")
+    assert study.kept_in(study.Options(), gpu) is None
+    study.BENCHMARKS.mkdir(parents=True)
+    (study.BENCHMARKS / "README.md").write_text("here\n")
+    assert study.kept_in(study.Options(), gpu) == study.BENCHMARKS
+    assert study.kept_in(asked, gpu) == tmp_path / "kept"
+    assert study.kept_in(study.Options(), software) is None
+    assert study.kept_in(study.Options(), None) is None

@@ -52,6 +52,9 @@ class Extent:
     judged_panel: Panel | None = None
 
 
+BENCHMARKS = Path("docs/benchmarks")
+
+
 @dataclass(frozen=True)
 class Options:
     """What to measure: the backend of OpenGL, where the tables go, and where they are kept by the renderer's name."""
@@ -70,10 +73,9 @@ def run(options: Options, progress: Progress = silent, extent: Extent = Extent()
     """
     folder = output_folder(options.out)
     renderer = _renderer(options.backend)
-    if options.record is not None:
-        if renderer is None:
-            raise BadInputError("figures are kept by the name of OpenGL's renderer, and there is no OpenGL here.")
-        output_folder(options.record)
+    kept = kept_in(options, renderer)
+    if kept is not None:
+        output_folder(kept)
     machine = _machine(renderer)
     work = workload(extent.panel, extent.rounds)
     parts: list[Tables] = [partial(_offline, work, options.backend, machine)]
@@ -84,8 +86,8 @@ def run(options: Options, progress: Progress = silent, extent: Extent = Extent()
     tables = [table for part in progress(iter(parts), len(parts), "benchmarks") for table in part()]
     write_text(folder / "bench.md", "\n".join(table.markdown() for table in tables))
     write_text(folder / "bench.json", tables_as_json(tables))
-    if options.record is not None and renderer is not None:
-        record(tables, options.record, renderer.name)
+    if kept is not None and renderer is not None:
+        record(tables, kept, renderer.name)
     return tables
 
 
@@ -95,6 +97,18 @@ class Renderer:
 
     name: str
     is_software: bool
+
+
+def kept_in(options: Options, renderer: Renderer | None) -> Path | None:
+    """The folder in which figures are kept: the one asked for; in a checkout, a GPU's in `BENCHMARKS` without asking.
+
+    Raises:
+        BadInputError: a folder is asked for, and there is no OpenGL to name the file after.
+    """
+    if options.record is not None and renderer is None:
+        raise BadInputError("figures are kept by the name of OpenGL's renderer, and there is no OpenGL here.")
+    of_gpu = renderer is not None and not renderer.is_software and (BENCHMARKS / "README.md").is_file()
+    return BENCHMARKS if options.record is None and of_gpu else options.record
 
 
 def _renderer(backend: str) -> Renderer | None:
