@@ -18,8 +18,9 @@ JUDGED = ("field_table", "landing_table", "late_table")
 
 
 @pytest.fixture
-def jobs(monkeypatch, small_panel_model):
+def jobs(monkeypatch, tmp_path, small_panel_model):
     """Every job tells its name and the rounds it was given."""
+    monkeypatch.chdir(tmp_path)  # a run on a GPU keeps its figures in the checkout's docs
     told = []
 
     def instead(name, many=False):
