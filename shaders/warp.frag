@@ -81,7 +81,8 @@ vec4 ray_at(int channel, vec2 position)
 void path_of_ray(vec4 ray, out vec2 at_infinity, out vec2 shift)
 {
 #if ROWS
-    int row = int(gl_FragCoord.y * row_from_fragment.x + row_from_fragment.y);
+    int last_row = textureSize(camera_matrices, 0).y - 1;  // helper pixels may lie beyond it
+    int row = clamp(int(gl_FragCoord.y * row_from_fragment.x + row_from_fragment.y), 0, last_row);
     vec4 row_u = texelFetch(camera_matrices, ivec2(0, row), 0);
     vec4 row_v = texelFetch(camera_matrices, ivec2(1, row), 0);
     vec4 row_depth = texelFetch(camera_matrices, ivec2(2, row), 0);

@@ -13,6 +13,7 @@ from wlr_render.compositing.checks import (
     nearest_in_reach,
 )
 from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
 from wlr_render.mappings import EYE_BOX_MARGIN, Panel
 
 
@@ -49,7 +50,7 @@ def test_a_size_that_is_none_is_refused(size):
 @pytest.mark.parametrize("colour", [(0, 0, 256), (0, -1, 0), (0.5, 0.5, 0.5), (1, 2), "red"])
 def test_a_background_that_is_no_colour_is_refused(colour):
     assert checked_background(np.array([1, 2, 255], np.uint8)) == (1, 2, 255)
-    with pytest.raises(BadInputError, match="sRGB codes"):
+    with pytest.raises(BadInputError, match=r"sRGB codes|not made of numbers"):
         checked_background(colour)
 
 
@@ -102,3 +103,35 @@ def test_viewpoints_are_wanted_of_every_eye(flat_image_headset):
     ):
         with pytest.raises(BadInputError, match=words):
             checked_viewpoints(viewpoint, models)
+
+
+def test_three_models_of_one_eye_need_no_name(flat_image_headset):
+    assert checked_models([flat_image_headset] * 3) == {"right": (flat_image_headset,) * 3}
+    elsewhere = dataclasses.replace(flat_image_headset.eye_box, centre=flat_image_headset.eye_box.centre + 0.001)
+    moved = dataclasses.replace(flat_image_headset, eye_box=elsewhere)
+    for models, words in (
+        ((flat_image_headset, moved, flat_image_headset), "eye box is not that"),
+        (None, "NoneType is no model"),
+        ({"right": [flat_image_headset, "green", flat_image_headset]}, "str is no model"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            checked_models(models)
+
+
+def test_what_is_not_made_of_numbers_is_told_in_a_sentence(flat_image_headset):
+    for check, given in (
+        (checked_size, "360x400"),
+        (checked_pose, [[1, 0], [0]]),
+        (checked_background, None),
+        (lambda given: checked_viewpoints(given, checked_models(flat_image_headset)), "here"),
+    ):
+        with pytest.raises(BadInputError, match=r"number|codes"):
+            check(given)
+
+
+def test_a_rotation_that_was_rounded_is_made_one():
+    exact = np.eye(4)
+    exact[:3, :3] = transforms.rotation_about("y", 0.7) @ transforms.rotation_about("x", -0.3)
+    rotation = checked_pose(exact + 2e-5 * np.pad(np.random.default_rng(1).uniform(-1, 1, (3, 3)), (0, 1)))[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotation, exact[:3, :3], atol=5e-5)

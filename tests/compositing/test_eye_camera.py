@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from wlr_render.compositing.eye_camera import EyeCamera
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
@@ -47,3 +48,14 @@ def test_the_view_matrix_carries_the_cameras_place_to_the_origin():
     eye_in_world = transforms.apply(HEAD, np.array([-0.03, 0.0, 0.01]))
     np.testing.assert_allclose(transforms.apply(EYE.camera_from_world, eye_in_world), 0, atol=1e-12)
     np.testing.assert_allclose(EYE.camera_from_world @ EYE.world_from_camera, np.eye(4), atol=1e-12)
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.0, 1.0), (0.1, 0.1), (np.inf, np.inf), (-1.0, 5.0), (np.nan, 1.0)])
+def test_planes_that_bound_nothing_are_refused(near, far):
+    with pytest.raises(BadInputError, match="two different positive distances"):
+        EYE.projection(near, far)
+
+
+def test_what_an_engine_is_told_it_cannot_change():
+    with pytest.raises(ValueError, match="read-only"):
+        EYE.world_from_camera[:3, 3] += 1.0

@@ -163,3 +163,34 @@ def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor, flat_ima
         made.submit(raster.draw_on_gpu(cameras["right"].view), eye="right")
     made.submit(raster.draw_on_gpu(cameras["right"].view, "right"), eye="right")
     assert made.compose().read("right").std() > 5
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_an_engine_may_write_over_what_it_has_submitted(compositor, flat_image_headset, context):
+    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+    (camera,) = made.begin_frame(HEAD, seen).values()
+    shape = camera.size_px[::-1]
+    color, depth = np.full((*shape, 3), 90, np.uint8), np.full(shape, 2.0, np.float32)
+    made.submit(color, depth)
+    color[:], depth[:] = 0, 0.5
+    assert np.median(made.compose().read()) == 90
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_words_do_not_stand_for_kinds_and_rows(compositor, flat_image_headset, context):
+    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+    (camera,) = made.begin_frame(HEAD, seen).values()
+    shape = camera.size_px[::-1]
+    given = np.zeros((*shape, 3), np.uint8), np.ones(shape, np.float32)
+    for wrong in ({"rows": "TOP_FIRST"}, {"stored": "metres"}, {"stored": DepthKind.WINDOW}):
+        with pytest.raises(BadInputError, match="must be a StoredDepth, and rows one of Rows"):
+            made.submit(*given, **wrong)
+    with pytest.raises(BadInputError, match="'WINDOW' is no kind of depth"):
+        StoredDepth("WINDOW", 0.05, np.inf)
+
+
+@pytest.mark.gl
+def test_pictures_larger_than_opengl_takes_are_refused_at_once(compositor, flat_image_headset):
+    for size in ((10**6, 20), (20, 10**6)):
+        with pytest.raises(BadInputError, match="and OpenGL takes"):
+            compositor(flat_image_headset, size=size, context="egl")

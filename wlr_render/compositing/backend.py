@@ -61,8 +61,8 @@ def open_backend(context: Any, plans: Sequence[EyePlan], solve: str, background:
     """The backend that `Compositor(context=..., solve=...)` names.
 
     Raises:
-        BadInputError: an unknown name, pixels for models that are not planar, or a context that is too old.
-        MissingGlError: OpenGL was asked for by name, and does not open.
+        BadInputError: an unknown name, pixels for models that are not planar, or sizes that are too large.
+        MissingGlError: OpenGL was asked for by name and does not open, or a context is too old.
     """
     if isinstance(context, str) and context not in CONTEXTS:
         raise BadInputError(f"context '{context}': choose from {', '.join(CONTEXTS)}, or give a moderngl.Context.")

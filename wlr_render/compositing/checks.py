@@ -15,7 +15,7 @@ REACH = 0.5
 """How far outside the eye box a viewpoint may lie, as a share of the box's size on each axis. Polynomials fitted inside
 may be carried on a little; what they say farther out is not an image of anything."""
 _ROTATION_SLACK = 1e-4
-_ROUNDING_M = 1e-9
+_ROUNDING = _ROUNDING_M = 1e-9
 
 
 def checked_models(models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]]) -> dict[str, Channels]:
@@ -24,10 +24,19 @@ def checked_models(models: EyeMappings | Mapping[str, EyeMappings | Sequence[Eye
     Raises:
         BadInputError: no eye, an eye of another name than its mappings', or colours that do not belong together.
     """
-    by_eye = {models.eye: models} if isinstance(models, EyeMappings) else models
+    by_eye = models if isinstance(models, Mapping) else {_eye_of(models): models}
     if not by_eye or not set(by_eye) <= {"left", "right"}:
-        raise BadInputError(f"models are given for {sorted(by_eye)}; give them for 'left', 'right' or both.")
+        raise BadInputError(f"models are given for {sorted(map(str, by_eye))}; give them for 'left', 'right' or both.")
     return {eye: _checked_channels(eye, by_eye[eye]) for eye in sorted(by_eye)}
+
+
+def _eye_of(models: EyeMappings | Sequence[EyeMappings]) -> str:
+    first = models[0] if isinstance(models, Sequence) and models else models
+    if not isinstance(first, EyeMappings):
+        raise BadInputError(
+            f"a {type(first).__name__} is no model of an eye; give EyeMappings, by eye if there are two."
+        )
+    return first.eye
 
 
 def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> Channels:
@@ -35,10 +44,16 @@ def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> 
     if len(channels) not in (1, 3):
         raise BadInputError(f"{eye} eye: {len(channels)} models are given; give one, or three for red, green and blue.")
     for mappings in channels:
+        _eye_of(mappings)
         if mappings.eye != eye:
             raise BadInputError(f"{mappings.name}: is a model of the {mappings.eye} eye, given for the {eye} eye.")
         if mappings.display.panel != channels[0].display.panel:
             raise BadInputError(f"{mappings.name}: its panel is not that of {channels[0].name}; the colours share one.")
+        ours, first = (np.stack([each.eye_box.centre, each.eye_box.size]) for each in (mappings, channels[0]))
+        if np.abs(ours - first).max() > _ROUNDING_M:
+            raise BadInputError(
+                f"{mappings.name}: its eye box is not that of {channels[0].name}; fit all colours to one."
+            )
     return channels
 
 
@@ -48,10 +63,22 @@ def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
     Raises:
         BadInputError: it is not two whole positive numbers.
     """
-    size = np.asarray(size_px, dtype=np.float64)
+    size = _numbers(size_px, "size")
     if size.shape != (2,) or not np.isfinite(size).all() or (size < 1).any() or (size != size.round()).any():
         raise BadInputError(f"the size {size_px} is not (width, height) in whole pixels.")
     return int(size[0]), int(size[1])
+
+
+def _numbers(value: object, what: str) -> FloatArray:
+    """A copy as float64.
+
+    Raises:
+        BadInputError: it is not made of numbers.
+    """
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInputError(f"the {what} {value!r} is not made of numbers.") from error
 
 
 def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
@@ -60,9 +87,10 @@ def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
     Raises:
         BadInputError: it is not three whole numbers from 0 to 255.
     """
-    if len(colour) != 3 or any(code not in range(256) for code in colour):
+    codes = _numbers(colour, "background")
+    if codes.shape != (3,) or any(code not in range(256) for code in codes.tolist()):
         raise BadInputError(f"the background {colour} is not (red, green, blue) of sRGB codes from 0 to 255.")
-    red, green, blue = (int(code) for code in colour)
+    red, green, blue = (int(code) for code in codes)
     return red, green, blue
 
 
@@ -72,19 +100,22 @@ def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
     Raises:
         BadInputError: not finite, or no rotation and translation.
     """
-    matrix = np.array(pose, dtype=np.float64)
+    matrix = _numbers(pose, what)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise BadInputError(
             f"the {what} of shape {matrix.shape} is not a 4 x 4 matrix of finite numbers; give world_from_device, and "
             "the last good one while the head is not tracked."
         )
     rotation = matrix[:3, :3]
-    upright = np.linalg.det(rotation) > 0 and np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_SLACK)
-    if not upright or not np.array_equal(matrix[3], [0, 0, 0, 1]):
+    askew = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if askew > _ROTATION_SLACK or np.linalg.det(rotation) < 0 or not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise BadInputError(
             f"the {what} is not a rotation and a translation; give world_from_device with the last row 0 0 0 1 (its "
             "transpose is what OpenGL takes)."
         )
+    if askew > _ROUNDING:
+        left, _, right = np.linalg.svd(rotation)
+        matrix[:3, :3] = left @ right  # the nearest rotation: what follows takes its transpose for its inverse
     return matrix
 
 
@@ -97,7 +128,7 @@ def checked_viewpoints(
         BadInputError: an eye is missing, a viewpoint is not three finite numbers, or lies far outside the eye box.
     """
     if not isinstance(viewpoint, Mapping):
-        if len(models) > 1:
+        if len(models) > 1 and viewpoint is not None:
             raise BadInputError("one viewpoint is given for two eyes; give {'left': ..., 'right': ...}.")
         viewpoint = dict.fromkeys(models, viewpoint)
     missing = set(models) - set(viewpoint)

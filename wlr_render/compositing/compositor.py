@@ -64,7 +64,7 @@ class Compositor:
         late_margin_deg: float = 1.0,
         background: tuple[int, int, int] = (0, 0, 0),
     ) -> None:
-        """Prepare; compiles shaders.
+        """Prepare; the first compose of each kind (into a framebuffer or not, rolling or not) compiles its shader.
 
         Args:
             models: mappings of one eye, or by eye "left" and "right"; three of an eye are for red, green and blue.
@@ -137,7 +137,7 @@ class Compositor:
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
         cameras = {eye: plan.eye_camera(viewpoints[eye], pose) for eye, plan in self._plans.items()}
         self._frame = _OpenFrame(pose, viewpoints, cameras)
-        return cameras
+        return dict(cameras)
 
     def submit(
         self,
@@ -153,7 +153,8 @@ class Compositor:
         Args:
             color: a numpy array (height, width, 3 or 4) uint8 sRGB with its top row first; or a ModernGL texture; or a
                 ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of our own
-                renderers, which is not copied.
+                renderers, which alone is not copied. Numbers from 0 to 1 in textures are sRGB codes over 255: linear
+                light must be encoded first.
             depth: a numpy array (height, width) or a texture, unless `color` holds it.
             eye: may be left out if there is one eye.
             stored: what the depth means; metres along the camera's axis with 0 for nothing if left out, as pyrender
@@ -165,6 +166,8 @@ class Compositor:
             BadInputError: no frame begun, an eye submitted twice, or a picture of another size, kind or context.
         """
         frame, eye = self._begun(), self._checked_eye(eye)
+        if not isinstance(stored, StoredDepth) or not isinstance(rows, Rows | None):
+            raise BadInputError("stored must be a StoredDepth, and rows one of Rows; see rendering/stored_picture.py.")
         if eye in frame.submitted:
             raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
         not_copied = getattr(color, "colour", None)  # of a GpuImage
@@ -210,7 +213,8 @@ class Compositor:
         if missing:
             raise BadInputError(f"the {missing[0]} eye has not been submitted; submit every eye before compose.")
         viewpoints = frame.viewpoints if viewpoint is None else checked_viewpoints(viewpoint, self._models)
-        poses = self._row_poses(frame.world_from_device if pose is None else pose, pose_at_last_row)
+        newest = frame.world_from_device if pose is None else checked_pose(pose)
+        poses = self._row_poses(newest, pose_at_last_row)
         composed = {}
         with self._backend.working():
             targets = self._backend.targets(into, self.eyes, self.size_px)
@@ -232,7 +236,10 @@ class Compositor:
         self._backend.finish()
 
     def release(self) -> None:
-        """Free what was made on the GPU, and our own context; from now on all calls are refused."""
+        """Free what was made on the GPU, and our own context; no frames from now on.
+
+        Nothing else frees it in a context of yours.
+        """
         if not self._released:
             self._frame, self._released = None, True
             self._backend.release()
@@ -258,13 +265,14 @@ class Compositor:
     def _checked_eye(self, eye: str | None) -> str:
         if eye is None and len(self._plans) == 1:
             return self.eyes[0]
+        if eye is None:
+            raise BadInputError(f"there are two eyes; name one of {', '.join(self.eyes)} with eye=.")
         if eye not in self._plans:
             raise BadInputError(f"there is no eye '{eye}' here; name one of {', '.join(self.eyes)}.")
         return eye
 
-    def _row_poses(self, pose: FloatArray, pose_at_last_row: FloatArray | None) -> NDArray[np.float64]:
+    def _row_poses(self, first: FloatArray, pose_at_last_row: FloatArray | None) -> NDArray[np.float64]:
         """(4, 4), or (rows, 4, 4) for a rolling scan-out."""
-        first = checked_pose(pose)
         if pose_at_last_row is None:
             return first
         last = checked_pose(pose_at_last_row, "pose at the last row")

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.mappings import FloatArray
 from wlr_render.rendering.view import View
@@ -43,7 +44,7 @@ class EyeCamera:
 
     @property
     def world_from_camera(self) -> FloatArray:
-        """(4, 4) pose in the world, as of a glTF or pyrender camera node."""
+        """(4, 4) pose in the world, as of a glTF or pyrender camera node; read-only."""
         return self.view.world_from_camera
 
     @property
@@ -68,7 +69,12 @@ class EyeCamera:
             far_m: that it stores as 1; nearer than `near_m` for a reversed buffer.
             zero_to_one: whether clip space has depths from 0 to 1, as after glClipControl, in Vulkan and in Direct3D;
                 else from -1 to 1.
+
+        Raises:
+            BadInputError: the distances are not two different positive ones.
         """
+        if not (near_m > 0 and far_m > 0 and near_m != far_m):
+            raise BadInputError(f"near_m = {near_m} and far_m = {far_m} are not two different positive distances.")
         (left, bottom), (right, top) = self.view.camera.tangent_min, self.view.camera.tangent_max
         matrix = np.zeros((4, 4))
         matrix[0, 0], matrix[0, 2] = 2 / (right - left), (right + left) / (right - left)

@@ -1,5 +1,6 @@
 """What is decided once for an eye: its axes, the camera of its intermediate image, how finely its field is known."""
 
+import functools
 from dataclasses import dataclass
 
 from wlr_render.compositing.checks import Channels
@@ -25,7 +26,6 @@ class EyePlan:
         device_from_camera: (3, 3) axes of the intermediate image and of the field.
         camera: of the intermediate image.
         raster_eye: where that camera stands for a viewpoint.
-        lattice: points between which the field may be read bilinearly, and how far off that is.
         taps: samples per display pixel and axis that the filter takes.
     """
 
@@ -35,8 +35,16 @@ class EyePlan:
     device_from_camera: FloatArray
     camera: Pinhole
     raster_eye: RasterEye
-    lattice: ChosenLattice
     taps: int
+
+    @functools.cached_property
+    def lattice(self) -> ChosenLattice:
+        """Points between which the fields may be read bilinearly, and how far off that is.
+
+        Of the colours, that which needs the finest; chosen when first asked for: who solves every pixel needs none.
+        """
+        chosen = [choose_lattice(mappings, self.device_from_camera, self.size_px) for mappings in self.channels]
+        return min(chosen, key=lambda each: float(each.cell_px.min()))
 
     @classmethod
     def of(cls, channels: Channels, size_px: tuple[int, int], resolution: float, late_margin: float) -> "EyePlan":
@@ -51,10 +59,8 @@ class EyePlan:
         middle = channels[len(channels) // 2]
         axes = middle_axes(middle)
         camera = covering_camera(channels, axes, resolution, size_px, late_margin)
-        chosen = [choose_lattice(mappings, axes, size_px) for mappings in channels]
-        finest = min(chosen, key=lambda each: float(each.cell_px.min()))
         taps = taps_for(shrink_over_eye_box(middle, axes, camera, size_px))
-        return cls(middle.eye, channels, size_px, axes, camera, RasterEye(middle, axes), finest, taps)
+        return cls(middle.eye, channels, size_px, axes, camera, RasterEye(middle, axes), taps)
 
     def eye_camera(self, viewpoint: FloatArray, world_from_device: FloatArray) -> EyeCamera:
         """From where to draw for a viewpoint (3,) and a head pose (4, 4)."""

@@ -43,6 +43,8 @@ class GlComposed:
         """See `ComposedEye`."""
         if self.warped is None:
             raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
+        if gl.is_released(self.warped.colour):
+            raise BadInputError("the compositor has been released, and its pictures with it; read them before.")
         return self.warped.read()
 
     def unsolved(self) -> dict[str, int]:
@@ -119,13 +121,15 @@ class GlBackend:
         """Open or adopt the context, see `Compositor`.
 
         Raises:
-            BadInputError: pixels for models that are not planar, or a context that is too old.
-            MissingGlError: no OpenGL.
+            BadInputError: pixels for models that are not planar, or sizes that are too large.
+            MissingGlError: no OpenGL, or a context that is too old.
         """
         self.context = _context(context)
         self.name = self.context.renderer
         self._framebuffers = CallersFramebuffers(self.context)
         try:
+            for plan in plans:
+                _check_sizes(plan, self.context.largest_side_px)
             self.eyes = {plan.eye: GlEye(self.context, self._framebuffers, plan, solve, background) for plan in plans}
         except BaseException:
             self.release()
@@ -147,6 +151,15 @@ class GlBackend:
     def release(self) -> None:
         """See `Backend`; a context of somebody else stays."""
         self.context.release()
+
+
+def _check_sizes(plan: EyePlan, largest_px: int) -> None:
+    for what, size in (("display", plan.size_px), ("camera", (plan.camera.width_px, plan.camera.height_px))):
+        if max(size) > largest_px:
+            raise BadInputError(
+                f"the {plan.eye} eye's {what} would have {size[0]} x {size[1]} pixels, and OpenGL takes {largest_px} "
+                "here; make size or resolution smaller."
+            )
 
 
 def _context(context: Any) -> gl.GlContext:

@@ -80,6 +80,11 @@ class GlContext:
         return str(self._ctx.info["GL_RENDERER"])
 
     @property
+    def largest_side_px(self) -> int:
+        """Of a texture or framebuffer."""
+        return int(self._ctx.info["GL_MAX_TEXTURE_SIZE"])
+
+    @property
     def is_software(self) -> bool:
         """Whether the CPU plays the GPU: work per pixel is dear, and texture filters have exact weights."""
         return any(name in self.renderer.lower() for name in _SOFTWARE)

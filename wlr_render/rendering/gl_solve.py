@@ -109,11 +109,12 @@ class GlSolve:
             box.contains(viewpoint, EYE_BOX_MARGIN) for box in (self._display.eye_box, self._see_through.eye_box)
         )
         self._new, self._last = self._last, self._new
+        started_from, self._last_viewpoint = self._last_viewpoint, None  # after a failure there is no start
         with self._context.drawing():
             self._new.framebuffer.use()
             last = {"last_view_tangents": self._last.tangents, "last_slopes": self._last.slopes}
             gl.bind_textures(self._solve.program, **last)
-            self._set_uniforms(viewpoint, inside)
+            self._set_uniforms(viewpoint, started_from, inside)
             self._solve.render(vertices=3)
         # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
         self._last_viewpoint = viewpoint if inside else None
@@ -127,13 +128,12 @@ class GlSolve:
             self._status_and_iterations,
         )
 
-    def _set_uniforms(self, viewpoint: FloatArray, inside: bool) -> None:
+    def _set_uniforms(self, viewpoint: FloatArray, started_from: FloatArray | None, inside: bool) -> None:
         display, see_through, program = self._display, self._see_through, self._solve.program
-        last = viewpoint if self._last_viewpoint is None else self._last_viewpoint
         gl.set_uniforms(
             program,
-            has_last=self._last_viewpoint is not None,
-            moved=tuple(viewpoint - last),
+            has_last=started_from is not None,
+            moved=(0.0, 0.0, 0.0) if started_from is None else tuple(viewpoint - started_from),
             first_px=tuple(self._lattice.first_px),
             step_px=tuple(self._lattice.step_px),
             viewpoint=tuple(viewpoint),

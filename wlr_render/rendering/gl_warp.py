@@ -41,7 +41,7 @@ class WarpTarget:
     """Where in a framebuffer a warped picture goes.
 
     Attributes:
-        framebuffer: of one colour; alpha becomes 1.
+        framebuffer: its first colour is drawn to; alpha becomes 1.
         first_px: (x, y) of the picture's corner with the smallest window coordinates.
         size_px: (width, height) of the picture; nothing else of the framebuffer is touched.
         top_row_first: whether the picture's top row has the smallest window y, as in our own textures. False gives a
@@ -134,8 +134,10 @@ class GlWarp:
         with self._context.drawing():
             before = target.framebuffer.viewport
             outputs = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
-            self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
-            target.framebuffer.viewport = before
+            try:
+                self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
+            finally:
+                target.framebuffer.viewport = before
 
     def warp(
         self,

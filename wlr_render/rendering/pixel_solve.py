@@ -36,7 +36,10 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
     Raises:
         BadInputError: it is not three finite numbers.
     """
-    checked = np.asarray(viewpoint, dtype=np.float64)
+    try:
+        checked = np.asarray(viewpoint, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInputError(f"the viewpoint {viewpoint!r} is not three finite numbers.") from error
     if checked.shape != (3,) or not np.isfinite(checked).all():
         raise BadInputError(
             f"the viewpoint {checked.tolist()} is not three finite numbers; give the eye's place in the device frame in"

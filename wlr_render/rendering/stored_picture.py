@@ -48,6 +48,8 @@ class StoredDepth:
     far_m: float = np.inf
 
     def __post_init__(self) -> None:
+        if not isinstance(self.kind, DepthKind):
+            raise BadInputError(f"{self.kind!r} is no kind of depth; give one of {', '.join(map(str, DepthKind))}.")
         if self.kind is DepthKind.WINDOW and not (self.near_m > 0 and self.far_m > 0 and self.near_m != self.far_m):
             raise BadInputError(
                 f"Depth buffer values need two different positive distances, not near_m = {self.near_m} and "
@@ -63,7 +65,7 @@ class StoredDepth:
 def picture_of_arrays(
     camera: Pinhole, colour: NDArray[np.uint8], depth: NDArray[np.float32], stored: StoredDepth, rows: Rows
 ) -> GeometryImage:
-    """A picture in memory as our own renderers give theirs; `submitted.PictureImport` does the same on the GPU.
+    """A copy of a picture in memory as our own renderers give theirs; `submitted.PictureImport` makes one on the GPU.
 
     Args:
         camera: drawn with.
@@ -84,7 +86,7 @@ def picture_of_arrays(
         at_0, at_1 = stored.inverse_of_0_and_1
         inverse = (1 - depth) * at_0 + depth * at_1
         inverse[(depth == (0 if at_0 < at_1 else 1)) | (inverse < 0)] = 0  # on the far plane, also if it is finite
-    return GeometryImage(np.ascontiguousarray(colour), np.ascontiguousarray(inverse, np.float32))
+    return GeometryImage(np.array(colour, order="C"), np.array(inverse, np.float32, order="C"))
 
 
 def check_arrays(colour: NDArray[Any], depth: NDArray[Any], size: tuple[int, int]) -> None:

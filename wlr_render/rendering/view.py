@@ -28,18 +28,25 @@ class View:
 
     @functools.cached_property
     def viewpoint_in_world(self) -> NDArray[np.float64]:
-        """(3,) metres."""
-        return transforms.apply(self.world_from_device, self.viewpoint_in_device)
+        """(3,) metres; read-only."""
+        return _read_only(transforms.apply(self.world_from_device, self.viewpoint_in_device))
 
     @functools.cached_property
     def world_from_camera(self) -> NDArray[np.float64]:
-        """(4, 4); the camera frame's origin is the viewpoint."""
-        return transforms.rigid(self.world_from_device[:3, :3] @ self.device_from_camera, self.viewpoint_in_world)
+        """(4, 4), read-only; the camera frame's origin is the viewpoint."""
+        turned = self.world_from_device[:3, :3] @ self.device_from_camera
+        return _read_only(transforms.rigid(turned, self.viewpoint_in_world))
 
     def pixel_rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """World rays through the pixel centres: origin (3,), unit directions (height, width, 3)."""
         in_camera = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
         return self.viewpoint_in_world, transforms.rotate(self.world_from_camera, in_camera)
+
+
+def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """So that nobody changes by accident what is worked out once."""
+    array.flags.writeable = False
+    return array
 
 
 def image_from_field(
