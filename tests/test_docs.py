@@ -10,7 +10,16 @@ TEXTS = sorted([ROOT / "README.md", ROOT / "shaders/README.md", *(ROOT / "docs")
 FILE = re.compile(r"`([\w./-]+\.(?:py|md|glsl|frag|vert|toml))`")
 LINK = re.compile(r"\]\(([^)#:]+)\)")
 # Files of users, not of ours.
-THEIRS = {"session.toml", "bench.toml", "board.toml", "device.toml", "bench.md", "stream.md", "compare.md", "calibration.md"}
+THEIRS = {
+    "session.toml",
+    "bench.toml",
+    "board.toml",
+    "device.toml",
+    "bench.md",
+    "stream.md",
+    "compare.md",
+    "calibration.md",
+}
 PLACES = [
     ROOT,
     ROOT / "wlr_render",
