@@ -34,7 +34,9 @@ def _demo(args: argparse.Namespace) -> None:
 
 
 def _add_trace(verbs: Verbs) -> None:
-    text = "draw a device with its rays, and print field, pixel size, pupil swim and see-through deviation"
+    text = (
+        "draw a device with its rays, and print field, pixel size, pupil swim, see-through deviation and lateral colour"
+    )
     parser = new_verb(verbs, "trace", _trace, text)
     parser.add_argument("device", metavar="DEVICE", help="a shipped device or a device file")
     add_eye(parser)
@@ -45,7 +47,8 @@ def _trace(args: argparse.Namespace) -> None:
     from wlr_render.terminal import print_table
 
     result = trace_device.run(args.device, args.eye, args.out)
-    print_table(result.table)
+    for table in result.tables:
+        print_table(table)
     print(f"The drawing: {result.drawing}")
 
 

@@ -13,7 +13,6 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.scene import Instance, Light, Scene
 from wlr_render.rendering.shapes.sculpture import sculpture
 from wlr_render.studies.alignment_demo import simulated_captures
-from wlr_render.studies.headset import Channels, open_channels
 from wlr_render.studies.speed.timing import ROUNDS
 
 HEAD_POSE = np.eye(4)
@@ -84,25 +83,6 @@ def bench_model(
     """A planar model of a shipped device, whose panel may be given another number of pixels."""
     truth = traced_eye(load_device(device), eye)
     return _planar(truth, panel or truth.display.panel, _SEED, display_degree)
-
-
-def fit_channels(device: str, eye: str = "right", panel: Panel | None = None) -> Channels:
-    """Planar models of one eye in red, green and blue light, each from a simulated calibration with noise of its own.
-
-    Args:
-        device: a shipped device or a device file.
-        eye: "left" or "right".
-        panel: another number of pixels for its panel; its own if None.
-
-    Raises:
-        BadInputError: as `headset.open_channels`.
-    """
-    truths = open_channels([device], eye)
-    red, green, blue = (
-        _planar(truth, panel or truth.display.panel, _SEED + number, DISPLAY_DEGREE)
-        for number, truth in enumerate(truths)
-    )
-    return red, green, blue
 
 
 def _planar(truth: EyeMappings, panel: Panel, seed: int, display_degree: int) -> EyeMappings:
