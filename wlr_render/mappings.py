@@ -237,6 +237,10 @@ class EyeMappings:
     field: Field | None = None
 
 
+Channels = tuple[EyeMappings, ...]
+"""One pair of mappings for all colours of an eye, or one each for red, green and blue."""
+
+
 @runtime_checkable
 class PlanarDisplay(Protocol):
     """A display mapping whose formula can be solved elsewhere than in numpy: the pixel's tangents on a base plane.

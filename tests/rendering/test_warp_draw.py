@@ -102,17 +102,21 @@ def coarse(step_px, columns=21, rows=16):
     return lattice, smooth_bend(u, v, offset=0.0)
 
 
+@pytest.mark.parametrize("as_many_pixels_as_points", [False, True])
 @pytest.mark.parametrize("software", [True, False])
-def test_between_lattice_points_the_field_is_linear_whatever_reads_it(gl_context, image, software, monkeypatch):
+def test_between_lattice_points_the_field_is_linear_whatever_reads_it(
+    gl_context, image, software, as_many_pixels_as_points, monkeypatch
+):
     # A GPU's filter has weights of 8 bits; there the shader weighs the points itself.
     monkeypatch.setattr(type(gl_context), "is_software", software)
     step_px = 4
     lattice, bend = coarse(step_px)
     panel = lattice.panel
-    size = (panel.width_px, panel.height_px)
+    size = lattice.size if as_many_pixels_as_points else (panel.width_px, panel.height_px)
     field = uploaded_field(gl_context, bend, lattice)
     source = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
-    place = (np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1) + 0.5) / step_px
+    pixel = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1) + 0.5
+    place = pixel * (panel.size_px / size) / step_px
     base = place.astype(int)
     weight = (place - base)[..., None, :]
     corner = [[np.moveaxis(bend[:, base[..., 1] + j, base[..., 0] + i], 0, -1) for i in (0, 1)] for j in (0, 1)]

@@ -5,11 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, EyeMappings, FloatArray
+from wlr_render.mappings import EYE_BOX_MARGIN, Channels, EyeBox, EyeMappings, FloatArray
 from wlr_render.rendering.pixel_solve import checked_viewpoint
-
-Channels = tuple[EyeMappings, ...]
-"""One pair of mappings for all colours, or one each for red, green and blue."""
 
 REACH = 0.5
 """How far outside the eye box a viewpoint may lie, as a share of the box's size on each axis. Polynomials fitted inside

@@ -198,7 +198,7 @@ class GlWarp:
 
     def _by_texels(self, fields: Sequence[GpuField], size_px: tuple[int, int]) -> int:
         """1 if a field is read between its points where filters have weights of 8 bits, which costs some 0.1'."""
-        between = any(field.lattice.size != size_px for field in fields)
+        between = not all(field.lattice.is_of_pixels(size_px) for field in fields)
         return int(between and not self._context.is_software)
 
     def _pass(self, **constants: int) -> gl.VertexArray:
@@ -242,7 +242,7 @@ def _check(fields: int, channels: int, image_from_field: FloatArray, size_px: tu
 
 def _sampled(field: GpuField, size_px: tuple[int, int]) -> gl.Texture:
     # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.
-    (gl.read_at_texels if field.lattice.size == size_px else gl.read_between_texels)(field.bend)
+    (gl.read_at_texels if field.lattice.is_of_pixels(size_px) else gl.read_between_texels)(field.bend)
     return field.bend
 
 

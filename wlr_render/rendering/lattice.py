@@ -53,6 +53,10 @@ class Lattice:
         """Panel positions of all points, (rows, columns, 2)."""
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
+    def is_of_pixels(self, size_px: tuple[int, int]) -> bool:
+        """Whether the points are the pixel centres of a picture (width, height), and not as many points elsewhere."""
+        return self.size == tuple(size_px) and np.allclose(self.first_px, 0.5 * self.step_px)
+
     def texture_from_picture(self, size_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """(scale, offset), (2,) each: where a pixel of a picture (width, height) is read, in normalised coordinates.
 

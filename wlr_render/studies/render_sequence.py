@@ -14,7 +14,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import Channels, EyeMappings, FloatArray
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter, colour_by_colour
 from wlr_render.rendering.rasteriser import open_rasteriser
@@ -35,10 +35,6 @@ MAPS_FROM = ("depth", "mesh")
 _RASTER_ONLY = ("maps", "materials", "resolution", "map_from")
 COLOURS = ("red", "green", "blue")
 RECORD = "sequence.json"
-
-
-Channels = tuple[EyeMappings, ...]
-"""The mappings of one eye: one pair for all colours, or one each for red, green and blue."""
 
 
 @dataclass(frozen=True)
