@@ -1,11 +1,15 @@
 import math
+import os
 import tomllib
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from wlr_render import files
+from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.rendering import image_files
 
 
 def table(tmp_path, text):
@@ -111,3 +115,51 @@ def test_what_toml_cannot_hold_is_refused_and_no_file_appears(tmp_path, value):
     with pytest.raises(ValueError, match=r"'outer\.key' cannot be written as TOML"):
         files.write_toml(tmp_path / "thing.toml", {"outer": {"key": value}})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def full_disk():
+    """A disk on which no file can grow beyond 4 kB, as the system's limit for file sizes makes one."""
+    resource = pytest.importorskip("resource")
+    before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, most))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
+
+
+_NOISE = np.random.default_rng(0).integers(0, 256, (90, 120, 3), np.uint8)
+
+
+def _figure():
+    figure = Figure()
+    figure.subplots().imshow(_NOISE)
+    return figure
+
+
+WRITERS = {
+    "a.txt": lambda path: files.write_text(path, "x" * 5000),
+    "a.npz": lambda path: files.write_arrays(path, {"noise": _NOISE}),
+    "figure.png": lambda path: files.write_figure(path, _figure()),
+    "a.png": lambda path: image_files.write_png(path, _NOISE),
+    "a.tiff": lambda path: image_files.write_map(path, _NOISE),
+    "a.pfm": lambda path: image_files.write_map(path, _NOISE),
+    "a.tif": lambda path: write_photograph(path, _NOISE[..., 0]),
+    "a.mp4": lambda path: image_files.write_video(path, [_NOISE, _NOISE[::-1].copy()], 30.0),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(tmp_path, full_disk, name):
+    target = tmp_path / name
+    target.write_text("old")
+    with pytest.raises(BadInputError, match=rf"{name}: .*free space.* or choose another folder"):
+        WRITERS[name](target)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert target.read_text() == "old"
+
+
+def test_outputs_have_the_permissions_that_the_umask_gives_and_leave_the_umask_alone(tmp_path, monkeypatch):
+    plain = tmp_path / "plain"
+    plain.write_text("")
+    monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("another thread's files would get this umask"))
+    assert files.write_text(tmp_path / "ours", "").stat().st_mode == plain.stat().st_mode

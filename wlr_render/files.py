@@ -1,11 +1,12 @@
-"""Where shipped files lie, how files are written, and how TOML is read and written.
+"""Paths of shipped files, atomic writing of every output, and reading and writing of TOML.
 
-Every output goes to a temporary name in the same folder and is renamed when it is whole, so that a reader never
-meets half a file and a failed run leaves the old one in place.
+Every output is encoded in memory, goes to a temporary name in the same folder, is flushed to the disk, and is renamed
+only then: a reader never meets half a file, and a full disk or a failed run leaves the old file in place.
 """
 
 import contextlib
 import difflib
+import io
 import json
 import math
 import os
@@ -14,14 +15,27 @@ import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _PACKAGE = Path(__file__).resolve().parent
+
+
+def _umask() -> int:
+    """The umask of the process; it can only be read by setting it, which must not happen beside other threads."""
+    umask = os.umask(0)
+    os.umask(umask)
+    return umask
+
+
+_FILE_MODE = 0o666 & ~_umask()
 
 
 def resource(folder: str, name: str = "") -> Path:
@@ -75,27 +89,91 @@ def output_folder(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path with the same suffix; rename it to `path` if the block ends without an error."""
+    """Give a temporary path with the same suffix; flush it and rename it to `path` if the block ends without an error.
+
+    For encoders that must have a path, such as those of videos, and that are checked by the block; everything else is
+    written by `write_bytes`.
+
+    Raises:
+        BadInputError: the folder cannot be written, or the file cannot be flushed.
+    """
     target = Path(path)
     output_folder(target.parent)
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
-    os.close(handle)
+    with _disk_errors(path):
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
     temporary = Path(name)
-    umask = os.umask(0)
-    os.umask(umask)
     try:
         yield temporary
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(target)
+        with _disk_errors(path):
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            temporary.chmod(_FILE_MODE)
+            temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file whole or not at all."""
-    with written_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+@contextlib.contextmanager
+def _disk_errors(path: str | Path) -> Iterator[None]:
+    """Say in one sentence why `path` cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise BadInputError(f"{path}: cannot be written ({reason}); free space or choose another folder.") from error
+
+
+def write_bytes(path: str | Path, content: bytes | memoryview) -> Path:
+    """Write a file atomically: it appears under its name with all of `content`, or not at all.
+
+    Raises:
+        BadInputError: the disk is full, or the folder cannot be written.
+    """
+    with written_whole(path) as temporary, _disk_errors(path):
+        temporary.write_bytes(content)
     return Path(path)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a UTF-8 text file with `write_bytes`."""
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def write_image(path: str | Path, image: NDArray[np.generic], parameters: Sequence[int] = ()) -> Path:
+    """Write an array as OpenCV encodes it (colours in BGR order) in the format of the path's suffix.
+
+    Args:
+        path: where.
+        image: (height, width) or (height, width, 3).
+        parameters: of `cv2.imencode`.
+
+    Raises:
+        BadInputError: OpenCV cannot encode this array in this format, or the disk is full.
+    """
+    import cv2
+
+    try:
+        encoded, content = cv2.imencode(Path(path).suffix, image, parameters)
+    except cv2.error:
+        encoded = False
+    if not encoded:
+        raise BadInputError(f"{path}: OpenCV cannot write this kind of picture; name it .png.")
+    return write_bytes(path, content.data)
+
+
+def write_figure(path: str | Path, figure: "Figure", dpi: float | None = None) -> Path:
+    """Write a matplotlib figure in the format of the path's suffix; `dpi` is the figure's own by default."""
+    content = io.BytesIO()
+    figure.savefig(content, format=Path(path).suffix[1:], dpi=dpi or "figure")
+    return write_bytes(path, content.getbuffer())
+
+
+def write_arrays(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> Path:
+    """Write named arrays as a compressed .npz, without pickled objects."""
+    content = io.BytesIO()
+    np.savez_compressed(content, allow_pickle=False, **arrays)
+    return write_bytes(path, content.getbuffer())
 
 
 class Table:

@@ -85,6 +85,26 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
     assert len(set(pictures(moving.out).values())) == 5
 
 
+def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_again(moving, tmp_path):
+    """The first run stops at a frame that is larger than the system lets files be."""
+    resource = pytest.importorskip("resource")
+    render_sequence.run(moving)
+    again = replace(moving, out=tmp_path / "resumed")
+    before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def disk_fills_up(items, total, label):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (min(map(len, pictures(moving.out).values())) - 1, most))
+        yield from items
+
+    try:
+        with pytest.raises(BadInputError, match=r"right-000000\.png: cannot be written \(File too large\)"):
+            render_sequence.run(again, disk_fills_up)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
+    render_sequence.run(again)
+    assert pictures(again.out) == pictures(moving.out)
+
+
 def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monkeypatch):
     painted = []
     paint = WarpedPainter.paint

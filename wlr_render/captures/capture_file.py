@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, written_whole
+from wlr_render.files import Table, write_arrays
 from wlr_render.mappings import EyeBox, Panel
 
 FORMAT = "wlr-captures"
@@ -45,12 +45,10 @@ def save_captures(path: str | Path, captures: EyeCaptures) -> Path:
         "eye_box": _box_record(display.eye_box),
         "see_through_eye_box": None if see_through is None else _box_record(see_through.eye_box),
     }
-    arrays = _arrays("display", display)
+    arrays = {"header": np.array(json.dumps(header))} | _arrays("display", display)
     if see_through is not None:
         arrays |= _arrays("see_through", see_through)
-    with written_whole(path) as temporary:
-        np.savez_compressed(temporary, allow_pickle=False, header=np.array(json.dumps(header)), **arrays)
-    return Path(path)
+    return write_arrays(path, arrays)
 
 
 def load_captures(path: str | Path) -> EyeCaptures:

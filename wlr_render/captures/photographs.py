@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import written_whole
+from wlr_render.files import write_image
 
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) grey, uint8 or uint16, as it came from the camera."""
@@ -70,11 +70,8 @@ def check_photograph(image: Photograph, size_px: tuple[int, int], full_scale: in
 
 def write_photograph(path: str | Path, image: Photograph) -> Path:
     """Write (h, w) uint8 or uint16 as .png or .tif, whole or not at all."""
-    with written_whole(path) as temporary:
-        # Noise does not compress: more effort only takes longer.
-        if not cv2.imwrite(str(temporary), image, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
-            raise BadInputError(f"{path}: OpenCV cannot write this kind of picture; name it .png.")
-    return Path(path)
+    # Noise does not compress: more effort only takes longer.
+    return write_image(path, image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
 
 
 def photographs_in(folder: str | Path) -> list[Path]:

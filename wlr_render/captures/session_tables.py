@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session_schema import Column, Kind, Schema
 from wlr_render.errors import BadInputError
-from wlr_render.files import written_whole
+from wlr_render.files import write_bytes
 
 FloatArray = NDArray[np.float64]
 Columns = dict[str, FloatArray]
@@ -53,10 +53,8 @@ def write_table(path: Path, schema: Schema, columns: Mapping[str, FloatArray]) -
     text = io.StringIO()
     np.savetxt(text, values, formats, ",", header=",".join(column.name for column in written), comments="")
     content = text.getvalue().encode()
-    with written_whole(path) as temporary:
-        # Without a time stamp, the same session gives the same file.
-        temporary.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
-    return path
+    # Without a time stamp, the same session gives the same file.
+    return write_bytes(path, gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
 
 
 def _text(path: Path) -> str:

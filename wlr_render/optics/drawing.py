@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 from wlr_render.mappings import Status
 from wlr_render.optics.device import Device, EyeOptics, FloatArray, Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.media import AIR
@@ -70,8 +70,7 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
         _draw_view(axes, optics, view)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    write_figure(path, figure, 150)
 
 
 def _draw_view(axes: "Axes", optics: EyeOptics, view: _View) -> None:

@@ -1,4 +1,4 @@
-"""Pictures, float maps and videos on disk. Every file is written whole or not at all.
+"""Pictures, float maps and videos on disk. Every file is written atomically.
 
 OpenCV stores colours as BGR; this is the only module that turns them round.
 """
@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import written_whole
+from wlr_render.files import write_image, written_whole
 
 
 def write_png(path: str | Path, image: NDArray[np.uint8]) -> Path:
     """Write (height, width, 3) RGB or (height, width) grey uint8."""
-    return _write(path, _reversed_channels(image))
+    return write_image(path, _reversed_channels(image))
 
 
 def read_png(path: str | Path) -> NDArray[np.uint8]:
@@ -38,7 +38,7 @@ def write_map(path: str | Path, values: NDArray[np.float32]) -> Path:
     """
     if Path(path).suffix not in (".tiff", ".tif", ".pfm"):
         raise BadInputError(f"{path}: a float map is written as .tiff or .pfm.")
-    return _write(path, _reversed_channels(values.astype(np.float32)))
+    return write_image(path, _reversed_channels(values.astype(np.float32)))
 
 
 def read_map(path: str | Path) -> NDArray[np.float32]:
@@ -50,13 +50,13 @@ def read_map(path: str | Path) -> NDArray[np.float32]:
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_per_second: float) -> Path:
-    """Write RGB frames of one size as an .mp4.
+    """Write RGB frames of one size as an .mp4, and count them in the closed file, since OpenCV hides write errors.
 
     Raises:
-        BadInputError: this OpenCV has no encoder for it, or there are no frames.
+        BadInputError: this OpenCV has no encoder for it, there are no frames, or the file lacks some of them.
     """
     with written_whole(path) as temporary:
-        writer = None
+        writer, count = None, 0
         for frame in frames:
             if writer is None:
                 size = (frame.shape[1], frame.shape[0])
@@ -64,17 +64,26 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
                 if not writer.isOpened():
                     raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
             writer.write(_reversed_channels(frame))
+            count += 1
         if writer is None:
             raise BadInputError(f"{path}: there are no frames to make a video of.")
         writer.release()
+        readable = _frame_count(temporary)
+        if readable != count:
+            raise BadInputError(
+                f"{path}: only {readable} of {count} frames could be written; free space on this disk or choose "
+                "another folder. The PNG frames are complete."
+            )
     return Path(path)
 
 
-def _write(path: str | Path, image: NDArray[np.generic]) -> Path:
-    with written_whole(path) as temporary:
-        if not cv2.imwrite(str(temporary), image):
-            raise BadInputError(f"{path}: OpenCV cannot write this kind of picture.")
-    return Path(path)
+def _frame_count(path: Path) -> int:
+    """Frames that can be decoded from a video; 0 if it cannot be opened."""
+    video, count = cv2.VideoCapture(str(path)), 0
+    while video.grab():
+        count += 1
+    video.release()
+    return count
 
 
 def _reversed_channels(image: NDArray[np.generic]) -> NDArray[np.generic]:

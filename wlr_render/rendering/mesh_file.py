@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import written_whole
+from wlr_render.files import write_bytes
 from wlr_render.rendering import gltf_lights
 from wlr_render.rendering.scene import Float32Array, Instance, Light, Mesh, Scene
 from wlr_render.rendering.srgb import decode_srgb
@@ -207,9 +207,7 @@ def save_glb(scene: Scene, path: str | Path) -> Path:
     for index, light in enumerate(scene.lights):
         extension = gltf_lights.node_extension(index)
         target.graph.update(f"light {index}", matrix=gltf_lights.world_from_light(light), metadata=extension)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(target.export(file_type="glb", include_normals=True))
-    return Path(path)
+    return write_bytes(path, target.export(file_type="glb", include_normals=True))
 
 
 def _trimesh_of(mesh: Mesh) -> Any:

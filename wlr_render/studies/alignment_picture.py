@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.evaluation.report import cell_text
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import FloatArray
 
@@ -93,9 +93,7 @@ def save_picture(path: Path, panoramas: Sequence[Panorama], window: tuple[Pinhol
                 spine.set_color(colour)
     figure.suptitle(heading, fontsize=17, y=1 - 0.12 / size[1], va="top")
     figure.text(0.5, 0.12 / size[1], _NOTE, ha="center", fontsize=11, color="0.3")
-    with written_whole(path) as temporary:
-        figure.savefig(temporary)
-    return path
+    return write_figure(path, figure)
 
 
 def _window_px(overview: Pinhole, close_up: Pinhole) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -10,7 +10,7 @@ from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
-from wlr_render.files import output_folder, write_text, written_whole
+from wlr_render.files import output_folder, write_figure, write_text
 from wlr_render.geometry import transforms
 from wlr_render.mappings import FloatArray
 from wlr_render.rendering.image_files import write_map, write_png
@@ -161,6 +161,4 @@ def _draw(path: Path, frame: Frame, traced: Frame, compared: _Compared, title: s
         place.set_xticks([])
         place.set_yticks([])
     figure.suptitle(title)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary)
-    return path
+    return write_figure(path, figure)

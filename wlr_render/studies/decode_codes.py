@@ -14,7 +14,7 @@ from wlr_render.captures.photographs import photographs_in, read_each, read_phot
 from wlr_render.evaluation.code_quality import Lenses, PlaneSurvey, find_planes, fit_planes
 from wlr_render.evaluation.opencv_decoder import MISSING, has_opencv_decoder, opencv_codes
 from wlr_render.evaluation.report import ReportTable, tables_as_json
-from wlr_render.files import output_folder, write_text, written_whole
+from wlr_render.files import output_folder, write_arrays, write_text
 from wlr_render.studies.decode_pictures import draw_positions, draw_rejections, draw_residuals
 from wlr_render.studies.decode_tables import fate_table, flatness_table, no_opencv_table, opencv_table, strength_table
 
@@ -117,15 +117,8 @@ def _variants(known: Lenses) -> list[Lenses]:
 
 
 def _write_decoded(path: Path, decoded: Decoded) -> Path:
-    with written_whole(path) as temporary:
-        np.savez_compressed(
-            temporary,
-            pixel=decoded.pixel,
-            sigma_px=decoded.sigma_px,
-            confidence=decoded.confidence,
-            rejection=decoded.rejection,
-        )
-    return path
+    names = ("pixel", "sigma_px", "confidence", "rejection")
+    return write_arrays(path, {name: getattr(decoded, name) for name in names})
 
 
 def _lens_names(lenses: Lenses) -> str:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded, Rejection
 from wlr_render.evaluation.code_quality import PlaneSurvey
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +25,7 @@ def draw_positions(path: Path, decoded: Decoded) -> Path:
     for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
         drawn = place.imshow(decoded.pixel[..., axis], cmap="turbo", interpolation="nearest")
         figure.colorbar(drawn, ax=place, label=f"{name} (panel px)", shrink=0.8)
-    return _save(path, figure)
+    return write_figure(path, figure, 100)
 
 
 def draw_rejections(path: Path, decoded: Decoded) -> Path:
@@ -42,7 +42,7 @@ def draw_rejections(path: Path, decoded: Decoded) -> Path:
     shares = ((reason, count / decoded.rejection.size) for reason, count in decoded.counts().items())
     marks = [Patch(color=colours[reason], label=f"{share:.1%} {reason.sentence}") for reason, share in shares]
     figure.legend(handles=marks, loc="outside lower center", ncols=1, fontsize=8)
-    return _save(path, figure)
+    return write_figure(path, figure, 100)
 
 
 def fate_colours() -> NDArray[np.float64]:
@@ -64,7 +64,7 @@ def draw_residuals(path: Path, survey: PlaneSurvey, heading: str) -> Path:
         place.set_facecolor("0.75")
     figure.colorbar(drawn, ax=places, label="panel px", extend="both", shrink=0.8)
     figure.suptitle(f"What homographies of flat surfaces leave ({heading})")
-    return _save(path, figure)
+    return write_figure(path, figure, 100)
 
 
 def _side_by_side(shape: tuple[int, ...]) -> tuple["Figure", list["Axes"]]:
@@ -85,9 +85,3 @@ def _block_means(values: NDArray[np.float32]) -> NDArray[np.float32]:
     count = valid.sum(axis=(1, 3))
     sums = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
     return np.where(count > 0, sums / np.maximum(count, 1), np.nan).astype(np.float32)
-
-
-def _save(path: Path, figure: "Figure") -> Path:
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=100)
-    return path

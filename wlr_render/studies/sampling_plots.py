@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 from wlr_render.studies.sampling.experiment import Plot
 
 _STROKES = ("-", "--", ":", "-.")
@@ -34,6 +34,4 @@ def draw(plot: Plot, path: str | Path) -> Path:
     axes.set(title=plot.title, xlabel=plot.x_label, ylabel=plot.y_label, yscale="log")
     axes.grid(True, which="both", alpha=0.3)
     figure.legend(fontsize="x-small", loc="outside right upper", handlelength=4.0)
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=120)
-    return Path(path)
+    return write_figure(path, figure, 120)

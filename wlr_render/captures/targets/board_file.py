@@ -4,6 +4,7 @@ Both drawings carry a ruler, since printers scale: what its ends measure, over w
 of the print.
 """
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.targets.board_design import check_sizes
 from wlr_render.captures.targets.dot_board import BoolArray, DotBoard
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, write_text, write_toml, written_whole
+from wlr_render.files import Table, read_toml, write_bytes, write_text, write_toml
 
 _STRIP_MM = 12.0  # below the board, for ruler and text
 _EDGE_MM = 5.0  # from the left edge to the ruler
@@ -155,9 +156,9 @@ def write_board_png(board: DotBoard, path: str | Path, dots_per_inch: float = 60
     draw.text(at(end + 2, sheet.ruler_y - 0.6 * _TEXT_MM), f"{sheet.ruler:g} mm", 0, font)
     small = ImageFont.load_default(_text_mm(sheet, board) * pixels_per_mm)
     draw.text(at(_EDGE_MM, sheet.height - 1.5 - _text_mm(sheet, board)), _title(board), 0, small)
-    with written_whole(path) as temporary:
-        picture.save(temporary, format="PNG", dpi=(dots_per_inch, dots_per_inch))
-    return Path(path)
+    content = io.BytesIO()
+    picture.save(content, format="PNG", dpi=(dots_per_inch, dots_per_inch))
+    return write_bytes(path, content.getbuffer())
 
 
 def _sheet(board: DotBoard) -> _Sheet:

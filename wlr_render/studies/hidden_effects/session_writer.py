@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from wlr_render.files import output_folder, write_text, written_whole
+from wlr_render.files import output_folder, write_bytes, write_text
 from wlr_render.studies.hidden_effects.captures import (
     CAMERA_CENTRE_PX,
     CAMERA_FOCAL_PX,
@@ -136,9 +136,8 @@ def _write_table(folder: Path, name: str, table: NDArray[np.void]) -> None:
 
 
 def _write_lines(folder: Path, name: str, lines: Sequence[str]) -> None:
-    with written_whole(folder / f"{name}.csv.gz") as temporary:
-        # No time stamp: the same session is the same file.
-        temporary.write_bytes(gzip.compress("\n".join([*lines, ""]).encode("ascii"), 6, mtime=0))
+    # No time stamp: the same session is the same file.
+    write_bytes(folder / f"{name}.csv.gz", gzip.compress("\n".join([*lines, ""]).encode("ascii"), 6, mtime=0))
 
 
 def _format(column: str, table: str, kind: np.dtype[np.generic]) -> str:

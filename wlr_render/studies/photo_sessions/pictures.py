@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.decoded import Rejection
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.studies.decode_pictures import fate_colours
 from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
@@ -55,7 +55,7 @@ def draw_coverage(path: Path, found: SessionCalibration) -> Path:
     )
     world.set(xlabel="to the right (degrees)", ylabel="up (degrees)", title="where dots were seen", aspect="equal")
     world.legend(fontsize=7, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
-    return _save(path, figure)
+    return write_figure(path, figure, 110)
 
 
 def draw_fates(path: Path, found: SessionCalibration) -> Path:
@@ -74,7 +74,7 @@ def draw_fates(path: Path, found: SessionCalibration) -> Path:
     names = [Rejection(fate).name.lower().replace("_", " ") for fate in present]
     patches = [Patch(color=colours[fate], label=name) for fate, name in zip(present, names, strict=True)]
     figure.legend(handles=patches, loc="outside lower center", ncols=len(patches), fontsize=8)
-    return _save(path, figure)
+    return write_figure(path, figure, 110)
 
 
 def draw_display_residuals(path: Path, found: SessionCalibration) -> Path:
@@ -114,7 +114,7 @@ def draw_degrees(path: Path, found: SessionCalibration) -> Path:
         if tried:
             drawn.set_yscale("log")
         drawn.legend(fontsize=8)
-    return _save(path, figure)
+    return write_figure(path, figure, 110)
 
 
 def _residuals(
@@ -154,7 +154,7 @@ def _residuals(
         drawn.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]) if down else (low[1], high[1]), aspect="equal")
         drawn.set_title(f"{one}: {rms:.2f}' rms", fontsize=7)
     figure.suptitle(f"{title}; yellow is {usual:.2g}' and more", fontsize=9)
-    return _save(path, figure)
+    return write_figure(path, figure, 110)
 
 
 def _grid(count: int) -> "tuple[Figure, list[Axes]]":
@@ -173,9 +173,3 @@ def _figure(rows: int, columns: int, size: tuple[float, float]) -> "tuple[Figure
 
     figure = Figure(figsize=size, layout="constrained")
     return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
-
-
-def _save(path: Path, figure: "Figure") -> Path:
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-    return path

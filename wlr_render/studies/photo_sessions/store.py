@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.files import written_whole
+from wlr_render.files import write_arrays
 
 VERSION = 1
 """Of the way of reading: kept results of another one are read anew."""
@@ -29,8 +29,7 @@ class Store:
 
     def keep(self, name: str, fingerprint: str, arrays: dict[str, NDArray[Any]]) -> None:
         """Keep arrays under a photograph's name."""
-        with written_whole(self._path(name)) as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, fingerprint=np.array(fingerprint), **arrays)
+        write_arrays(self._path(name), {"fingerprint": np.array(fingerprint)} | arrays)
 
     def find(self, name: str, fingerprint: str) -> dict[str, NDArray[Any]] | None:
         """What was kept, if it was read from these very files in this very way; else None."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wlr_render.evaluation.report import cell_text
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 from wlr_render.mappings import FloatArray
 from wlr_render.studies.streaming.records import EyeMoment, Stream
 from wlr_render.studies.streaming.report import costs
@@ -43,9 +43,7 @@ def draw_stream(path: Path, stream: Stream) -> Path:
     figure.suptitle(
         f"{len(stream.frames)} frames of {width} x {height} px for a moving wearer, {stream.renderer}", fontsize=11
     )
-    with written_whole(path) as temporary:
-        figure.savefig(temporary)
-    return path
+    return write_figure(path, figure)
 
 
 def _draw_viewpoint(row: "Axes", time_s: FloatArray, moments: Sequence[EyeMoment]) -> None:

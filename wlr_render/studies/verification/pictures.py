@@ -2,17 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.photographs import Photograph, read_photograph
-from wlr_render.files import written_whole
+from wlr_render.files import write_figure
 from wlr_render.studies.verification.judgement import Judged
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _CLOSE_UP_PX = 260  # side of the detail
 
@@ -44,7 +40,7 @@ def draw_misalignment(path: Path, judged: Sequence[Judged]) -> Path:
     for row, method in zip(axes, methods, strict=True):
         row[0].set_ylabel(method)
     figure.suptitle("From each real dot to the drawn one, 50 times enlarged; yellow is 1' and more", fontsize=9)
-    return _save(path, figure)
+    return write_figure(path, figure, 110)
 
 
 def draw_close_up(path: Path, judged: Sequence[Judged]) -> Path:
@@ -66,7 +62,7 @@ def draw_close_up(path: Path, judged: Sequence[Judged]) -> Path:
             drawn.set_title(f"{one.method}: {title}", fontsize=8)
             drawn.set_axis_off()
     figure.suptitle("Red and cyan are where only one of the two is bright: real dots beside drawn ones", fontsize=9)
-    return _save(path, figure)
+    return write_figure(path, figure, 110)
 
 
 def _detail(photograph: Photograph, centre: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,9 +81,3 @@ def _extent(photograph: Photograph) -> tuple[float, float, float, float]:
     """For matplotlib: pixels from the outer corner of the top-left one, v down."""
     height, width = photograph.shape
     return 0.0, float(width), float(height), 0.0
-
-
-def _save(path: Path, figure: "Figure") -> Path:
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-    return path
