@@ -3,15 +3,15 @@
 from pathlib import Path
 
 import numpy as np
+from oracle.captures import Plan
+from oracle.effects import draw_effect
+from oracle.session_writer import write_session
 
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.report_html import report_html
 from wlr_render.diagnosis.report_text import advice, verdict_sentence
 from wlr_render.files import write_text
 from wlr_render.simulation.session_folder import load_session, save_session
-from wlr_render.studies.hidden_effects.captures import Plan
-from wlr_render.studies.hidden_effects.effects import draw_effect
-from wlr_render.studies.hidden_effects.session_writer import write_session
 
 # A session as a bench delivers it: bench.toml says what its makers believe. The target was not printed as they think.
 # A session of your own is such a folder too: docs/bench-session.md.

@@ -18,6 +18,8 @@ from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
 from wlr_render.rendering import gl
 
+pytest_plugins = ["small_headsets"]
+
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 

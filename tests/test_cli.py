@@ -16,8 +16,7 @@ from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import resource
 from wlr_render.rendering import gl
 from wlr_render.studies import alignment_demo, render_sequence, sampling_study, trace_device
-from wlr_render.studies.diagnosis_trials import study
-from wlr_render.studies.speed import study as speed
+from wlr_render.terminal import print_table
 
 VERBS = (
     "demo",
@@ -31,12 +30,9 @@ VERBS = (
     "evaluate",
     "render",
     "compare",
-    "stream",
     "diagnose",
     "hold-out",
     "import",
-    "viewpoints",
-    "bench",
 )
 TABLE = ReportTable("A title", ("what", "how much (arcmin)"), [["this", 1.25]], ("A note.",))
 
@@ -198,7 +194,7 @@ def test_model_files_that_cannot_be_read_are_refused(model_file, tmp_path, capsy
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("verb", ["trace", "render", "compare", "demo", "calibrate", "bench"])
+@pytest.mark.parametrize("verb", ["trace", "render", "compare", "demo", "calibrate"])
 def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
     arguments = {
         "trace": [device(tmp_path)],
@@ -206,7 +202,6 @@ def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
         "compare": [device(tmp_path), "dots"],
         "demo": ["--device", device(tmp_path)],
         "calibrate": ["--simulate", device(tmp_path), "--viewpoints", "5"],
-        "bench": [],
     }
     text_file(tmp_path, "taken", "a file")
     sentence = refused([verb, *arguments[verb], "--out", str(tmp_path / "taken")], capsys)
@@ -348,34 +343,22 @@ def test_demo_options_reach_the_job_and_its_tables_are_printed(monkeypatch, caps
     assert all(text in printed for text in ("A title", "how much (arcmin)", "1.25", "A note.", "alignment.png"))
 
 
-def test_bench_and_evaluate_options_reach_their_jobs(monkeypatch, capsys):
+def test_evaluate_options_reach_the_job(monkeypatch, capsys):
     given = []
     report = sampling_study.StudyReport(sampling_study.QUICK, (TABLE,), ())
-    monkeypatch.setattr(speed, "run", lambda options, progress: given.append(options) or [TABLE])
     monkeypatch.setattr(sampling_study, "run", lambda options, progress: given.append(options) or report)
     monkeypatch.setattr(sampling_study, "write", lambda report, out: [out / "study.md"])
-    assert main(["bench", "--backend", "osmesa", "--record", "kept"]) == 0
     chosen = ["--device", "northstar", "--device", "freeform40", "--experiment", "position", "--workers", "1"]
     assert main(["evaluate", "--preset", "full", *chosen, "--seed", "8"]) == 0
-    assert given[0] == speed.Options("osmesa", record=Path("kept"))
-    assert (given[1].devices, given[1].experiments) == (("northstar", "freeform40"), ("position",))
-    assert (given[1].seed, given[1].workers, given[1].repeats) == (8, 1, sampling_study.FULL.repeats)
-    assert capsys.readouterr().out.count("A title") == 2
-
-
-def test_the_judge_of_the_diagnosis_is_a_bench_too(monkeypatch, capsys):
-    given = []
-    monkeypatch.setattr(study, "run", lambda options, progress: given.append(options) or [TABLE])
-    assert main(["bench", "diagnosis", "--trials", "3", "--seed", "4", "--workers", "1", "--out", "there"]) == 0
-    assert given == [study.Options(3, 4, 1, Path("there"))]
-    assert "A title" in capsys.readouterr().out
+    assert (given[0].devices, given[0].experiments) == (("northstar", "freeform40"), ("position",))
+    assert (given[0].seed, given[0].workers, given[0].repeats) == (8, 1, sampling_study.FULL.repeats)
+    assert capsys.readouterr().out.count("A title") == 1
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
     wide = ReportTable("Wide", ("what", *("a long column head (arcmin)",) * 4), [["row", 1.0, 2.0, None, 12345.0]])
     monkeypatch.setenv("COLUMNS", "40")
-    monkeypatch.setattr(speed, "run", lambda options, progress: [wide])
-    assert main(["bench"]) == 0
+    print_table(wide)
     row = next(line for line in capsys.readouterr().out.splitlines() if "12345" in line)
     assert all(text in row for text in ("row", "1", "2", "-"))
 

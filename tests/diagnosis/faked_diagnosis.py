@@ -3,6 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+from oracle.captures import Plan
+from oracle.effects import draw_effect
+from oracle.session_writer import write_session
 
 from wlr_render.captures.session import Readings, RunTimePlan, Session, SessionPlan
 from wlr_render.diagnosis import figures
@@ -29,9 +32,6 @@ from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.simulation.bench import Clock
 from wlr_render.simulation.session_folder import load_session
 from wlr_render.simulation.simulate_session import simulate
-from wlr_render.studies.hidden_effects.captures import Plan
-from wlr_render.studies.hidden_effects.effects import draw_effect
-from wlr_render.studies.hidden_effects.session_writer import write_session
 
 SEPARATED_BY = "a ruler on the print"
 RIVAL = "tracking_translation"

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from oracle.captures import Plan
+from oracle.effects import OUTLIER, Effect
+from oracle.run_time import RunTimePlan
 
+from benchmarks.diagnosis.trial import observed
+from benchmarks.diagnosis.truths import truth_of
 from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, UNEXPLAINED
 from wlr_render.diagnosis.procedure import diagnose
-from wlr_render.studies.diagnosis_trials.trial import observed
-from wlr_render.studies.diagnosis_trials.truths import truth_of
-from wlr_render.studies.hidden_effects.captures import Plan
-from wlr_render.studies.hidden_effects.effects import OUTLIER, Effect
-from wlr_render.studies.hidden_effects.run_time import RunTimePlan
 
 
 def small(device, channels=(1,)):

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.session_writer import write_session
 
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.simulation.bench_file import load_bench
 from wlr_render.studies import diagnose
-from wlr_render.studies.hidden_effects.captures import Plan
-from wlr_render.studies.hidden_effects.effects import Effect
-from wlr_render.studies.hidden_effects.session_writer import write_session
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}

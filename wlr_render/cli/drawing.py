@@ -1,4 +1,4 @@
-"""Verbs that draw: a device, frames, comparisons of them, and how fast that is."""
+"""Verbs that draw: a device, frames, comparisons of them."""
 
 import argparse
 from pathlib import Path
@@ -138,57 +138,5 @@ def _compare(args: argparse.Namespace) -> None:
     print(f"The picture: {result.picture}")
 
 
-def _add_bench(verbs: Verbs) -> None:
-    text = (
-        "how good the program itself is. speed: of frames offline and in real time, against what one would run "
-        "otherwise, and how exact they are; minutes. diagnosis: diagnoses of sessions in which an effect is hidden, "
-        "judged by what is true. photographs: simulated photographs as they are read, beside exact traces"
-    )
-    parser = new_verb(verbs, "bench", _bench, text)
-    parser.add_argument(
-        "what", nargs="?", choices=("speed", "diagnosis", "photographs"), default="speed", help="what to measure"
-    )
-    speed = parser.add_argument_group("speed")
-    add_backend(speed)
-    speed.add_argument(
-        "--record",
-        type=Path,
-        metavar="FOLDER",
-        help="also keep the figures there, in a file named after what draws; in a checkout those of a GPU are kept in "
-        "docs/benchmarks without asking",
-    )
-    diagnosis = parser.add_argument_group("diagnosis")
-    diagnosis.add_argument("--trials", type=count, default=20, help="of every cause; one of each takes minutes")
-    diagnosis.add_argument("--workers", type=count, help="processes; one per core if not given")
-    add_seed(diagnosis)
-    photographs = parser.add_argument_group("photographs")
-    photographs.add_argument(
-        "--session", type=Path, help="a simulated session, to compare its calibration with the truth"
-    )
-    photographs.add_argument("--calibration", type=Path, default=Path("out/calibrate"), help="where its results lie")
-
-
-def _bench(args: argparse.Namespace) -> None:
-    from wlr_render.evaluation.report import ReportTable
-    from wlr_render.terminal import print_table, progress_bar
-
-    tables: list[ReportTable]
-    if args.what == "diagnosis":
-        from wlr_render.studies.diagnosis_trials import study
-
-        tables = study.run(study.Options(args.trials, args.seed, args.workers, args.out), progress_bar)
-    elif args.what == "photographs":
-        from wlr_render.studies.photograph_trials import study as photographs
-
-        options = photographs.Options(args.session, args.calibration, seed=args.seed, out=args.out)
-        tables = photographs.run(options, progress_bar)
-    else:
-        from wlr_render.studies.speed import study as speed
-
-        tables = speed.run(speed.Options(args.backend, args.out, args.record), progress_bar)
-    for table in tables:
-        print_table(table)
-
-
-ADDED_BY = (_add_demo, _add_trace, _add_render, _add_compare, _add_bench)
+ADDED_BY = (_add_demo, _add_trace, _add_render, _add_compare)
 """One function a verb, in the order in which help lists them."""

@@ -157,19 +157,5 @@ def _import(args: argparse.Namespace) -> None:
     print(f"{made.captures} captures, {made.readings} readings that scatter by {made.sigma_px:.3f} px: {made.folder}")
 
 
-def _add_viewpoints(verbs: Verbs) -> None:
-    text = "which display model the captures of a headset from two viewpoints support, and what is due to the rig"
-    parser = new_verb(verbs, "viewpoints", _viewpoints, text)
-    parser.add_argument("captures", metavar="FOLDER", type=Path, help="North Star captures, see docs/measured-data.md")
-
-
-def _viewpoints(args: argparse.Namespace) -> None:
-    from wlr_render.studies import viewpoints
-    from wlr_render.terminal import print_table
-
-    for table in viewpoints.run(args.captures, args.out):
-        print_table(table)
-
-
-ADDED_BY = (_add_calibrate, _add_evaluate, _add_diagnose, _add_hold_out, _add_import, _add_viewpoints)
+ADDED_BY = (_add_calibrate, _add_evaluate, _add_diagnose, _add_hold_out, _add_import)
 """One function a verb, in the order in which help lists them."""

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from wlr_render.cli import drawing, measuring, photographing, realtime
+from wlr_render.cli import drawing, measuring, photographing
 from wlr_render.cli.options import Command
 from wlr_render.errors import BadInputError
 
@@ -46,6 +46,6 @@ def _parser() -> argparse.ArgumentParser:
         "docs/conventions.md.",
     )
     verbs = parser.add_subparsers(required=True, metavar="VERB")
-    for add in (*drawing.ADDED_BY, *realtime.ADDED_BY, *photographing.ADDED_BY, *measuring.ADDED_BY):
+    for add in (*drawing.ADDED_BY, *photographing.ADDED_BY, *measuring.ADDED_BY):
         add(verbs)
     return parser

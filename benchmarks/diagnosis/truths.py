@@ -1,0 +1,112 @@
+"""The sizes of hidden effects as the causes' parameters state them.
+
+The generator counts in millimetres along x right, y down, z forward; causes along x right, y up, z backward. Turning
+one frame into the other is half a turn about x, so that vectors and rotation vectors change alike.
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.own_tracer import turn
+from oracle.recipes import Amount
+from oracle.run_time import RunTimePlan
+
+Truth = Mapping[str, float]
+"""True values by the names of the cause's parameters, in their units."""
+
+Convert = Callable[[Amount, Plan | RunTimePlan], Truth]
+
+_BOW_REFERENCE_MM = 400.0
+_BOW_DOTS = 10  # the cause states the sag so many dots of the first target from the middle
+_EDGE_PX, _FOCAL_PX = 640.0, 1350.0
+
+
+def truth_of(effect: Effect, plan: Plan | RunTimePlan) -> Truth:
+    """What a perfect diagnosis of an effect would say; empty for an effect that no cause stands for.
+
+    The thickness of the see-through plate is left out: the generator's glass is not the cause's.
+    """
+    convert = _CONVERSIONS.get(effect.name)
+    return convert(effect.amount, plan) if convert else {}
+
+
+def _vector(name: str, unit: str) -> Convert:
+    def convert(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+        x, y, z = (amount[f"{axis}_{unit}"] for axis in "xyz")
+        return {f"{name}_x": x, f"{name}_y": -y, f"{name}_z": -z}
+
+    return convert
+
+
+def _same(**key_of: str) -> Convert:
+    """Parameters that are amounts under another name."""
+    return lambda amount, plan: {name: amount[key] for name, key in key_of.items()}
+
+
+def _stage_scale(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {f"scale_{axis}": amount[f"{axis}_percent"] for axis in "xyz"}
+
+
+def _stage_backlash(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {"lost_motion": -amount["lost_mm"]}
+
+
+def _panel_rotation(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {"about_u": 0.0, "about_v": 0.0, "roll": amount["angle_deg"]}
+
+
+def _camera_distortion(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {"k1": amount["edge_px"] / _EDGE_PX / (_EDGE_PX / _FOCAL_PX) ** 2, "k2": 0.0}
+
+
+def _see_through_plate(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    x, y, z = turn(np.radians([amount["tilt_x_deg"], amount["tilt_y_deg"], 0.0]))[:, 2]
+    return {"angle_x": float(np.degrees(np.arctan2(-y, z))), "angle_y": float(np.degrees(np.arcsin(-x)))}
+
+
+def _target_bow(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    assert isinstance(plan, Plan)
+    sag = -amount["bow_mm"] * (_BOW_DOTS * plan.pitch_mm(0) / _BOW_REFERENCE_MM) ** 2
+    return {"sag_x": sag, "sag_y": sag * amount["second_ratio"]}
+
+
+def _lateral_colour(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {"red": amount["scale_percent"], "blue": -amount["scale_percent"]}
+
+
+def _headset_slip(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {**_vector("shift", "mm")(amount, plan), "turn_x": 0.0, "turn_y": 0.0, "turn_z": 0.0}
+
+
+_CONVERSIONS: Mapping[str, Convert] = {
+    "combiner_tilt": _vector("tilt", "deg"),
+    "combiner_shift": _vector("shift", "mm"),
+    "panel_shift": _same(shift_u="x_mm", shift_v="y_mm"),
+    "panel_axial_shift": _same(shift="shift_mm"),
+    "panel_rotation": _panel_rotation,
+    "panel_scale": _same(scale="scale_percent"),
+    "substrate_index": _same(index="index"),
+    "substrate_thickness": _same(thickness="thickness_mm"),
+    "see_through_plate": _see_through_plate,
+    "stage_scale": _stage_scale,
+    "stage_tilt": _vector("tilt", "deg"),
+    "stage_backlash": _stage_backlash,
+    "camera_pupil_offset": _vector("offset", "mm"),
+    "camera_rotation": _vector("turn", "deg"),
+    "camera_focal_length": _same(scale="focal_percent"),
+    "camera_distortion": _camera_distortion,
+    "target_scale": _same(scale_x="scale_percent", scale_y="scale_percent"),
+    "target_bow": _target_bow,
+    "tracking_rotation": _vector("turn", "deg"),
+    "tracking_translation": _vector("shift", "mm"),
+    "thermal_drift": _same(creep_u="x_mm", creep_v="y_mm", time_constant="tau_s"),
+    "headset_slip": _headset_slip,
+    "eye_position_bias": _vector("bias", "mm"),
+    "gaze_pupil_shift": _same(radius="radius_mm"),
+    "latency": _same(latency="latency_ms"),
+    "rolling_scanout": _same(duration="duration_ms"),
+    "lateral_colour": _lateral_colour,
+    "pixel_origin": _same(offset_u="offset_px", offset_v="offset_px"),
+}

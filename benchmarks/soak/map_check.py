@@ -1,0 +1,82 @@
+"""Whether a frame's map is that of its own viewpoint: against a start from nothing, and against the map before.
+
+Some frames of a stream are drawn again for this, each after the one before it. In the stream itself, fetching maps
+would cost time and memory that no real-time program spends.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from benchmarks.soak.records import MapCheck, Moment
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.mappings import FloatArray
+from wlr_render.rendering.ray_field import NEAREST_M, RayField
+
+CHECKED = 5
+"""So many frames with the farthest jumps are checked, and about as many without a jump."""
+
+Fields = Mapping[str, Sequence[RayField]]
+
+
+def frames_to_check(moments: Sequence[Moment]) -> list[int]:
+    """Numbers of the frames with the farthest jumps, and of as many others, evenly spread; never the first."""
+    jumps = [number for number, moment in enumerate(moments) if number and moment.jumped]
+    rest = [number for number, moment in enumerate(moments) if number and not moment.jumped]
+    jumps.sort(key=lambda number: -max(eye.moved_mm for eye in moments[number].eyes.values()))
+    every = max(1, -(-len(rest) // CHECKED))
+    return sorted([*jumps[:CHECKED], *rest[::every]])
+
+
+def check_maps(
+    compositor: Compositor, source: SceneSource, moments: Sequence[Moment], numbers: Sequence[int]
+) -> Iterator[list[MapCheck]]:
+    """Draw the frames of these numbers and those before them again; a check per eye and frame."""
+    for number in numbers:
+        compositor.forget()
+        kept = _maps(compositor, source, moments[number - 1])
+        own = _maps(compositor, source, moments[number])
+        compositor.forget()
+        cold = _maps(compositor, source, moments[number])
+        yield [_checked(moments[number], eye, own[eye], kept[eye], cold[eye]) for eye in own]
+
+
+def _maps(compositor: Compositor, source: SceneSource, moment: Moment) -> Fields:
+    for camera in compositor.begin_frame(moment.world_from_device, moment.viewpoints).values():
+        source.submit(camera)
+    composed = compositor.compose(pose=moment.at_scan_out)
+    return {name: eye.read_fields() for name, eye in composed.eyes.items()}
+
+
+def _checked(
+    moment: Moment, eye: str, own: Sequence[RayField], kept: Sequence[RayField], cold: Sequence[RayField]
+) -> MapCheck:
+    one_sided = sum(int((np.isnan(a.bend[0]) != np.isnan(b.bend[0])).sum()) for a, b in zip(own, cold, strict=True))
+    kept_arcmin, own_arcmin = (max(map(arcmin_apart, fields, cold)) for fields in (kept, own))
+    return MapCheck(moment.time_s, eye, moment.eyes[eye].moved_mm, kept_arcmin, own_arcmin, one_sided)
+
+
+def arcmin_apart(field: RayField, truth: RayField) -> float:
+    """The largest angle between a field's rays and those of the truth, as the truth's viewpoint sees it.
+
+    Between the nearest depth and infinity: the difference in tangents is linear in 1/depth, hence largest at an end.
+    NaN where no point has both rays.
+    """
+    seen, true = (_tangents(_from_viewpoint(each, truth)) for each in (field, truth))
+    apart = arcmin_between(dir_of_tangents(seen), dir_of_tangents(true))
+    return float(np.nanmax(apart)) if np.isfinite(apart).any() else float("nan")
+
+
+def _from_viewpoint(field: RayField, other: RayField) -> FloatArray:
+    """(4, height, width) `bend` of the same rays with the other field's viewpoint as the origin."""
+    a, b, c, d = field.bend.astype(np.float64)
+    x, y, z = field.device_from_camera.T @ (field.viewpoint_in_device - other.viewpoint_in_device)
+    return np.stack([a, b, c + x + z * a, d + y + z * b])
+
+
+def _tangents(bend: FloatArray) -> FloatArray:
+    """(2, height, width, 2): under which tangents the rays' points at infinity and at the nearest depth are seen."""
+    at_infinity = np.moveaxis(bend[:2], 0, -1)
+    return np.stack([at_infinity, at_infinity + np.moveaxis(bend[2:], 0, -1) / NEAREST_M])

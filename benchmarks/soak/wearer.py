@@ -1,0 +1,135 @@
+"""Who wears the headset in a stream: recorded or made-up trackers, and the viewpoints that follow from them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.soak.records import EyeMoment, Moment
+from wlr_render.compositing.checks import nearest_in_reach
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EyeBox, FloatArray
+from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
+from wlr_render.tracking.head_trajectory_file import read_head_trajectory
+from wlr_render.tracking.synthetic import eye_motion, head_motion
+from wlr_render.tracking.synthetic_tracker import tracker_samples
+from wlr_render.tracking.trajectory import EYES, EyeTrajectory, HeadTrajectory
+from wlr_render.tracking.viewpoint_filter import ViewpointFilter
+
+GAP = 2.5
+"""Rows of a track that are so many times farther apart in time than usual have a gap between them."""
+
+JITTER_M = 20e-6
+"""Standard deviation, per axis, of a made-up tracker's samples: ours. Real ones never say the same twice, so that every
+frame needs a new map; a pupil exactly at rest would let it be kept."""
+
+_ROUNDING_S = 1e-9
+
+Samples = Sequence[FloatArray | None]
+
+
+@dataclass(frozen=True)
+class Wearer:
+    """Where head and eyes are.
+
+    Attributes:
+        head: trajectory file (TUM or EuRoC); None for a made-up head.
+        eyes: eye trajectory file; None for made-up eyes that jump, and a tracker that jitters, blinks and drops out.
+        seed: of what is made up.
+    """
+
+    head: Path | None = None
+    eyes: Path | None = None
+    seed: int = 1
+
+    def moments(
+        self, boxes: Mapping[str, EyeBox], count: int, frames_per_second: float, late_s: float = 0.0
+    ) -> list[Moment]:
+        """What each frame is drawn for, from the first moment that all trajectories cover.
+
+        Args:
+            boxes: eye boxes by eye.
+            count: frames, 2 or more.
+            frames_per_second: positive.
+            late_s: from the beginning of a frame to its scan-out.
+
+        Raises:
+            BadInputError: faulty files, an eye that a file does not have, or trajectories that are too short.
+        """
+        length_s = (count - 1) / frames_per_second + late_s
+        head = read_head_trajectory(self.head) if self.head else head_motion(self.seed, length_s + 1.0)
+        eyes = self._eyes(boxes, length_s + 1.0)
+        start, end = self._overlap(head, eyes, boxes)
+        time_s = start + np.arange(count) / frames_per_second
+        if time_s[-1] + late_s > end + _ROUNDING_S:
+            fitting = int((end - start - late_s) * frames_per_second + 1.0 + _ROUNDING_S)
+            raise BadInputError(
+                f"{self._files()}: together they cover {end - start:.3f} s, which is {max(fitting, 0)} frames at "
+                f"{frames_per_second:g} per second, and {count} were asked for; ask for fewer, or record longer."
+            )
+        time_s = np.minimum(time_s, end - late_s)
+        followed = {eye: _followed(self._samples(eyes, eye, time_s), time_s, box) for eye, box in boxes.items()}
+        begun, lit = (_newest_pose(head, at_s) for at_s in (time_s, np.minimum(time_s + late_s, end)))
+        lost = in_gap(head.time_s, time_s)
+        return [
+            Moment(float(t), begun[k], lit[k], {eye: track[k] for eye, track in followed.items()}, bool(lost[k]))
+            for k, t in enumerate(time_s)
+        ]
+
+    def _eyes(self, boxes: Mapping[str, EyeBox], length_s: float) -> EyeTrajectory:
+        if self.eyes is None:
+            return eye_motion({eye: box.centre for eye, box in boxes.items()}, self.seed, length_s)
+        eyes = read_eye_trajectory(self.eyes)
+        missing = [eye for eye in boxes if eye not in eyes.tracks]
+        if missing:
+            there = " and ".join(eyes.tracks)
+            raise BadInputError(f"{self.eyes}: has no {missing[0]} eye, only the {there} one; draw that.")
+        return eyes
+
+    def _samples(self, eyes: EyeTrajectory, eye: str, time_s: FloatArray) -> Samples:
+        if self.eyes is None:
+            rng = np.random.default_rng([self.seed, 3, EYES.index(eye)])
+            noise = JITTER_M * rng.normal(size=(len(time_s), 3))
+            samples = tracker_samples(eyes, time_s, self.seed)[eye]
+            return [None if point is None else point + noise[k] for k, point in enumerate(samples)]
+        seen = ~in_gap(eyes.tracks[eye].time_s, time_s)
+        return [point if good else None for point, good in zip(eyes.viewpoint_at(eye, time_s), seen, strict=True)]
+
+    def _overlap(self, head: HeadTrajectory, eyes: EyeTrajectory, boxes: Mapping[str, EyeBox]) -> tuple[float, float]:
+        tracks = [head.time_s, *(eyes.tracks[eye].time_s for eye in boxes)]
+        start, end = max(float(track[0]) for track in tracks), min(float(track[-1]) for track in tracks)
+        if end < start:
+            raise BadInputError(f"{self._files()}: the tracks do not overlap in time; record them together.")
+        return start, end
+
+    def _files(self) -> str:
+        """The files, or what stands for them: made-up tracks begin at 0 s and are as long as was asked for."""
+        return " and ".join(str(path) for path in (self.head, self.eyes) if path)
+
+
+def in_gap(row_s: FloatArray, time_s: FloatArray) -> NDArray[np.bool_]:
+    """Moments (n,) strictly between rows (m,) that are farther apart than a tracker's own interval explains, (n,)."""
+    step_s = np.diff(row_s)
+    before = np.clip(np.searchsorted(row_s, time_s, side="right") - 1, 0, len(step_s) - 1)
+    on_a_row = (time_s == row_s[before]) | (time_s == row_s[before + 1])
+    return np.asarray((step_s[before] > GAP * np.median(step_s)) & ~on_a_row)
+
+
+def _newest_pose(head: HeadTrajectory, time_s: FloatArray) -> FloatArray:
+    """(n, 4, 4): interpolated between rows, but in a gap the last row's, as who draws knows no later one."""
+    last_s = head.time_s[np.searchsorted(head.time_s, time_s, side="right") - 1]
+    return head.at(np.where(in_gap(head.time_s, time_s), last_s, time_s))
+
+
+def _followed(samples: Samples, time_s: FloatArray, box: EyeBox) -> list[EyeMoment]:
+    """One eye's viewpoints through the filter, and within what its model takes."""
+    follow, last, moments = ViewpointFilter(box.centre), None, []
+    for moment_s, sample in zip(time_s, samples, strict=True):
+        tracked = follow.update(float(moment_s), sample)
+        at = nearest_in_reach(tracked.viewpoint, box)
+        moved_mm = 0.0 if last is None else 1e3 * float(np.linalg.norm(at - last))
+        moments.append(EyeMoment(at, tracked.state, moved_mm, bool((at != tracked.viewpoint).any())))
+        last = at
+    return moments

@@ -1,0 +1,167 @@
+"""Tables of how exact composed frames are: their fields, where they land, and what is left when they come late."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from benchmarks.speed.accuracy import Landing, Moment, Subject, disoccluded_at_pupil, landing, subject, truth
+from benchmarks.speed.frozen_map import bilinear
+from benchmarks.speed.running import LATE_S, PUPIL_M_PER_S, TURN_DEG_PER_S, WALK_M_PER_S, later_pose
+from benchmarks.speed.workload import HEAD_POSE
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.geometry import transforms
+from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.rendering.choose_lattice import TOLERANCE_ARCMIN, bend_error_arcmin
+from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.ray_field import solve_pixels
+from wlr_render.rendering.scene_file import load_scene
+
+DEVICES = "northstar", "freeform40", "birdbath28"
+SCENES = "desk", "sculpture"
+LANDING_GOAL_ARCMIN, CUT_GOAL_PERCENT, SHADER_GOAL_ARCMIN = 0.2, 80, 0.01
+PLACES = np.array([[0.5, -0.4, 0.3], [-0.9, 0.9, -0.9]])
+"""In the eye box, -1..1, where frames are compared."""
+_LATE_PLACE = np.array([0.2, -0.3, 0.1])
+JUDGED_PLACES = np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1], [0.3, -0.6, 0.8]])
+_PIXELS = 20_000
+_ROW_BY_ROW = "all, row by row"
+
+
+def field_table(models: Mapping[str, EyeMappings], context: str) -> ReportTable:
+    """The shader's rays of planar models, at every pixel and between a lattice's points; needs OpenGL."""
+    rows = [row for device, mappings in models.items() for row in _field_rows(device, mappings, context)]
+    notes = (
+        f"Against the float64 solve at {_PIXELS} pixels from each of {len(JUDGED_PLACES)} places in the eye box: the "
+        "angle at infinity plus the offset's angle at 0.25 m. Lattices are read with exact weights, as the warp "
+        "does. A lattice's bound is without what the shader's float32 adds.",
+    )
+    columns = "field", "bound when chosen (arcmin)", "rms (arcmin)", "max (arcmin)", "goal"
+    return ReportTable("Rays of the shader", columns, rows, notes)
+
+
+def _field_rows(device: str, mappings: EyeMappings, context: str) -> Iterator[list[Cell]]:
+    panel = mappings.display.panel
+    with Compositor(mappings, (panel.width_px, panel.height_px), context=context) as compositor:
+        plan = compositor.plan(mappings.eye)
+        chosen, axes = plan.lattice, plan.device_from_camera
+        for name, lattice, bound, goal in (
+            ("every pixel", Lattice.of_pixels(panel), None, SHADER_GOAL_ARCMIN),
+            (
+                f"{chosen.lattice.columns} x {chosen.lattice.rows} points",
+                chosen.lattice,
+                chosen.bound_arcmin,
+                TOLERANCE_ARCMIN,
+            ),
+        ):
+            found = summary(field_error_arcmin(GlSolve(compositor.context, mappings, lattice, axes), mappings, lattice))
+            yield [f"{device}, {name}", bound, found.rms, found.maximum, f"max <= {goal}"]
+
+
+def field_error_arcmin(solve: GlSolve, mappings: EyeMappings, lattice: Lattice) -> FloatArray:
+    """Errors at pixel centres, (places, pixels), of a solve on that lattice; NaN where there is no ray."""
+    pixel = np.floor(np.random.default_rng(4).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
+    place = (pixel - lattice.first_px) / lattice.step_px
+    errors = []
+    for viewpoint in mappings.eye_box.at(JUDGED_PLACES):
+        field = solve.solve(viewpoint)
+        read = bilinear(np.moveaxis(field.read_bend().astype(np.float64), 0, -1), place)
+        exact = solve_pixels(mappings, field.device_from_camera, pixel, viewpoint).bend
+        errors.append(bend_error_arcmin(read, exact))
+    return np.stack(errors)
+
+
+def landing_table(models: Mapping[str, EyeMappings], scenes: Sequence[str], context: str) -> ReportTable:
+    """Composed frames beside ray-traced ones, and what the place of the raster camera saves."""
+    rows = [landing_row(device, models[device], scene, context) for device in models for scene in scenes]
+    columns = (
+        "headset, scene",
+        f"rms (arcmin; goal <= {LANDING_GOAL_ARCMIN})",
+        "max (arcmin)",
+        "disoccluded, drawn from the pupil (px)",
+        "from where rays come (px)",
+        f"cut (%; goal >= {CUT_GOAL_PERCENT})",
+    )
+    notes = (
+        f"From {len(PLACES)} places in the eye box; the fitted model stands for the truth. Angles are of points that "
+        "both frames show, 2 pixels away from silhouettes and disocclusion. Disoccluded: hidden from where the picture "
+        "is drawn, found exactly by rays; the paper draws from the pupil.",
+    )
+    return ReportTable("Composed frames against ray-traced ones", columns, rows, notes)
+
+
+def landing_row(device: str, mappings: EyeMappings, scene: str, context: str) -> list[Cell]:
+    """Its row, over all `PLACES`."""
+    on = subject(mappings, load_scene(scene), context)
+    try:
+        seen = [truth(on, Moment(viewpoint, HEAD_POSE)) for viewpoint in mappings.eye_box.at(PLACES)]
+        landed = [landing(on, each, each.moment, each.moment) for each in seen]
+        at_pupil = sum(disoccluded_at_pupil(on, each) for each in seen)
+    finally:
+        on.compositor.release()
+    pixels = np.array([each.pixels for each in landed])
+    rms = float(np.sqrt(np.average([each.rms_arcmin**2 for each in landed], weights=pixels)))
+    at_rays = sum(each.disoccluded for each in landed)
+    cut = 100.0 * (1.0 - at_rays / at_pupil) if at_pupil else np.nan
+    return [f"{device}, {scene}", rms, max(each.worst_arcmin for each in landed), at_pupil, at_rays, cut]
+
+
+def late_table(device: str, mappings: EyeMappings, scene: str, context: str) -> ReportTable:
+    """What 10 ms cost, and what is left after late correction."""
+    on = subject(mappings, load_scene(scene), context)
+    try:
+        rows = late_rows(on)
+    finally:
+        on.compositor.release()
+    columns = (
+        "what moved since it was drawn",
+        "as drawn: rms (arcmin)",
+        "corrected: rms (arcmin)",
+        "max (arcmin)",
+        "disoccluded (px)",
+        "only one shows (px)",
+    )
+    notes = (
+        f"{LATE_S * 1e3:g} ms at {TURN_DEG_PER_S:g} deg/s of the head, {WALK_M_PER_S:g} m/s, and {PUPIL_M_PER_S:g} m/s "
+        "of the pupil, against the ray-traced frame of the later moment; angles as in the table on composed frames.",
+        f"Row by row: the display lights up for another {LATE_S * 1e3:g} ms, in which the head goes on; against frames "
+        "whose rows are traced each with its own pose.",
+    )
+    return ReportTable(f"Late correction: {device}, {scene}", columns, rows, notes)
+
+
+def late_rows(on: Subject) -> list[list[Cell]]:
+    """One row for each movement, and for a rolling scan-out."""
+    viewpoint, pose = on.mappings.eye_box.at(_LATE_PLACE), HEAD_POSE
+    drawn = Moment(viewpoint, pose)
+    turned = transforms.rigid(later_pose(pose)[:3, :3], pose[:3, 3])
+    moved = transforms.rigid(pose[:3, :3], later_pose(pose)[:3, 3])
+    aside = viewpoint + PUPIL_M_PER_S * LATE_S * np.array([0.8, 0.6, 0.0])
+    moments = {
+        "the head turned": Moment(viewpoint, turned),
+        "the head moved": Moment(viewpoint, moved),
+        "the pupil moved": Moment(aside, pose),
+        "all of these": Moment(aside, later_pose(pose)),
+        _ROW_BY_ROW: Moment(aside, later_pose(pose), later_pose(later_pose(pose))),
+    }
+    rows = []
+    for name, moment in moments.items():
+        seen = truth(on, moment)
+        late = landing(on, seen, drawn, drawn)
+        if name == _ROW_BY_ROW:
+            rows.append(_late_row(f"{name}, with the first row's pose", late, landing(on, seen, drawn, moment.at_once)))
+        rows.append(_late_row(name, late, landing(on, seen, drawn, moment)))
+    return rows
+
+
+def _late_row(name: str, late: Landing, corrected: Landing) -> list[Cell]:
+    return [
+        name,
+        late.rms_arcmin,
+        corrected.rms_arcmin,
+        corrected.worst_arcmin,
+        corrected.disoccluded,
+        corrected.one_sided,
+    ]

@@ -1,0 +1,136 @@
+"""The parts of a frame made offline: rays, raster and warp with read-back, the map for a new viewpoint, memory.
+
+Each pair is timed alternately, so that a busy machine slows both sides alike; figures are medians.
+"""
+
+import multiprocessing
+import resource
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.speed.baselines import bare_gl_frame, raw_embree
+from benchmarks.speed.timing import alternately, in_ms
+from benchmarks.speed.workload import HEAD_POSE, Workload, bench_model, bench_scene
+from wlr_render.evaluation.report import Cell
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import EyeMappings, FloatArray, Panel
+from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, exact_field, ray_field
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
+
+
+def ray_rows(work: Workload) -> list[list[Cell]]:
+    """Intersections and the whole ray-traced frame, against raw Embree."""
+    renderer = RayRenderer(work.scene)
+    painter = TracedPainter(work.mappings, renderer)
+    field = ray_field(work.mappings, work.viewpoints[0], choose_plan(work.mappings))
+    origin, direction = field.world_rays(HEAD_POSE)
+    raw = raw_embree(work.scene, origin, direction)
+    raw_ms, ours_ms, frame_ms = alternately(
+        lambda _: raw(),
+        lambda _: renderer.tracer.intersect(origin, direction),
+        lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE),
+        rounds=work.rounds,
+    )
+    rays = len(direction) / 1e3
+    return [
+        [
+            "intersections (rate)",
+            f"{rays / ours_ms:.1f} Mrays/s",
+            f"{rays / raw_ms:.1f} Mrays/s",
+            raw_ms / ours_ms,
+            ">= 0.8",
+        ],
+        ["whole ray-traced frame", in_ms(frame_ms), in_ms(raw_ms), frame_ms / raw_ms, "< 4"],
+    ]
+
+
+def raster_rows(work: Workload, backend: str) -> list[list[Cell]]:
+    """The whole raster frame, against a bare OpenGL pass."""
+    rasteriser = open_rasteriser(work.scene, backend)
+    painter = WarpedPainter(work.mappings, rasteriser)
+    name = f"whole raster frame ({rasteriser.backend})"
+    if rasteriser.backend != "egl":
+        (frame_ms,) = alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE), rounds=work.rounds)
+        return [[name, in_ms(frame_ms), None, None, "needs EGL for its baseline"]]
+    panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
+    drawn_from = painter.view(centre, HEAD_POSE)
+    view = replace(drawn_from, camera=_at_display_size(drawn_from.camera, panel))
+    fixed = painter.paint(centre, HEAD_POSE, with_geometry=True).source
+    assert fixed is not None
+    source_uv = np.nan_to_num(fixed[..., :2] / [drawn_from.camera.width_px, drawn_from.camera.height_px])
+    bare = bare_gl_frame(_in_world(work.scene), view, source_uv.astype(np.float32))
+    bare_ms, frame_ms = alternately(
+        lambda _: bare(), lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE), rounds=work.rounds
+    )
+    return [[name, in_ms(frame_ms), in_ms(bare_ms), frame_ms / bare_ms, "<= 2.5"]]
+
+
+def _at_display_size(camera: Pinhole, panel: Panel) -> Pinhole:
+    return Pinhole(panel.width_px, panel.height_px, camera.tangent_min, camera.tangent_max)
+
+
+def _in_world(scene: Scene) -> Mesh:
+    """The scene's one mesh, placed."""
+    (instance,) = scene.instances
+    mesh = scene.mesh_of(instance)
+    return replace(
+        mesh,
+        position=world_positions(mesh, instance).astype(np.float32),
+        normal=world_normals(mesh, instance).astype(np.float32),
+    )
+
+
+def map_rows(work: Workload) -> list[list[Cell]]:
+    """The map for a new viewpoint: its time and its error."""
+    plan = choose_plan(work.mappings)
+    (map_ms,) = alternately(lambda turn: ray_field(work.mappings, work.viewpoints[turn], plan), rounds=work.rounds)
+    error = map_error_px(work.mappings, work.viewpoints[1])
+    nodes = plan.node_pixel.shape[0]
+    return [
+        [f"map for a new viewpoint ({nodes} x {nodes} nodes)", in_ms(map_ms), None, None, "<= 30 ms"],
+        ["its error at the worst pixel", f"{error:.4f} px", "exact solve", None, "<= 0.02 px"],
+    ]
+
+
+def map_error_px(mappings: EyeMappings, viewpoint: FloatArray) -> float:
+    """Largest difference between the fast field and the exact solve of every pixel, in display pixels.
+
+    Differences of the tangents at infinity and at the nearest depth, over the size of the pixel.
+    """
+    plan = choose_plan(mappings)
+    fast = ray_field(mappings, viewpoint, plan).bend
+    exact = exact_field(mappings, viewpoint, plan.device_from_camera).bend
+    pixel_size = np.minimum(*(np.hypot(*np.gradient(exact[:2], axis=axis)) for axis in (1, 2)))
+    difference = fast - exact
+    at_depths = (np.hypot(*(difference[:2] + difference[2:] / depth)) for depth in (NEAREST_M, np.inf))
+    return float(max((moved / pixel_size).max() for moved in at_depths))
+
+
+def memory_rows(backend: str) -> list[list[Cell]]:
+    """Peak memory of one frame, by both ways of drawing."""
+    rows: list[list[Cell]] = []
+    for method in ("raster", "raytrace"):
+        # A process of its own, so that nothing else counts; spawned, because forking after OpenGL hangs.
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            peak = pool.submit(peak_memory_gb, method, backend).result()
+        rows.append([f"peak memory, one 2048 x 2048 frame ({method})", f"{peak:.2f} GB", None, None, "< 1.5 GB"])
+    return rows
+
+
+def peak_memory_gb(method: str, backend: str) -> float:
+    """Peak resident memory of this process after making one 2048 x 2048 frame."""
+    mappings, scene = bench_model(Panel(2048, 2048)), bench_scene()
+    painter: Painter
+    if method == "raytrace":
+        painter = TracedPainter(mappings, RayRenderer(scene))
+    else:
+        painter = WarpedPainter(mappings, open_rasteriser(scene, backend))
+    painter.paint(mappings.eye_box.centre, HEAD_POSE)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e9 if sys.platform == "darwin" else 1e6)  # macOS counts bytes, Linux kilobytes

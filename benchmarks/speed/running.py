@@ -1,0 +1,104 @@
+"""A compositor that runs on a workload, frame after frame."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from benchmarks.speed.timing import Run
+from benchmarks.speed.workload import HEAD_POSE, Workload
+from wlr_render.compositing.composed_frame import ComposedFrame
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.eye_camera import EyeCamera
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.geometry import transforms
+from wlr_render.mappings import FloatArray
+from wlr_render.rendering import gl
+
+LATE_S = 0.010
+"""From drawing to scan-out, and from the first row's to the last one's."""
+TURN_DEG_PER_S, WALK_M_PER_S, PUPIL_M_PER_S = 100.0, 0.5, 0.05
+"""A brisk turn of the head, a step, and a pupil 10.5 mm before the centre of an eye that turns by 270 deg/s."""
+
+
+def later_pose(pose: FloatArray, seconds: float = LATE_S) -> FloatArray:
+    """A head pose (4, 4) some time on: the head turns about its vertical and moves sideways and ahead."""
+    turned = transforms.rotation_about("y", np.deg2rad(TURN_DEG_PER_S) * seconds)
+    step = WALK_M_PER_S * seconds * np.array([0.6, 0.0, -0.8])
+    return np.asarray(pose @ transforms.rigid(turned, step))
+
+
+@dataclass(frozen=True, eq=False)
+class Running:
+    """A compositor for the workload's eyes, fed by our own rasteriser; a context manager."""
+
+    work: Workload
+    compositor: Compositor
+    source: SceneSource
+
+    @classmethod
+    def of(
+        cls,
+        work: Workload,
+        context: Any = "auto",
+        size: tuple[int, int] | None = None,
+        solve: str = "auto",
+        channels: int = 1,
+    ) -> "Running":
+        """Start.
+
+        Args:
+            work: whose eyes are composed.
+            context, solve: as `Compositor`.
+            size: (width, height) of the display; that of the panel if None.
+            channels: 3 for a field for each colour, of the same mappings.
+
+        Raises:
+            BadInputError, MissingGlError: as `Compositor`.
+        """
+        panel = work.mappings.display.panel
+        models = {eye: (mappings,) * channels for eye, mappings in work.eyes.items()}
+        compositor = Compositor(models, size or (panel.width_px, panel.height_px), context=context, solve=solve)
+        return cls(work, compositor, SceneSource(compositor, work.scene))
+
+    def __enter__(self) -> "Running":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.compositor.release()
+
+    @property
+    def gl_context(self) -> gl.GlContext:
+        """Of the compositor, which has one."""
+        context = self.compositor.context
+        assert isinstance(context, gl.GlContext), "the caller has seen to it that there is OpenGL"
+        return context
+
+    def begin(self, turn: int) -> dict[str, EyeCamera]:
+        """Begin the frame of a round."""
+        return self.compositor.begin_frame(HEAD_POSE, self.work.viewpoint_of_eyes(turn))
+
+    def frame(self, turn: int) -> ComposedFrame:
+        """The whole frame of a round; a second one in the same round does all but solve the field."""
+        for camera in self.begin(turn).values():
+            self.source.submit(camera)
+        frame = self.compositor.compose()
+        self.compositor.finish()
+        return frame
+
+    def then_finished(self, job: Run) -> Run:
+        """A job with the wait for its end."""
+
+        def run(turn: int) -> None:
+            job(turn)
+            self.compositor.finish()
+
+        return run
+
+    def finished(self, job: Callable[[], object]) -> Run:
+        """The same of a job that is alike in all rounds."""
+        return self.then_finished(lambda _: job())

@@ -1,0 +1,102 @@
+"""What a frame in real time takes, stage by stage."""
+
+from benchmarks.speed.running import Running, later_pose
+from benchmarks.speed.timing import Run, alternately, in_ms
+from benchmarks.speed.workload import HEAD_POSE, Workload
+from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.rendering.gl_nodes import GlNodes
+from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.intermediate_view import PyrenderView
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.raster import GlRaster
+from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+
+LARGE_PX = 2048, 2048
+FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS = 2.0, 4.0
+"""Whole frames of both eyes on a GPU, at the workload's size and at `LARGE_PX` per eye."""
+_COLUMNS = "stage", "time", "goal"
+
+
+def stage_tables(work: Workload, context: str, large_px: tuple[int, int] = LARGE_PX) -> list[ReportTable]:
+    """The stages of one eye's frame, and whole frames of both eyes; needs OpenGL."""
+    return [_one_eye(work.one_eye, context), _both_eyes(work, context, large_px)]
+
+
+def _one_eye(work: Workload, context: str) -> ReportTable:
+    with Running.of(work, context) as on, Running.of(work, context, channels=3) as three:
+        runs = _pictures(on) | _fields(on) | _composing(on)
+        runs |= {
+            "whole frame, three colours": three.frame,
+            "warp, three colours": three.finished(three.compositor.compose),
+        }
+        times = alternately(*runs.values(), rounds=work.rounds)
+        rows: list[list[Cell]] = [[name, in_ms(time), None] for name, time in zip(runs, times, strict=True)]
+        title = f"One eye in real time, {_by(on.compositor.size_px)}, {work.scene.triangle_count} triangles"
+    notes = (
+        "Each time includes the wait for the GPU's end; the stages wait one by one, a frame only once.",
+        "Newer pose, and a pose for each row: the same picture is composed again along the same rays. Newer pose and "
+        "pupil: along new ones. Three colours: a field for each channel, of one model thrice.",
+    )
+    return ReportTable(title, _COLUMNS, rows, notes)
+
+
+def _pictures(on: Running) -> dict[str, Run]:
+    """What an engine does, by two engines."""
+    raster = GlRaster(on.gl_context, on.work.scene)
+    pyrender = PyrenderView(on.gl_context, on.work.scene)
+    (camera,) = on.begin(0).values()
+    width, height = camera.size_px
+    return {
+        "begin_frame": on.begin,
+        f"intermediate view, {width} x {height}": on.finished(lambda: raster.draw_on_gpu(camera.view)),
+        "the same with glTF's materials, by pyrender": on.finished(lambda: pyrender.draw_on_gpu(camera.view)),
+    }
+
+
+def _fields(on: Running) -> dict[str, Run]:
+    """The rays of the pixels, for a new viewpoint, in three ways."""
+    context, mappings, plan = on.gl_context, on.work.mappings, on.compositor.plan("right")
+    axes, coarse, viewpoints = plan.device_from_camera, plan.lattice.lattice, on.work.viewpoints
+    count = choose_plan(mappings).node_count
+    pixels = GlSolve(context, mappings, Lattice.of_pixels(mappings.display.panel, plan.size_px), axes)
+    points = GlSolve(context, mappings, coarse, axes)
+    nodes = GlNodes(context, mappings, FieldPlan.to_lattice(coarse, count, axes))
+    return {
+        "field: every pixel, shader": on.then_finished(lambda turn: pixels.solve(viewpoints[turn])),
+        f"field: {_by(coarse.size)} points, shader": on.then_finished(lambda turn: points.solve(viewpoints[turn])),
+        f"field: {_by(coarse.size)} points from {count} x {count} nodes, any optics": on.then_finished(
+            lambda turn: nodes.solve(viewpoints[turn])
+        ),
+    }
+
+
+def _composing(on: Running) -> dict[str, Run]:
+    """The whole frame, and what is made of it again; in this order, because a pupil that moves costs a field."""
+    compositor, work, later = on.compositor, on.work, later_pose(HEAD_POSE)
+    return {
+        "whole frame": on.frame,
+        "warp": on.finished(compositor.compose),
+        "newer pose": on.finished(lambda: compositor.compose(pose=later)),
+        "a pose for each row": on.finished(lambda: compositor.compose(pose=HEAD_POSE, pose_at_last_row=later)),
+        "warp and read-back": lambda _: compositor.compose().read(),
+        "newer pose and pupil": on.then_finished(
+            lambda turn: compositor.compose(pose=later, viewpoint=work.viewpoints[turn - 1])
+        ),
+    }
+
+
+def _both_eyes(work: Workload, context: str, large_px: tuple[int, int]) -> ReportTable:
+    with Running.of(work, context) as usual, Running.of(work, context, large_px) as large:
+        times = alternately(usual.frame, large.frame, rounds=work.rounds)
+        sizes = usual.compositor.size_px, large.compositor.size_px
+        only_there = " (needs a GPU)" if usual.gl_context.is_software else ""
+    rows: list[list[Cell]] = [
+        [f"whole frame, {_by(size)} per eye", in_ms(time), f"<= {in_ms(goal)}{only_there}"]
+        for size, time, goal in zip(sizes, times, (FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS), strict=True)
+    ]
+    notes = (f"{work.scene.triangle_count} triangles, a new viewpoint in every frame, one colour.",)
+    return ReportTable("Both eyes in real time", _COLUMNS, rows, notes)
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"

@@ -1,0 +1,157 @@
+"""How fast and how exact, offline and in real time, against what a user would run otherwise."""
+
+import os
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from pathlib import Path
+
+from benchmarks.speed import accuracy_tables, eye_tracking, fixed_maps, growth, stages
+from benchmarks.speed.frozen_map import frozen_map_table
+from benchmarks.speed.offline import map_rows, memory_rows, raster_rows, ray_rows
+from benchmarks.speed.record import record
+from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
+from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.evaluation.report import ReportTable, tables_as_json
+from wlr_render.files import output_folder, write_text
+from wlr_render.mappings import Panel
+from wlr_render.rendering import gl
+from wlr_render.rendering.workers import worker_count
+from wlr_render.studies.progress import Progress, silent
+
+_NOTES = (
+    "Ray path baseline: embreex's own query of the same rays, shared out over the same threads.",
+    "Raster path baseline: a bare ModernGL pass of the same mesh, warped by a map uploaded once, read back.",
+)
+
+Tables = Callable[[], Sequence[ReportTable]]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is measured.
+
+    Attributes:
+        panel: pixels of one eye.
+        large_px: of the larger display in real time.
+        rounds: of a timing; `gpu_rounds` of one in real time on a GPU.
+        sizes: over which growth is measured.
+        devices, scenes: of which accuracy is measured.
+        judged_panel: pixels of those devices; their own if None.
+    """
+
+    panel: Panel = PANEL
+    large_px: tuple[int, int] = stages.LARGE_PX
+    rounds: int = ROUNDS
+    gpu_rounds: int = GPU_ROUNDS
+    sizes: growth.Sizes = field(default_factory=growth.Sizes)
+    devices: tuple[str, ...] = accuracy_tables.DEVICES
+    scenes: tuple[str, ...] = accuracy_tables.SCENES
+    judged_panel: Panel | None = None
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a run.
+
+    Attributes:
+        backend: of OpenGL.
+        out: folder for speed.md and speed.json.
+        record: folder in which the tables are also kept, in a file named after the renderer; None for nowhere.
+    """
+
+    backend: str = "auto"
+    out: Path = Path("out/benchmarks/speed")
+    record: Path | None = None
+
+
+def run(options: Options, progress: Progress = silent, extent: Extent = Extent()) -> list[ReportTable]:
+    """Measure; writes speed.md and speed.json into `options.out`.
+
+    Raises:
+        BadInputError: a folder that cannot be written, or `record` without OpenGL.
+        MissingGlError: OpenGL was asked for by name, and does not open.
+    """
+    folder = output_folder(options.out)
+    renderer = _renderer(options.backend)
+    if options.record is not None:
+        if renderer is None:
+            raise BadInputError(
+                "--record names its file after the OpenGL renderer, and OpenGL does not open here; leave --record out."
+            )
+        output_folder(options.record)  # minutes of work must not end at a folder that cannot be written
+    machine = _machine(renderer)
+    work = workload(extent.panel, extent.rounds)
+    parts: list[Tables] = [partial(_offline, work, options.backend, machine)]
+    if renderer is not None:
+        rounds = extent.rounds if renderer.is_software else extent.gpu_rounds
+        parts += _in_real_time(work.with_rounds(rounds), options.backend, extent)
+    parts += _accuracy(options.backend, extent, with_gl=renderer is not None)
+    tables = [table for part in progress(iter(parts), len(parts), "benchmarks") for table in part()]
+    write_text(folder / "speed.md", "\n".join(table.markdown() for table in tables))
+    write_text(folder / "speed.json", tables_as_json(tables))
+    if options.record is not None and renderer is not None:
+        record(tables, options.record, renderer.name)
+    return tables
+
+
+@dataclass(frozen=True)
+class Renderer:
+    """What draws, by OpenGL's name, and whether it is a program on the CPU."""
+
+    name: str
+    is_software: bool
+
+
+def _renderer(backend: str) -> Renderer | None:
+    """None where there is no OpenGL, or none is asked for."""
+    if backend == "cpu":
+        return None
+    try:
+        with gl.open_context(backend) as context:
+            return Renderer(context.renderer, context.is_software)
+    except MissingGlError:
+        if backend != "auto":
+            raise
+        return None
+
+
+def _machine(renderer: Renderer | None) -> tuple[str, str]:
+    load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
+    return (
+        f"{renderer.name if renderer else 'no OpenGL'}; {worker_count()} processors, {platform.machine()}, Python "
+        f"{platform.python_version()}.",
+        f"Medians of runs that take turns. The machine's load when it began: {load}; who else uses it is not known.",
+    )
+
+
+def _offline(work: Workload, backend: str, machine: Sequence[str]) -> list[ReportTable]:
+    rows = [*ray_rows(work), *raster_rows(work, backend), *map_rows(work), *memory_rows(backend)]
+    panel = work.mappings.display.panel
+    title = f"Offline, {panel.width_px} x {panel.height_px}, {work.scene.triangle_count} triangles"
+    columns = "what", "ours", "baseline", "ours / baseline", "goal"
+    return [ReportTable(title, columns, rows, (*machine, *_NOTES))]
+
+
+def _in_real_time(work: Workload, backend: str, extent: Extent) -> list[Tables]:
+    return [
+        lambda: stages.stage_tables(work, backend, extent.large_px),
+        lambda: [eye_tracking.price_table(work, backend)],
+        lambda: [eye_tracking.warm_start_table(work, backend)],
+        lambda: [fixed_maps.warp_table(work, backend)],
+        lambda: [frozen_map_table(work.mappings)],
+        lambda: [growth.growth_table(work, backend, extent.sizes)],
+    ]
+
+
+def _accuracy(backend: str, extent: Extent, with_gl: bool) -> list[Tables]:
+    models = cache(lambda: {device: bench_model(extent.judged_panel, device=device) for device in extent.devices})
+    first, scene = extent.devices[0], extent.scenes[0]
+    fields: list[Tables] = [lambda: [accuracy_tables.field_table(models(), backend)]]
+    return [
+        *(fields if with_gl else []),
+        lambda: [accuracy_tables.landing_table(models(), extent.scenes, backend)],
+        lambda: [accuracy_tables.late_table(first, models()[first], scene, backend)],
+    ]

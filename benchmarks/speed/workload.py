@@ -1,0 +1,102 @@
+"""What is timed: one fitted headset, one scene of about 100,000 triangles, viewpoints that differ in every round."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.speed.timing import ROUNDS
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.mappings import EyeMappings, FloatArray, Panel
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.rendering.scene import Instance, Light, Scene
+from wlr_render.rendering.shapes.sculpture import sculpture
+from wlr_render.studies.alignment_demo import simulated_captures
+
+HEAD_POSE = np.eye(4)
+DEVICE = "northstar"
+PANEL = Panel(1440, 1600)
+DISPLAY_DEGREE, SEE_THROUGH_DEGREE = 5, 3
+TRIANGLES = 100_000
+_SEED = 1
+_AROUND = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Workload:
+    """A headset, a scene and, for every round of a timing, a place in the eye box.
+
+    Attributes:
+        eyes: mappings by name; "right" is one of them.
+        scene: in the world.
+        places: (rounds + 1, 3) in -1..1.
+    """
+
+    eyes: Mapping[str, EyeMappings]
+    scene: Scene
+    places: FloatArray
+
+    @property
+    def mappings(self) -> EyeMappings:
+        """The right eye's."""
+        return self.eyes["right"]
+
+    @property
+    def rounds(self) -> int:
+        """Rounds that count."""
+        return len(self.places) - 1
+
+    @property
+    def viewpoints(self) -> FloatArray:
+        """(rounds + 1, 3) of the right eye, device frame."""
+        return self.mappings.eye_box.at(self.places)
+
+    @property
+    def one_eye(self) -> "Workload":
+        """The right eye alone."""
+        return replace(self, eyes={"right": self.mappings})
+
+    def with_rounds(self, rounds: int) -> "Workload":
+        """Of another length."""
+        return replace(self, places=_places(rounds))
+
+    def viewpoint_of_eyes(self, turn: int) -> dict[str, FloatArray]:
+        """Viewpoints (3,) of a round, by eye."""
+        return {eye: mappings.eye_box.at(self.places[turn]) for eye, mappings in self.eyes.items()}
+
+
+def workload(panel: Panel = PANEL, rounds: int = ROUNDS) -> Workload:
+    """The usual one, for both eyes."""
+    eyes = {eye: bench_model(panel, eye) for eye in ("left", "right")}
+    return Workload(eyes, bench_scene(), _places(rounds))
+
+
+def _places(rounds: int) -> FloatArray:
+    return np.random.default_rng(3).uniform(-1, 1, (rounds + 1, 3))
+
+
+def bench_model(
+    panel: Panel | None = None, eye: str = "right", device: str = DEVICE, display_degree: int = DISPLAY_DEGREE
+) -> EyeMappings:
+    """A planar model of a shipped device, whose panel may be given another number of pixels."""
+    truth = traced_eye(load_device(device), eye)
+    return _planar(truth, panel or truth.display.panel, _SEED, display_degree)
+
+
+def _planar(truth: EyeMappings, panel: Panel, seed: int, display_degree: int) -> EyeMappings:
+    """What a simulated calibration with camera noise makes of an eye, its panel in other pixels."""
+    captures = simulated_captures(truth, seed)
+    pixel = captures.display.pixel / captures.display.panel.size_px * panel.size_px
+    scaled = EyeCaptures(replace(captures.display, panel=panel, pixel=pixel), captures.see_through)
+    return fit_eye(scaled, "planar", display_degree, SEE_THROUGH_DEGREE).mappings
+
+
+def bench_scene(triangles: int = TRIANGLES) -> Scene:
+    """The sculpture alone, of about so many triangles, large in the field, one directional light."""
+    mesh = sculpture(height_m=0.5, around=_AROUND, along=max(8, round(triangles / (2 * _AROUND))))
+    placed = np.eye(4)
+    placed[:3, 3] = [0.03, -0.45, -0.8]
+    light = Light("directional", np.array([-0.36, -0.8, -0.48]), np.full(3, 0.9, np.float32))
+    return Scene("bench", (mesh,), (Instance("sculpture", 0, placed),), (light,))

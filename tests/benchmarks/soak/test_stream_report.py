@@ -1,0 +1,133 @@
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.soak import report, study
+from benchmarks.soak.records import Cost, EyeMoment, FrameNote, MapCheck, Moment, Stream
+from benchmarks.soak.wearer import Wearer
+from wlr_render.errors import BadInputError
+from wlr_render.tracking.tracked_viewpoint import TrackingState
+
+
+def stream_of(states, *, frame_ms=None, failed=None, x_mm=None, resident_mb=None, jumped_at=()):
+    """One eye; per frame its state, and what else is told; times are 10 ms apart."""
+    count = len(states)
+    x_mm = np.zeros(count) if x_mm is None else np.array(x_mm)
+    frames = []
+    for k, state in enumerate(states):
+        moved_mm = 2.0 if k in jumped_at else 0.0
+        eye = EyeMoment(1e-3 * np.array([x_mm[k], 0, 0]), TrackingState[state], moved_mm, brought_back=False)
+        resident = 100.0 if resident_mb is None else resident_mb[k]
+        cost = Cost(0.25 * frame_ms[k] if frame_ms is not None else 1.0, 0.0, 1.0, 0.5 * k, 0, resident)
+        if frame_ms is not None:
+            cost = dataclasses.replace(cost, compose_ms=0.75 * frame_ms[k])
+        unsolved = {"not converged": failed[k]} if failed and failed.get(k) else {}
+        frames.append(FrameNote(Moment(0.01 * k, np.eye(4), np.eye(4), {"right": eye}), cost, {"right": unsolved}))
+    return Stream(frames, (), 100.0, 0.0, "nobody", (5, 4))
+
+
+def table(stream, title):
+    (found,) = (each for each in report.tables_of(stream) if title in each.title)
+    return {row[0]: dict(zip(found.columns, row, strict=True)) for row in found.rows}, found
+
+
+def test_percentiles_are_of_all_frames_but_the_first():
+    stream = stream_of(["TRACKED"] * 102, frame_ms=[1e6, *range(101)])
+    rows, found = table(stream, "frames of 5 x 4")
+    whole = rows["whole frame (ms)"]
+    assert [whole[column] for column in ("50 %", "95 %", "99 %", "most")] == pytest.approx([50, 95, 99, 100])
+    assert rows["scene drawn (ms)"]["99 %"] == pytest.approx(24.75)
+    assert "11 of 101 took no more" in found.notes[0]
+
+
+def test_the_slowest_hundredth_is_set_beside_all():
+    times = np.ones(201)
+    times[[50, 70]] = 30.0
+    rows, _ = table(stream_of(["TRACKED"] * 201, frame_ms=times, jumped_at=(50,)), "slowest")
+    assert rows["whole frame (ms)"]["the slowest 2"] == pytest.approx(30.0)
+    assert rows["garbage collector (ms)"]["the slowest 2"] == pytest.approx(30.0)
+    assert rows["viewpoint jumped (%)"] == {"mean of": "viewpoint jumped (%)", "all 200": 0.5, "the slowest 2": 50.0}
+
+
+def test_gaps_are_counted_measured_and_their_ways_told():
+    states = ["TRACKED", "HELD", "FADING", "LOST", "TRACKED", "HELD", "TRACKED", "HELD"]
+    x_mm = [1.0, 1.0, 0.6, 0.25, 3.0, 3.0, 3.0, 3.0]
+    rows, _ = table(stream_of(states, x_mm=x_mm, jumped_at=(4,)), "Blinks")
+    right = rows["right"]
+    assert [right[name] for name in ("tracked", "held", "fading", "lost", "gaps")] == [3, 3, 1, 1, 3]
+    assert right["longest (ms)"] == pytest.approx(30.0)
+    assert right["farthest fade (mm)"] == pytest.approx(0.75)
+    assert right["farthest return (mm)"] == pytest.approx(2.0)
+
+
+def test_dropped_convergence_is_named_only_where_there_is_any():
+    _, found = table(stream_of(["TRACKED"] * 8, failed={2: 5, 6: 70}), "did not converge")
+    assert found.rows == [["0.060 s", "right", 70], ["0.020 s", "right", 5]]
+    assert not any("did not converge" in each.title for each in report.tables_of(stream_of(["TRACKED"] * 8)))
+    rest, _ = table(stream_of(["TRACKED"] * 8, failed={2: 5, 6: 70}), "8 maps")
+    assert rest["maps with points that did not converge"]["value"] == 2
+
+
+def test_memory_is_compared_over_the_run():
+    rows, _ = table(stream_of(["TRACKED"] * 40, resident_mb=[50.0] * 4 + [100.0 + k for k in range(36)]), "40 maps")
+    assert rows["memory in the second tenth of the frames (MB)"]["value"] == "101.5"
+    assert rows["memory in the last tenth (MB)"]["value"] == "133.5"
+
+
+def test_a_jump_that_was_not_caught_up_with_is_seen_in_the_table():
+    stream = stream_of(["TRACKED"] * 5, failed={3: 9}, jumped_at=(1, 3))
+    checks = [MapCheck(0.01, "right", 2.0, 14.0, 13.0, 4), *(MapCheck(0.02, "right", 0.1, 0.5, e, 0) for e in (0, 0.2))]
+    rows, found = table(dataclasses.replace(stream, checks=checks), "Saccades")
+    assert rows["0.010 s, right eye"]["own map's error (')"] == 13.0
+    assert rows["0.010 s, right eye"]["points only one has"] == 4
+    assert rows["worst of 2 without a jump"]["own map's error (')"] == 0.2
+    assert found.notes[0].startswith("Of 2 jumps by more than 1 mm, 1 have every point converged")
+
+
+def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(straight_device, scene_file, tmp_path):
+    out, given = tmp_path / "out", []
+    options = study.Options(
+        (straight_device,), scene_file, ("left", "right"), frames=6, size=(32, 18), context="cpu", out=out
+    )
+
+    def progress(items, total, label):
+        given.append((total, label))
+        yield from items
+
+    result = study.run(options, progress)
+    assert given[0] == (6, "frames")
+    assert sorted(result.files) == sorted(out.iterdir())
+    assert all(each.title in (out / "soak.md").read_text() for each in result.tables)
+    assert json.loads((out / "soak.json").read_text())["size_px"] == [32, 18]
+    rows = list(csv.DictReader((out / "frames.csv").open()))
+    assert [float(row["time_s"]) for row in rows] == pytest.approx([k / 90.0 for k in range(6)])
+    assert {row["left_tracking"] for row in rows} | {row["right_tracking"] for row in rows} <= {
+        state.name.lower() for state in TrackingState
+    }
+    with Image.open(out / "soak.png") as picture:
+        assert picture.width > 1000
+        assert len(picture.convert("RGB").getcolors(1 << 20)) > 20
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"frames": 1}, "2 or more"),
+        ({"frames_per_second": 0.0}, "frame rate is 0.0"),
+        ({"frames_per_second": float("inf")}, "frame rate is inf"),
+        ({"late_ms": 80.0}, "80 ms; give 0 to 50 ms"),
+        ({"headset": ("a", "b", "c")}, "3 headsets are given for 1 eyes"),
+        ({"wearer": Wearer(eyes="none.txt")}, "none.txt: cannot be read"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_nothing_is_written(
+    changes, sentence, straight_device, scene_file, tmp_path
+):
+    options = study.Options((straight_device,), scene_file, context="cpu", out=tmp_path / "out")
+    with pytest.raises(BadInputError, match=sentence):
+        study.run(dataclasses.replace(options, **changes))
+    assert not list(tmp_path.glob("out/*"))

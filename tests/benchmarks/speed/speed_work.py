@@ -1,0 +1,25 @@
+"""A workload that takes milliseconds."""
+
+import numpy as np
+import pytest
+
+from benchmarks.speed.workload import Workload, bench_scene
+from wlr_render.errors import MissingGlError
+from wlr_render.rendering import gl
+
+ROUNDS = 2
+TRIANGLES = 2000
+
+
+def small_work(mappings):
+    """The right eye alone."""
+    places = np.random.default_rng(1).uniform(-0.9, 0.9, (ROUNDS + 1, 3))
+    return Workload({"right": mappings}, bench_scene(TRIANGLES), places)
+
+
+def needs_gl():
+    """Skip where there is no OpenGL."""
+    try:
+        gl.open_context().release()
+    except MissingGlError as error:
+        pytest.skip(str(error))

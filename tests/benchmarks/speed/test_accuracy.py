@@ -1,0 +1,127 @@
+"""The judge of composed frames: right where nothing moved, wrong by what moved, row by row."""
+
+import numpy as np
+import pytest
+
+from benchmarks.speed import accuracy_tables
+from benchmarks.speed.accuracy import Moment, disoccluded_at_pupil, landing, subject, truth
+from benchmarks.speed.workload import bench_model
+from wlr_render.geometry import transforms
+from wlr_render.mappings import Panel
+from wlr_render.rendering.choose_lattice import lattice_error_arcmin
+from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.ray_field import middle_axes
+from wlr_render.rendering.scene_file import load_scene
+
+PLACE = np.array([0.6, -0.5, 0.4])
+TURN = transforms.rigid(transforms.rotation_about("y", np.deg2rad(0.5)), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def on(small_panel_model, scene_file):
+    ready = subject(small_panel_model, load_scene(scene_file))
+    yield ready
+    ready.compositor.release()
+
+
+@pytest.fixture(scope="module")
+def moment(on):
+    return Moment(on.mappings.eye_box.at(PLACE), np.eye(4))
+
+
+@pytest.fixture(scope="module")
+def seen(on, moment):
+    return truth(on, moment)
+
+
+def test_a_frame_composed_for_its_moment_lands(on, moment, seen):
+    landed = landing(on, seen, moment, moment)
+    assert landed.pixels > 4000
+    assert landed.rms_arcmin < 0.05
+    assert landed.one_sided == 0
+
+
+def test_a_head_that_turned_is_off_by_its_turn_until_corrected(on, moment):
+    """30 arcmin seen from the axis, less towards the pole of the turn; and what the optics magnify."""
+    turned = Moment(moment.viewpoint, TURN)
+    after = truth(on, turned)
+    assert landing(on, after, moment, moment).rms_arcmin == pytest.approx(30, rel=0.15)
+    assert landing(on, after, moment, turned).rms_arcmin < 0.05
+
+
+def test_a_wrong_pupil_is_found(on, moment, seen):
+    aside = Moment(moment.viewpoint + [0.001, 0, 0], moment.pose)
+    assert landing(on, seen, moment, aside).rms_arcmin > 1
+
+
+def test_each_row_is_traced_from_its_own_pose(on, moment):
+    rolling = Moment(moment.viewpoint, np.eye(4), TURN)
+    poses, found = rolling.row_poses(100), truth(on, rolling)
+    np.testing.assert_allclose(poses[[0, -1]], [np.eye(4), TURN], atol=1e-12)
+    for row in (0, 41, 99):
+        alone = truth(on, Moment(moment.viewpoint, poses[row]))
+        np.testing.assert_array_equal(found.position[row], alone.position[row])
+        np.testing.assert_array_equal(found.direction[row], alone.direction[row])
+
+
+def test_rows_need_their_own_poses(on, moment):
+    rolling = Moment(moment.viewpoint, np.eye(4), TURN)
+    after = truth(on, rolling)
+    assert landing(on, after, moment, rolling).rms_arcmin < 0.05
+    # 0 at the first row, 30 at the last one: over sqrt(3), were there as many pixels to judge in all rows.
+    assert 10 < landing(on, after, moment, rolling.at_once).rms_arcmin < 20
+
+
+def test_less_is_hidden_from_where_the_rays_come():
+    eye = bench_model(Panel(320, 180), device="birdbath28")
+    name, rms, worst, at_pupil, at_rays, cut = accuracy_tables.landing_row("birdbath28", eye, "sculpture", "auto")
+    assert name == "birdbath28, sculpture"
+    assert 0 < rms <= worst
+    assert at_pupil > at_rays
+    assert cut == pytest.approx(100 * (1 - at_rays / at_pupil))
+
+
+def test_what_the_pupil_cannot_see_is_counted(on, seen, moment):
+    camera = on.compositor.plan("right").eye_camera(moment.viewpoint, moment.pose)
+    at_rays = landing(on, seen, moment, moment).disoccluded
+    assert disoccluded_at_pupil(on, seen) >= at_rays
+    assert (camera.view.viewpoint_in_device != moment.viewpoint).any()
+
+
+def test_late_rows_are_of_each_movement(on):
+    rows = accuracy_tables.late_rows(on)
+    assert len(rows) == 6
+    late, corrected = (np.array([row[column] for row in rows]) for column in (1, 2))
+    first_row = ["first row" in row[0] for row in rows]
+    assert sum(first_row) == 1
+    assert (late > 3).all()
+    np.testing.assert_array_equal(corrected > 1, first_row)
+
+
+@pytest.mark.gl
+def test_the_shaders_error_is_that_of_its_lattice(gl_context, small_panel_model):
+    """At pixels next to nothing; between few points what the choice of lattices measures without a shader."""
+    eye, axes = small_panel_model, middle_axes(small_panel_model)
+    pixels, few = Lattice.of_pixels(eye.display.panel), Lattice.edge_to_edge(eye.display.panel, 12, 13)
+    at_pixels, between = (
+        accuracy_tables.field_error_arcmin(GlSolve(gl_context, eye, lattice, axes), eye, lattice)
+        for lattice in (pixels, few)
+    )
+    assert np.nanmax(at_pixels) < accuracy_tables.SHADER_GOAL_ARCMIN
+    centres = eye.display.panel.pixel_centres().reshape(-1, 2)
+    expected = [
+        np.nanmax(lattice_error_arcmin(eye, axes, few, viewpoint, centres))
+        for viewpoint in eye.eye_box.at(accuracy_tables.JUDGED_PLACES)
+    ]
+    np.testing.assert_allclose(np.nanmax(between, axis=1), expected, rtol=1e-3)
+    assert min(expected) > 1
+
+
+@pytest.mark.gl
+def test_the_field_table_has_a_bound_where_there_is_a_lattice(gl_context, small_panel_model):
+    table = accuracy_tables.field_table({"northstar": small_panel_model}, "auto")
+    every_pixel, lattice = table.rows
+    assert every_pixel[1] is None
+    assert lattice[1] >= 0
+    assert max(every_pixel[3], lattice[3]) <= accuracy_tables.SHADER_GOAL_ARCMIN

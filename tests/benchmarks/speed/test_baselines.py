@@ -1,0 +1,57 @@
+"""Baselines that do the same work as ours."""
+
+import numpy as np
+import pytest
+
+from benchmarks.speed import offline
+from benchmarks.speed.baselines import bare_gl_frame, raw_embree
+from benchmarks.speed.workload import HEAD_POSE, bench_scene
+from wlr_render.errors import MissingGlError
+from wlr_render.rendering import gl
+from wlr_render.rendering.painters import WarpedPainter
+from wlr_render.rendering.raster import GlRaster
+from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.ray_field import choose_plan, ray_field
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.view import View
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return bench_scene()
+
+
+def test_raw_embree_finds_what_our_tracer_finds(scene, small_panel_model):
+    field = ray_field(small_panel_model, small_panel_model.eye_box.centre, choose_plan(small_panel_model))
+    origin, direction = field.world_rays(HEAD_POSE)
+    shares = raw_embree(scene, origin, direction)()
+    raw = {key: np.concatenate([share[key] for share in shares]) for key in ("tfar", "primID")}
+    ours = RayRenderer(scene).tracer.intersect(origin, direction)
+    hit = np.isfinite(ours.distance)
+    assert 0.15 < hit.mean() < 0.9
+    # Ours asks Embree not to let rays slip through edges, which may decide a silhouette otherwise.
+    assert (hit != (raw["primID"] >= 0)).sum() <= 2
+    both = hit & (raw["primID"] >= 0)
+    np.testing.assert_allclose(raw["tfar"][both], ours.distance[both], rtol=1e-5)
+    assert (raw["primID"] == ours.triangle)[both].mean() > 0.999
+
+
+@pytest.mark.gl
+def test_the_bare_opengl_frame_draws_our_silhouette(scene, small_panel_model):
+    eye, centre = small_panel_model, small_panel_model.eye_box.centre
+    try:
+        context = gl.open_context("egl")
+    except MissingGlError as error:
+        pytest.skip(str(error))
+    camera = WarpedPainter(eye, open_rasteriser(scene, "cpu")).view(centre, HEAD_POSE).camera
+    axes = choose_plan(eye).device_from_camera
+    view = View(offline._at_display_size(camera, eye.display.panel), centre, HEAD_POSE, axes)
+    with context:
+        ours = GlRaster(context, scene).draw(view).inverse_depth > 0
+    assert 0.1 < ours.mean() < 0.9
+    # A map that leads to each pixel's own place, and one that leads to the place that is mirrored about both axes.
+    centres = np.stack(np.meshgrid((np.arange(90) + 0.5) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
+    for source_uv, expected in ((centres, ours), (1 - centres, ours[::-1, ::-1])):
+        run = bare_gl_frame(offline._in_world(scene), view, source_uv.astype(np.float32))
+        drawn = np.frombuffer(run(), np.uint8).reshape(100, 90, 4)[..., :3].max(axis=-1) > 0
+        assert (drawn != expected).mean() < 0.005

@@ -1,0 +1,37 @@
+"""The measuring, not the measurements: an error that is one, a memory that is one frame's."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+
+from benchmarks.speed import offline
+from wlr_render.rendering.ray_field import NEAREST_M, ray_field
+
+
+def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model):
+    viewpoint = small_panel_model.eye_box.at(np.array([0.9, 0.9, -0.9]))
+    assert 0 < offline.map_error_px(small_panel_model, viewpoint) < 0.02
+
+
+@pytest.mark.parametrize("component", [0, 3])
+def test_the_maps_error_is_that_of_its_worst_pixel(small_panel_model, monkeypatch, component):
+    """One pixel is moved by a third of a pixel, at infinity by its tangent or at 0.25 m by its offset."""
+
+    def with_a_fault(mappings, viewpoint, plan):
+        field = ray_field(mappings, viewpoint, plan)
+        a, b = field.bend[0, 40, 30:32], field.bend[1, 40:42, 30]
+        pixel_size = min(abs(np.diff(a)[0]), abs(np.diff(b)[0]))
+        field.bend[component, 40, 30] += pixel_size / 3 * (1.0 if component == 0 else NEAREST_M)
+        return field
+
+    monkeypatch.setattr(offline, "ray_field", with_a_fault)
+    error = offline.map_error_px(small_panel_model, small_panel_model.eye_box.centre)
+    assert error == pytest.approx(1 / 3, rel=0.1)
+
+
+def test_memory_is_that_of_one_frame():
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        peak = pool.submit(offline.peak_memory_gb, "raytrace", "cpu").result()
+    assert 0.1 < peak < 1.5

@@ -1,0 +1,38 @@
+"""What runs is a frame, and what is kept is kept."""
+
+import numpy as np
+import pytest
+from speed_work import needs_gl, small_work
+
+from benchmarks.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
+from wlr_render.rendering.gl_solve import GlSolve
+
+
+def test_a_later_pose_is_as_late_as_its_speeds_say():
+    pose = later_pose(np.eye(4))
+    assert np.rad2deg(np.arccos((np.trace(pose[:3, :3]) - 1) / 2)) == pytest.approx(TURN_DEG_PER_S * LATE_S)
+    assert np.linalg.norm(pose[:3, 3]) == pytest.approx(WALK_M_PER_S * LATE_S)
+
+
+@pytest.mark.gl
+def test_a_second_frame_in_a_round_is_the_same_without_its_solve(small_panel_model, monkeypatch):
+    needs_gl()
+    solved = []
+    solve = GlSolve.solve
+    monkeypatch.setattr(GlSolve, "solve", lambda self, viewpoint: solved.append(viewpoint) or solve(self, viewpoint))
+    with Running.of(small_work(small_panel_model), solve="pixels") as on:
+        first = on.frame(0).read()
+        second = on.frame(0).read()
+        third = on.frame(1).read()
+    np.testing.assert_array_equal(solved, on.work.viewpoints[:2])
+    np.testing.assert_array_equal(first, second)
+    assert (first != third).any()
+
+
+@pytest.mark.gl
+def test_three_fields_of_one_model_make_the_picture_of_one(small_panel_model):
+    needs_gl()
+    work = small_work(small_panel_model)
+    with Running.of(work) as one, Running.of(work, channels=3) as three:
+        difference = one.frame(0).read().astype(int) - three.frame(0).read()
+    assert np.abs(difference).max() <= 1

@@ -1,0 +1,16 @@
+"""The two-view benchmark on the published captures; skipped where they are not at hand."""
+
+import json
+
+from benchmarks.__main__ import main
+
+
+def test_display_captures_of_a_headset_support_a_bundle_of_rays(measured_data, tmp_path, capsys):
+    source = measured_data("northstar_vcam_graycode") / "session2_head"
+    assert main(["two-views", str(source), "--out", str(tmp_path)]) == 0
+    assert "Which model the captures support" in capsys.readouterr().out
+    rows = json.loads((tmp_path / "two-views.json").read_text())["tables"][0]["rows"]
+    for ignored, point, bundle in (rows[:3], rows[3:]):
+        assert ignored["over noise"] > 30
+        assert point["over noise"] > 5
+        assert bundle["over noise"] < 1.5

@@ -1,0 +1,105 @@
+"""The effects that can be hidden, by name, and how one is drawn."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oracle.bench_effects import BENCH_EFFECTS, adding_place, adding_turn
+from oracle.captures import Captures, Plan, display_captures, see_through_captures
+from oracle.device_effects import DEVICE_EFFECTS
+from oracle.own_tracer import FloatArray, turn
+from oracle.recipes import Amount, Draw, Recipe, vector, xyz
+from oracle.run_time_effects import RUN_TIME_EFFECTS
+from oracle.unlisted_effects import UNLISTED_EFFECTS
+from oracle.world import World
+from wlr_render.errors import BadInputError
+
+LISTED = tuple({**DEVICE_EFFECTS, **BENCH_EFFECTS})
+"""Names that a diagnosis of a bench session is expected to find."""
+
+LISTED_AT_RUN_TIME = tuple(RUN_TIME_EFFECTS)
+"""Names that a diagnosis of a run-time session is expected to find."""
+
+UNLISTED = tuple(UNLISTED_EFFECTS)
+"""Names that no list of causes holds."""
+
+OUTLIER = "outlier"
+"""Name of the effect that is one capture that moved."""
+
+
+def _same_capture(captures: Captures, amount: Amount) -> FloatArray:
+    return np.asarray((captures.target_pose == amount["target_pose"]) & (captures.number == amount["capture"]))
+
+
+def _outlier(world: World, amount: Amount) -> World:
+    shift, angles = vector(amount, xyz("mm")), np.radians(vector(amount, xyz("deg")))
+    moved = adding_place(world, lambda position, c: position + np.outer(_same_capture(c, amount), shift))
+    return adding_turn(moved, lambda c: turn(np.outer(_same_capture(c, amount), angles)))
+
+
+_OUTLIER_DRAWS = (Draw(xyz("mm"), 0.3, 1.0), Draw(xyz("deg"), 0.1, 0.3))
+_RECIPES = {
+    **DEVICE_EFFECTS,
+    **BENCH_EFFECTS,
+    **RUN_TIME_EFFECTS,
+    **UNLISTED_EFFECTS,
+    OUTLIER: Recipe("the camera moved in one capture and was turned", _OUTLIER_DRAWS, _outlier),
+}
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect and its size.
+
+    Attributes:
+        name: one of `LISTED`, `LISTED_AT_RUN_TIME`, `UNLISTED`, or `OUTLIER`.
+        amount: by keys that end in their unit; the description fixes the signs.
+    """
+
+    name: str
+    amount: Amount
+
+    @property
+    def description(self) -> str:
+        """What the effect is, in one line."""
+        return _recipe(self.name).description
+
+    def applied(self, world: World) -> World:
+        """The bench with this effect in it; effects compose in the order in which they are applied."""
+        return _recipe(self.name).apply(world, self.amount)
+
+    def scaled(self, factor: float) -> "Effect":
+        """The same effect, its sizes multiplied; settings (a time constant, a place) stay."""
+        sizes = {key for draw in _recipe(self.name).draws if draw.kind != "setting" for key in draw.keys}
+        return replace(self, amount={k: v * factor if k in sizes else v for k, v in self.amount.items()})
+
+
+def draw_effect(name: str, rng: np.random.Generator, strength: float = 1.0) -> Effect:
+    """An effect of random size, sign and direction; `strength` multiplies its typical sizes.
+
+    Raises:
+        BadInputError: the name is not listed above.
+    """
+    if name == OUTLIER:
+        raise BadInputError("An outlier belongs to a plan: draw it with draw_outlier.")
+    return Effect(name, _amount(name, rng, strength))
+
+
+def draw_outlier(plan: Plan, rng: np.random.Generator, strength: float = 1.0) -> Effect:
+    """One capture of the plan that moved; `amount` names it by `target_pose` (-1: of the display) and `capture`."""
+    captures = (display_captures(plan, np.zeros(3), rng), see_through_captures(plan, np.zeros(3)))
+    names = [(int(pose), int(n)) for c in captures for pose, n in zip(c.target_pose, c.number, strict=True)]
+    pose, number = names[rng.integers(len(names))]
+    return Effect(OUTLIER, {"target_pose": pose, "capture": number, **_amount(OUTLIER, rng, strength)})
+
+
+def _amount(name: str, rng: np.random.Generator, strength: float) -> dict[str, float]:
+    return {key: value for draw in _recipe(name).draws for key, value in draw.values(rng, strength).items()}
+
+
+def _recipe(name: str) -> Recipe:
+    if name not in _RECIPES:
+        raise BadInputError(
+            f"There is no effect '{name}' to hide; choose {', '.join((*LISTED, *LISTED_AT_RUN_TIME, *UNLISTED))}."
+        )
+    return _RECIPES[name]

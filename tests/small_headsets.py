@@ -1,0 +1,81 @@
+"""Fixtures: small headsets and a small scene, so that whole jobs run in seconds."""
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.speed.workload import bench_model
+from wlr_render.files import resource
+from wlr_render.mappings import Panel
+from wlr_render.models.model_file import EyeModel, save_eye_model
+
+SCENE = """
+format = "wlr-scene"
+version = 1
+frame = "openxr"
+ambient = [0.3, 0.3, 0.3]
+background = [0.0, 0.1, 0.0]
+
+[[light]]
+kind = "directional"
+direction = [0.3, -0.8, -0.5]
+colour = [0.6, 0.6, 0.6]
+
+[[object]]
+name = "ball"
+shape = "ball"
+radius_m = 0.06
+position_m = [0.03, 0.01, -0.5]
+
+[[object]]
+name = "wall"
+shape = "plane"
+width_m = 4
+height_m = 3
+position_m = [0, 0, -1.5]
+"""
+
+
+def changed_device(folder, name, *changes):
+    """Path of a copy of a shipped device with some text replaced: (old, new) pairs."""
+    text = resource("devices", f"{name}.toml").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path = folder / f"{name}.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+@pytest.fixture(scope="session")
+def small_northstar(tmp_path_factory):
+    """Path of northstar with an eighth of the pixels across and down."""
+    return changed_device(tmp_path_factory.mktemp("device"), "northstar", ("[1440, 1600]", "[180, 200]"))
+
+
+@pytest.fixture(scope="session")
+def straight_device(tmp_path_factory):
+    """Path of a device without optics for both eyes, 64 x 36 pixels: everything about it is a straight line."""
+    both_eyes = ('side = "right"', 'side = "right"\nalso_mirrored = true')
+    return changed_device(tmp_path_factory.mktemp("device"), "no_optics", ("[1280, 720]", "[64, 36]"), both_eyes)
+
+
+@pytest.fixture(scope="session")
+def small_panel_model():
+    """Mappings of northstar's right eye, fitted, with a panel of 90 x 100 pixels."""
+    return bench_model(Panel(90, 100))
+
+
+@pytest.fixture(scope="session")
+def model_file(tmp_path_factory, small_panel_model):
+    """Path of the same as a model file."""
+    path = tmp_path_factory.mktemp("model") / "model.json"
+    return str(save_eye_model(path, EyeModel(replace(small_panel_model, name="fitted"), "northstar")))
+
+
+@pytest.fixture(scope="session")
+def scene_file(tmp_path_factory):
+    """Path of a ball before a wall."""
+    path = tmp_path_factory.mktemp("scene") / "ball.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    return str(path)
