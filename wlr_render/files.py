@@ -217,6 +217,16 @@ class Table:
             raise self.fail(f"'{key}' is '{value}'; it must be one of {', '.join(choices)}.")
         return value
 
+    def file_stem(self, key: str) -> str:
+        """A string that may begin the name of an output file: no folder, no hidden file, nothing a shell reads."""
+        value = self.text(key)
+        if not re.fullmatch(r"\w[\w.-]*", value):
+            raise self.fail(
+                f"'{key}' is {value!r}; output files are named after it: use letters, digits, '_', '-' and '.' only, "
+                "and no '-' or '.' first."
+            )
+        return value
+
     def texts(self, key: str) -> list[str]:
         """A list of strings, at least one."""
         value = self._get(key)

@@ -186,6 +186,18 @@ def test_faults_are_named(tmp_path, old, new, sentence):
         load(tmp_path, GOOD.replace(old, new))
 
 
+@pytest.mark.parametrize(
+    "name", ["../../x", "a/b", "a\\\\b", "C:x", "/x", "..", ".hidden", "-flag", "a b", "a\\u001b[2J", "a\\n", ""]
+)
+def test_a_name_that_leads_out_of_the_output_folder_or_is_no_plain_one_is_refused(tmp_path, name):
+    with pytest.raises(BadInputError, match=r"toy\.toml: 'name' is .*; output files are named after it: use letters"):
+        load(tmp_path, GOOD.replace('name = "toy"', f'name = "{name}"'))
+
+
+def test_a_name_may_hold_letters_digits_and_marks_within(tmp_path):
+    assert load(tmp_path, GOOD.replace('name = "toy"', 'name = "Prüfling_2.1-b"')).name == "Prüfling_2.1-b"
+
+
 def test_unused_surfaces_double_eyes_and_no_eye_are_refused(tmp_path):
     lonely = GOOD[GOOD.index("[[eye.surface]]") : GOOD.index('[[eye.surface]]\nname = "back"')]
     with pytest.raises(BadInputError, match="surface 'third' is in no path"):

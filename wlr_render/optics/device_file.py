@@ -51,7 +51,7 @@ def device_of(file: Table) -> Device:
         eyes.update(zip(wanted, [eye, mirrored(eye)], strict=False))
     if not eyes:
         raise file.fail("there is no [[eye]]; give at least one.")
-    device = Device(file.text("name"), file.text("source"), eyes)
+    device = Device(file.file_stem("name"), file.text("source"), eyes)
     file.finish()
     return device
 

@@ -1,13 +1,12 @@
 """simulation.toml: how the photographs of a simulated session were made."""
 
 import hashlib
-import shutil
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, write_toml
+from wlr_render.files import Table, read_toml, write_bytes, write_toml
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
 
@@ -42,7 +41,7 @@ def save_making(folder: Path, making: Making) -> Path:
     """Write simulation.toml; a device file of one's own is copied beside it."""
     content = asdict(making)
     if Path(making.device).suffix == ".toml":
-        shutil.copyfile(making.device, folder / _DEVICE_COPY)
+        write_bytes(folder / _DEVICE_COPY, Path(making.device).read_bytes())
         content["device"] = _DEVICE_COPY
     return write_toml(folder / FILE, content, "how these photographs were simulated; calibration does not read this")
 
