@@ -78,17 +78,37 @@ class Faults:
     reading_factor: float = 1.0
     moved_photograph: int | None = None
     printed_scale: float = 1.0
+    smooth_rotation_rad: float = 0.0  # roll, pitch and yaw of the stage, rms over its travel, the same at every visit
+    random_rotation_rad: float = 0.0  # the same, drawn anew at every visit
 
 
-def device_from_camera(reading, bow_m=0.0):
+def stage_rotation(reading, rms_rad):
+    """Roll, pitch and yaw (..., 3), of about `rms_rad` each, that vary smoothly with the reading."""
+    x, y = np.moveaxis((reading - REFERENCE)[..., :2] / 0.008, -1, 0)
+    roll = 1.2 * x + 0.7 * y
+    pitch = 1.4 * np.sin(2.2 * x + 0.5) - 0.3 * y
+    yaw = 1.5 * y**2 - 0.6 + 0.8 * x
+    return rms_rad * np.stack([roll, pitch, yaw], axis=-1)
+
+
+def device_from_camera(reading, bow_m=0.0, smooth_rotation_rad=0.0):
     travel = reading - REFERENCE
     bow = bow_m * (travel[..., :1] / 0.008) ** 2 * np.array([0.0, 0.0, 1.0])
-    return DEVICE_FROM_CAMERA @ transforms.rigid(np.eye(3), travel @ STAGE_AXES.T + bow)
+    rotation = stage_rotation(reading, smooth_rotation_rad)
+    motion = np.concatenate([rotation, np.zeros_like(rotation)], axis=-1)
+    return DEVICE_FROM_CAMERA @ transforms.rigid(np.eye(3), travel @ STAGE_AXES.T + bow) @ small_motion(motion)
 
 
 def device_from_target(k):
     distance, tilt = [0.5, 0.9, 0.65][k], [(4, -6, 1), (-5, 8, -2), (3, 5, 0)][k]
     return DEVICE_FROM_CAMERA @ transforms.rigid(turned(*tilt), [0.01, -0.005, distance])
+
+
+def visited(reading, faults, rng):
+    """device_from_camera at one visit to a reading."""
+    draw = faults.random_rotation_rad * rng.normal(size=3) if faults.random_rotation_rad else np.zeros(3)
+    true = device_from_camera(reading, faults.bow_m, faults.smooth_rotation_rad)
+    return true @ small_motion(np.concatenate([draw, np.zeros(3)]))
 
 
 @dataclass(frozen=True)
@@ -108,7 +128,8 @@ def bench(seed, faults=Faults(), bare_targets=(0, 1), targets=(0, 1), steps=4):
     for k in bare_targets:
         for reading in grid:
             name = f"bare/{len(bare):02d}.png"
-            camera_from_target = transforms.inverse(device_from_camera(reading, faults.bow_m)) @ device_from_target(k)
+            camera = visited(reading, faults, rng)
+            camera_from_target = transforms.inverse(camera) @ device_from_target(k)
             if faults.moved_photograph == len(bare):
                 camera_from_target = SHIFT @ camera_from_target
             bare.append(scaled(board_view(name, EYEBALL, camera_from_target, rng, 5), faults.printed_scale))

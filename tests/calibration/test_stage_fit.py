@@ -7,6 +7,7 @@ from wlr_render.calibration.board_views import BoardPoses
 from wlr_render.calibration.camera_calibration import calibrate_camera
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.calibration.stage_fit import fit_stage
+from wlr_render.calibration.stage_problem import Jitter
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 
@@ -49,7 +50,7 @@ def test_without_noise_the_stage_is_exact_with_three_axes_and_two_targets():
     for target, pose in TARGETS.items():
         expected = transforms.rigid(np.eye(3), -shifted) @ pose
         np.testing.assert_allclose(stage.camera_from_target[target], expected, atol=1e-10)
-    assert stage.jitter_m == 0.0
+    assert stage.jitter == Jitter()
     assert stage.set_aside == {}
     np.testing.assert_allclose(stage.residual, 0.0, atol=1e-9)
 
@@ -84,8 +85,33 @@ def test_a_stage_that_strays_says_by_how_much():
     rng = np.random.default_rng(3)
     motions = rng.normal(size=(16, 6)) * [1e-5, 1e-5, 1e-5, 2e-4, 2e-4, 2e-4]
     stage = fit_stage(exact(GRID, [4] * 16, motions), [4] * 16, GRID)
-    assert stage.jitter_m == pytest.approx(2e-4, rel=0.3)
+    assert stage.jitter.translation_m == pytest.approx(2e-4, rel=0.3)
     assert 0.5 < np.sqrt(error_in_sigmas(stage)) < 1.5
+
+
+def test_a_stage_that_rotates_says_by_how_much_and_does_not_seem_to_stray():
+    rng = np.random.default_rng(3)
+    motions = rng.normal(size=(16, 6)) * [1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 1e-5]
+    stage = fit_stage(exact(GRID, [4] * 16, motions), [4] * 16, GRID)
+    assert stage.jitter.rotation_rad == pytest.approx(1e-4, rel=0.3)
+    assert stage.jitter.translation_m < 1e-5
+    assert 0.5 < np.sqrt(error_in_sigmas(stage)) < 1.5
+
+
+def test_both_components_are_found_together():
+    rng = np.random.default_rng(4)
+    motions = rng.normal(size=(16, 6)) * [5e-5, 5e-5, 5e-5, 2e-4, 2e-4, 2e-4]
+    stage = fit_stage(exact(GRID, [4] * 16, motions), [4] * 16, GRID)
+    assert stage.jitter.rotation_rad == pytest.approx(5e-5, rel=0.3)
+    assert stage.jitter.translation_m == pytest.approx(2e-4, rel=0.3)
+
+
+def test_photographs_that_no_jitter_explains_are_refused_in_a_sentence():
+    motions = np.random.default_rng(5).normal(size=(16, 6)) * 0.05
+    seen = exact(GRID, [4] * 16, motions)
+    sure = BoardPoses(EYEBALL, seen.names, seen.camera_from_board, 1e-8 * seen.covariance, seen.rms_px)
+    with pytest.raises(BadInputError, match=r"cannot be estimated: .* more than a million times their noise"):
+        fit_stage(sure, [4] * 16, GRID)
 
 
 def test_one_photograph_that_moved_is_set_aside_and_the_rest_fits():

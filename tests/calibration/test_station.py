@@ -16,10 +16,12 @@ from synthetic_station import (
     lens_views,
     stage_grid,
     station_of,
+    visited,
 )
 
 from wlr_render.calibration.board_poses import poses_of
 from wlr_render.calibration.camera_calibration import calibrate_camera
+from wlr_render.calibration.check import refuse_contradictions
 from wlr_render.calibration.poses import motion_between
 from wlr_render.calibration.station import StationPhoto, StationPhotos, find_station, repeated_views
 from wlr_render.errors import BadInputError
@@ -53,6 +55,24 @@ def test_each_number_of_the_cameras_pose_scatters_as_it_says(many):
     assert np.all((rms > 0.7) & (rms < 1.4))
 
 
+@pytest.mark.parametrize("urad", [30, 100, 200])
+@pytest.mark.parametrize(("kind", "ratio"), [("smooth", (0.8, 1.4)), ("random", (0.8, 1.2))])
+def test_a_stage_that_rolls_pitches_and_yaws_is_accepted_and_widens_the_sigmas(kind, ratio, urad):
+    """Smooth rotation repeats at every visit and follows the reading, which two independent components do not say."""
+    faults = Faults(**{f"{kind}_rotation_rad": 1e-6 * urad})
+    rng = np.random.default_rng(urad)
+    scaled, rotation_urad = [], []
+    for seed in range(8):
+        station = station_of(bench(seed, faults))
+        refuse_contradictions(station.checks)
+        assert station.stage.set_aside == {}
+        rotation_urad.append(1e6 * station.stage.jitter.rotation_rad)
+        for reading in REFERENCE + rng.uniform(-0.008, 0.008, size=(6, 3)) * [1, 1, 0]:
+            scaled.append(in_sigmas(station.pose_at(reading), visited(reading, faults, rng)))
+    assert np.median(rotation_urad) == pytest.approx(urad, rel=0.5)
+    assert ratio[0] < np.sqrt(np.mean(scaled)) < ratio[1]
+
+
 def test_targets_are_where_they_say_to_be_within_their_sigmas(many):
     scaled = [
         in_sigmas(pose, device_from_target(k)) for station in many for k, pose in station.device_from_target.items()
@@ -63,7 +83,7 @@ def test_targets_are_where_they_say_to_be_within_their_sigmas(many):
 def test_clean_runs_raise_no_alarm(many):
     alarms = [[check.sentence for check in station.checks if not check.ok] for station in many]
     assert sum(map(bool, alarms)) <= 2, alarms
-    assert all(len(station.checks) == 9 for station in many)
+    assert all(len(station.checks) == 10 for station in many)
 
 
 def test_camera_and_lens_from_the_same_photographs_are_as_sure_as_they_say():

@@ -82,6 +82,19 @@ def test_a_bowed_stage_is_named():
     assert check.value > 5 * check.sigma
 
 
+def test_a_stage_that_rotates_the_camera_is_named():
+    check = only(Faults(random_rotation_rad=2e-4))
+    assert "the stage rotates the camera by" in check.sentence
+    assert "microradians per axis" in check.sentence
+    assert not check.contradictory
+    assert check.value > 5 * check.sigma
+
+
+def test_a_stage_that_rotates_the_camera_by_ten_arcminutes_stops():
+    with pytest.raises(BadInputError, match="photographs without the headset: the stage rotates the camera by"):
+        refuse_contradictions(station_of(bench(1, Faults(random_rotation_rad=4e-3))).checks)
+
+
 @pytest.mark.parametrize(("factor", "said"), [(1e-3, "1000 times too small"), (1e3, "1000 times too large")])
 def test_a_wrong_unit_is_named_and_refused(factor, said):
     station = station_of(bench(1, Faults(reading_factor=factor)))

@@ -50,6 +50,11 @@ def test_every_pose_has_its_uncertainty_in_the_file(station, path):
     assert len(poses) == 3
     assert np.allclose(poses[1]["matrix"], station.device_from_target[0].b_from_a)
     assert all(np.all(np.array(pose[name]) > 0) for pose in poses for name in ("sigma_mm", "sigma_arcmin"))
+    jitter = station.stage.jitter
+    assert content["stage"]["repeatability"] == {
+        "translation_um": 1e6 * jitter.translation_m,
+        "rotation_urad": 1e6 * jitter.rotation_rad,
+    }
     assert len(content["checks"]) == len(station.checks)
 
 

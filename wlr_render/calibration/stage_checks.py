@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.calibration.check import (
+    NEGLIGIBLE_ARCMIN,
     NEGLIGIBLE_MM,
     REFUSED_ARCMIN,
     REFUSED_MM,
@@ -28,7 +29,7 @@ _UNIT = 0.1  # how far, in powers of ten, a factor may be from 1000 to be a mist
 
 def stage_checks(stage: StageFit) -> list[Check]:
     """All that photographs at known readings say of a stage."""
-    return [*_moved_photographs(stage), _straightness(stage), *_scales(stage), *_angles(stage)]
+    return [*_moved_photographs(stage), *_straightness(stage), *_scales(stage), *_angles(stage)]
 
 
 def _moved_photographs(stage: StageFit) -> list[Check]:
@@ -44,42 +45,61 @@ def _moved_photographs(stage: StageFit) -> list[Check]:
     return checks
 
 
-def _straightness(stage: StageFit) -> Check:
-    jitter_mm = 1e3 * np.sqrt(3) * stage.jitter_m
-    sigma = jitter_mm / np.sqrt(12 * len(stage.names))
-    sentence = f"the stage moves straight to {jitter_mm:.2g} mm"
-    if jitter_mm > NEGLIGIBLE_MM:
-        sentence = _departure(stage, jitter_mm)
+def _straightness(stage: StageFit) -> list[Check]:
+    """Of the position and of the orientation of the camera, or of the target where that one moved."""
+    if stage.target_moved:
+        return [_moved_target(stage.target_moved)]
+    um, urad = 1e6 * stage.jitter.translation_m, 1e6 * stage.jitter.rotation_rad
+    shift_mm, turn_arcmin = np.sqrt(3) * 1e-3 * um, np.sqrt(3) * stage.jitter.rotation_rad / ARCMIN
+    relative_sigma = 1.0 / np.sqrt(12 * len(stage.names))
+    straight = shift_mm <= NEGLIGIBLE_MM
+    steady = turn_arcmin <= NEGLIGIBLE_ARCMIN
+    out_of_plane = f", {1e3 * stage.out_of_plane_m:.3g} mm of it out of its plane" if len(stage.moved) == 2 else ""
+    return [
+        Check(
+            STEP,
+            "departure from straight motion, mm",
+            shift_mm,
+            shift_mm * relative_sigma,
+            NEGLIGIBLE_MM,
+            f"the stage moves straight to {um:.2g} um per axis"
+            if straight
+            else f"the stage does not move in a straight line or plane: the camera departs by {shift_mm:.3g} mm rms "
+            f"({um:.3g} um per axis){out_of_plane}; use a smaller range, and check that stage, camera and target are "
+            "fixed",
+            ok=straight,
+            contradictory=shift_mm > REFUSED_MM,
+        ),
+        Check(
+            STEP,
+            "rotation of the camera between stage readings, arcmin",
+            turn_arcmin,
+            turn_arcmin * relative_sigma,
+            NEGLIGIBLE_ARCMIN,
+            f"the stage keeps the camera's orientation to {urad:.2g} microradians per axis"
+            if steady
+            else f"the stage rotates the camera by {turn_arcmin:.2g}' rms ({urad:.3g} microradians per axis) between "
+            "its readings; use a smaller range or a stage with less roll, pitch and yaw, and check that the camera is "
+            "clamped",
+            ok=steady,
+            contradictory=turn_arcmin > REFUSED_ARCMIN,
+        ),
+    ]
+
+
+def _moved_target(moved: TargetMoved) -> Check:
+    shift_mm, turn_arcmin = _size(moved.motion)
     return Check(
         STEP,
-        "departure from straight motion, mm",
-        jitter_mm,
-        float(sigma),
+        "shift of the target, mm",
+        shift_mm,
+        0.0,
         NEGLIGIBLE_MM,
-        sentence,
-        ok=jitter_mm <= NEGLIGIBLE_MM,
-        contradictory=jitter_mm > REFUSED_MM or _far(stage.target_moved),
+        f"the target moved between {moved.before} and {moved.after}, in the eyeball camera's frame by "
+        f"{shift_mm:.3g} mm and {turn_arcmin:.2g}'; take the photographs without the headset again",
+        ok=False,
+        contradictory=shift_mm > REFUSED_MM or turn_arcmin > REFUSED_ARCMIN,
     )
-
-
-def _departure(stage: StageFit, departure_mm: float) -> str:
-    moved = stage.target_moved
-    if moved:
-        shift_mm, turn_arcmin = _size(moved.motion)
-        return (
-            f"the target moved between {moved.before} and {moved.after}, in the eyeball camera's frame by "
-            f"{shift_mm:.3g} mm and {turn_arcmin:.2g}'; take the photographs without the headset again"
-        )
-    out_of_plane = f", {1e3 * stage.out_of_plane_m:.3g} mm of it out of its plane" if len(stage.moved) == 2 else ""
-    return (
-        f"the stage does not move in a straight line or plane: the camera departs by {departure_mm:.3g} mm "
-        f"rms{out_of_plane}; use a smaller range, and check that stage, camera and target are fixed"
-    )
-
-
-def _far(moved: TargetMoved | None) -> bool:
-    shift_mm, turn_arcmin = _size(moved.motion) if moved else (0.0, 0.0)
-    return shift_mm > REFUSED_MM or turn_arcmin > REFUSED_ARCMIN
 
 
 def _size(motion: FloatArray) -> tuple[float, float]:

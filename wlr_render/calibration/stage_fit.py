@@ -1,8 +1,9 @@
 """How the stage carries the camera, from photographs of a board that stands still.
 
-The camera keeps its orientation, so that with the stage displaced by `d = reading - reference` the board is seen at
-`camera_from_target(reading) = translation(-axes @ d) @ camera_from_target(reference)`. All photographs are fitted
-together by generalised least squares, as their errors share those of the lens.
+On an ideal stage the camera keeps its orientation, so that with the stage displaced by `d = reading - reference` the
+board is seen at `camera_from_target(reading) = translation(-axes @ d) @ camera_from_target(reference)`. A real stage
+departs from that in position and in orientation; how much, is estimated as well. All photographs are fitted together
+by generalised least squares, as their errors share those of the lens.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.board_views import BoardPoses
 from wlr_render.calibration.poses import Pose
 from wlr_render.calibration.stage_faults import outsider, target_step
-from wlr_render.calibration.stage_problem import STILL, StageProblem, with_jitter
+from wlr_render.calibration.stage_problem import STILL, Jitter, StageProblem, with_jitter
 from wlr_render.errors import BadInputError
 
 FloatArray = NDArray[np.float64]
@@ -42,8 +43,8 @@ class StageFit:
         camera_from_target: target pose number -> (4, 4) at the reference.
         covariance: (3 m + 6 k, 3 m + 6 k) of the axes, one after the other, and of small motions of the k poses in the
             camera's frame.
-        jitter_m: rms by which the camera strays from the straight motion beyond the noise of the dots, per direction;
-            it is in the covariance.
+        jitter: repeatability of the camera about the straight motion, beyond the noise of the dots; it is in the
+            covariance.
         names: n photographs that were fitted.
         residual: (n, 6) small motion in the camera's frame from the fitted pose to the one seen.
         set_aside: photograph -> (6,) by how much it does not fit the others.
@@ -56,7 +57,7 @@ class StageFit:
     axes: FloatArray
     camera_from_target: dict[int, FloatArray]
     covariance: FloatArray
-    jitter_m: float
+    jitter: Jitter
     names: tuple[str, ...]
     residual: FloatArray
     set_aside: dict[str, FloatArray] = field(default_factory=dict)
@@ -121,7 +122,7 @@ def fit_stage(seen: BoardPoses, target: Sequence[int], reading: FloatArray) -> S
         set_aside[names.pop(row)] = by
         problem = problem.without(row)
     step = target_step(problem)
-    jitter_m, solution = with_jitter(problem)
+    jitter, solution = with_jitter(problem)
     return StageFit(
         reference,
         float(np.ptp(reading, axis=0).max()),
@@ -129,7 +130,7 @@ def fit_stage(seen: BoardPoses, target: Sequence[int], reading: FloatArray) -> S
         solution.axes,
         dict(zip(numbers.tolist(), solution.poses, strict=True)),
         solution.covariance,
-        jitter_m,
+        jitter,
         tuple(names),
         solution.residual,
         set_aside,

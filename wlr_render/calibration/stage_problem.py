@@ -1,11 +1,17 @@
-"""Generalised least squares for a straight stage, from poses whose errors depend on each other."""
+"""Generalised least squares for a straight stage, from poses with correlated errors.
+
+A real stage is not straight: its camera departs from the line by some micrometres and rotates by some microradians.
+Both are variance components, estimated by restricted maximum likelihood (REML; H. D. Patterson and R. Thompson,
+Biometrika 58 (1971) 545).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.poses import adjoint, beyond_chance, motion_between, small_motion
+from wlr_render.calibration.poses import adjoint, motion_between, small_motion
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 
 FloatArray = NDArray[np.float64]
@@ -14,8 +20,9 @@ IntArray = NDArray[np.int64]
 STILL = 1e-3
 """An axis whose readings vary by less than this part of the largest travel has not moved."""
 
-_HALVINGS = 16  # of 18 e-foldings of jitter: to 3 parts in 10,000
 _STEPS = 4  # of Gauss and Newton; the problem is nearly linear
+_JITTER_PER_NOISE = np.geomspace(1e-3, 1e6, 37)  # searched, in units of the noise of the best photograph
+_ROUNDS, _CONVERGED = 60, 1e-4  # rounds over both components, until neither changes by more than this part
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +85,28 @@ class StageSolution:
     chi_square: float
 
 
-def solved(problem: StageProblem, jitter_m: float = 0.0) -> StageSolution:
-    """Fit axes and poses, with the camera straying by `jitter_m` per direction from where the stage says it is."""
+@dataclass(frozen=True)
+class Jitter:
+    """Standard deviations of the camera about the straight motion, per photograph and per axis of the camera.
+
+    Attributes:
+        rotation_rad: of its rotation about each axis.
+        translation_m: of its position along each axis.
+    """
+
+    rotation_rad: float = 0.0
+    translation_m: float = 0.0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(6, 6) of a small motion in the camera's frame."""
+        return np.diag(np.repeat([self.rotation_rad**2, self.translation_m**2], 3))
+
+
+def solved(problem: StageProblem, jitter: Jitter = Jitter()) -> StageSolution:
+    """Fit axes and poses, for photographs whose camera departs from the straight motion by `jitter`."""
     count, axis_count = problem.displacement.shape
-    covariance = problem.covariance + jitter_m**2 * np.diag(np.tile([0.0, 0, 0, 1, 1, 1], count))
+    covariance = problem.covariance + np.kron(np.eye(count), jitter.covariance)
     inverse_root = np.linalg.inv(np.linalg.cholesky(covariance))
     axes, poses = _start(problem)
     for _ in range(_STEPS):
@@ -119,14 +144,61 @@ def _design(problem: StageProblem, axes: FloatArray) -> FloatArray:
     return design.reshape(6 * count, -1)
 
 
-def with_jitter(problem: StageProblem) -> tuple[float, StageSolution]:
-    """The solution whose residuals are as large as expected, by the camera straying as much as that takes."""
-    solution = solved(problem)
-    if not beyond_chance(solution.chi_square, problem.freedom):
-        return 0.0, solution
-    low, high = 1e-8, 1.0
-    for _ in range(_HALVINGS):
-        middle = float(np.sqrt(low * high))
-        too_little = solved(problem, middle).chi_square > problem.freedom
-        low, high = (middle, high) if too_little else (low, middle)
-    return high, solved(problem, high)
+def with_jitter(problem: StageProblem) -> tuple[Jitter, StageSolution]:
+    """The most likely jitter (REML), and the solution with it.
+
+    Raises:
+        BadInputError: the photographs are described better the larger a jitter is.
+    """
+    start = solved(problem)
+    design = _design(problem, start.axes)
+    contrasts = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]  # free of axes and target poses
+    residual = contrasts.T @ start.residual.ravel()
+    noise = contrasts.T @ problem.covariance @ contrasts
+    by_kind = [contrasts.reshape(-1, 6, contrasts.shape[1])[:, rows] for rows in (slice(0, 3), slice(3, 6))]
+    each = [np.einsum("nki,nkj->ij", rows, rows) for rows in by_kind]
+    smallest = np.sqrt(np.diag(problem.covariance).reshape(-1, 2, 3).min(axis=(0, 2)))
+    sigma = np.zeros(2)
+    for _ in range(_ROUNDS):
+        before = sigma.copy()
+        for kind, name in enumerate(("rotation", "position")):
+            rest = noise + sigma[1 - kind] ** 2 * each[1 - kind]
+            found = _most_likely_sigma(rest, each[kind], residual, smallest[kind] * _JITTER_PER_NOISE)
+            if found is None:
+                raise BadInputError(
+                    f"the repeatability of the stage in {name} cannot be estimated: photographs without the headset "
+                    "disagree by more than a million times their noise; check stage readings, target poses and units."
+                )
+            sigma[kind] = found
+        if np.all(np.abs(sigma - before) <= _CONVERGED * sigma):
+            break
+    jitter = Jitter(float(sigma[0]), float(sigma[1]))
+    return jitter, solved(problem, jitter)
+
+
+def _most_likely_sigma(
+    noise: FloatArray, component: FloatArray, residual: FloatArray, tried: FloatArray
+) -> float | None:
+    """The sigma at which `residual` (m,) is most likely with covariance `noise + sigma**2 * component`.
+
+    Zero where any of those `tried` (ascending) is less likely than none; None where the last is the most likely.
+    """
+    from scipy.optimize import minimize_scalar
+
+    inverse_root = np.linalg.inv(np.linalg.cholesky(noise))
+    size, vectors = np.linalg.eigh(inverse_root @ component @ inverse_root.T)
+    square = (vectors.T @ (inverse_root @ residual)) ** 2
+
+    def minus_two_log_likelihood(log_sigma: FloatArray) -> FloatArray:
+        variance = 1.0 + np.exp(2.0 * np.asarray(log_sigma))[..., None] * size
+        return np.asarray(np.sum(np.log(variance) + square / variance, axis=-1))
+
+    log_tried = np.log(tried)
+    values = minus_two_log_likelihood(log_tried)
+    best = int(np.argmin(values))
+    if best == len(tried) - 1:
+        return None
+    if best == 0 or values[best] >= np.sum(square):
+        return 0.0
+    bracket = (log_tried[best - 1], log_tried[best + 1])
+    return float(np.exp(minimize_scalar(minus_two_log_likelihood, bounds=bracket, method="bounded").x))

@@ -103,13 +103,15 @@ class Station:
         return np.asarray(self.at_reference @ transforms.rigid(np.eye(3), self.stage.displacement(reading)))
 
     def pose_at(self, reading: FloatArray) -> Pose:
-        """device_from_camera at one reading (3,), with its uncertainty."""
+        """device_from_camera at one reading (3,), with its uncertainty, in which is the stage's repeatability."""
         device_from_camera = self.device_from_camera(reading)
         by_axes = (np.asarray(reading) - self.stage.reference)[self.stage.moved]
         by_all = np.zeros((6, len(self.covariance)))
         by_all[:, :6] = np.eye(6)
         by_all[3:, 6:] = np.concatenate([travel * self.at_reference[:3, :3] for travel in by_axes], axis=1)
-        return Pose(device_from_camera, by_all @ self.covariance @ by_all.T)
+        in_device = adjoint(device_from_camera)
+        repeatability = in_device @ self.stage.jitter.covariance @ in_device.T
+        return Pose(device_from_camera, by_all @ self.covariance @ by_all.T + repeatability)
 
     @property
     def stage_axes_in_device(self) -> FloatArray:

@@ -83,6 +83,10 @@ def save_station(
             "reference_m": reference.tolist(),
             "device_from_camera": _pose_record(station.pose_at(reference)),
             "axes_in_device": axes,
+            "repeatability": {
+                "translation_um": 1e6 * station.stage.jitter.translation_m,
+                "rotation_urad": 1e6 * station.stage.jitter.rotation_rad,
+            },
         },
         "device_from_target": {str(k): _pose_record(pose) for k, pose in station.device_from_target.items()},
         "checks": [

@@ -128,7 +128,12 @@ def _poses_table(found: SessionCalibration) -> ReportTable:
         turn, shift = (" / ".join(f"{one:.2g}" for one in sigma) for sigma in (pose.sigma_arcmin, pose.sigma_mm))
         rows.append([name, place, shift, turn])
     columns = ["pose", "origin (mm)", "its sigma x / y / z (mm)", "sigma of rotation about x / y / z (arcmin)"]
-    notes = ("Device frame with OpenXR's axes (x right, y up, z backward), whatever axes session.toml has.",)
+    jitter = station.stage.jitter
+    notes = (
+        "Device frame with OpenXR's axes (x right, y up, z backward), whatever axes session.toml has.",
+        f"Repeatability of the stage: {1e6 * jitter.translation_m:.2g} um and {1e6 * jitter.rotation_rad:.2g} "
+        "microradians per axis; the eyeball camera's sigmas include it.",
+    )
     return ReportTable("Poses in the device frame", columns, rows, notes)
 
 
