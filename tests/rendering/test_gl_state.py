@@ -123,10 +123,10 @@ def test_releasing_frees_our_objects_and_none_of_the_callers(caller):
     assert caller.draw() == alone
 
 
-def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, adopted, gl_context):
+def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, adopted):
     raster = GlRaster(adopted, SCENE)
     good = raster.draw(gl_scenes.view())
-    with gl_context.drawing():
+    with caller.ctx:  # ModernGL leaves none current
         pass
     with pytest.raises(BadInputError, match="is not current on this thread: make it current before drawing"):
         raster.draw(gl_scenes.view())

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 _MAJOR_VERSION, _MINOR_VERSION = 0x821B, 0x821C
+_EGL_DRAW, _EGL_READ = 0x3059, 0x305A
 
 # What the library is called, and its two functions. OSMesa comes last: within Mesa it takes EGL's context for its own.
 _PLATFORMS = {
@@ -78,6 +79,39 @@ class CurrentContext:
 
     def release(self) -> None:
         """Whoever made the context destroys it."""
+
+
+class EglBinding:
+    """Which EGL context is current on the calling thread: saves it and makes it current again.
+
+    Raises:
+        OSError: libEGL is not installed.
+    """
+
+    def __init__(self) -> None:
+        library = _library("egl")
+        if library is None:
+            raise OSError("libEGL is not installed")
+        self._display = _pointer_function(library, "eglGetCurrentDisplay")
+        self._context = _pointer_function(library, "eglGetCurrentContext")
+        self._surface = _pointer_function(library, "eglGetCurrentSurface", ctypes.c_int)
+        make_current = ctypes.cast(library.eglMakeCurrent, ctypes.c_void_p).value or 0
+        self._make_current = ctypes.CFUNCTYPE(ctypes.c_uint, *[ctypes.c_void_p] * 4)(make_current)
+
+    def save(self) -> Callable[[], None]:
+        """Save the current context and its surfaces; the returned function makes them current again.
+
+        If no context is current now, the returned function leaves none current.
+        """
+        saved = self._display(), self._surface(_EGL_DRAW), self._surface(_EGL_READ), self._context()
+
+        def restore() -> None:
+            if saved[-1]:
+                self._make_current(*saved)
+            elif self._context():
+                self._make_current(self._display(), None, None, None)
+
+        return restore
 
 
 def _library(platform: str) -> ctypes.CDLL | None:

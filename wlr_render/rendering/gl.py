@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wlr_render import files
 from wlr_render.errors import MissingGlError
-from wlr_render.rendering.current_context import CurrentContext, NoCurrentContextError
+from wlr_render.rendering.current_context import CurrentContext, EglBinding, NoCurrentContextError
 from wlr_render.rendering.gl_host import Foreign, Host, Own
 from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.osmesa import OsMesaContext
@@ -46,11 +46,13 @@ class GlError(RuntimeError):
 class GlContext:
     """An OpenGL context and its shader programs; a context manager that releases it.
 
-    Several may live in one process: each `drawing` block makes its own current first. An adopted one is made current
-    by the program that it belongs to, which gets it back from each block as it was.
+    Several may live in one process: each `drawing` block makes its own current, and afterwards the previous one. An
+    adopted one is made current by the program that it belongs to, which gets it back from each block as it was.
 
     Attributes:
         backend: "egl", "osmesa", or an adopted context's platform.
+        renderer: name of what draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
+        largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
     """
 
     def __init__(
@@ -63,6 +65,9 @@ class GlContext:
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
         self.backend = current.platform
+        with host.entered(by_others=False):
+            self.renderer = str(ctx.info["GL_RENDERER"])
+            self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         for path in files.resource("shaders").glob("*.glsl"):
             self._ctx.includes[path.name] = path.read_text(encoding="utf-8")
 
@@ -73,16 +78,6 @@ class GlContext:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
-
-    @property
-    def renderer(self) -> str:
-        """What draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-        return str(self._ctx.info["GL_RENDERER"])
-
-    @property
-    def largest_side_px(self) -> int:
-        """Of a texture or framebuffer."""
-        return int(self._ctx.info["GL_MAX_TEXTURE_SIZE"])
 
     @property
     def is_software(self) -> bool:
@@ -288,7 +283,7 @@ def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
 
 
 def open_context(backend: str = "auto") -> GlContext:
-    """Open an OpenGL 4.3 context without a display.
+    """Open an OpenGL 4.3 context without a display; the context that was current stays current.
 
     Do not fork the process afterwards: drivers hang. Spawned workers open their own.
 
@@ -302,8 +297,15 @@ def open_context(backend: str = "auto") -> GlContext:
     reasons = []
     for name in _in_order() if backend == "auto" else (backend,):
         try:
-            ctx = _OPENERS[name]()
-            return GlContext(ctx, CurrentContext((name,)), Own(ctx))
+            save = EglBinding().save if name == "egl" else _save_nothing
+            restore = save()
+            try:
+                with _default_context_kept():
+                    ctx = _OPENERS[name]()
+                current = CurrentContext((name,))
+            finally:
+                restore()
+            return GlContext(ctx, current, Own(ctx, current, save))
         except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
@@ -344,6 +346,11 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
     return GlContext(ctx, current, Foreign(current, state, ctx), context)
+
+
+def _save_nothing() -> Callable[[], None]:
+    """OSMesa cannot say with which buffer a context is current."""
+    return lambda: None
 
 
 def _check_version(found: tuple[int, int]) -> None:

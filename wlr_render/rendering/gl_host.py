@@ -1,6 +1,7 @@
 """Whose an OpenGL context is: what holds around each block of drawing, and what becomes of our objects in the end."""
 
 import contextlib
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
@@ -20,21 +21,46 @@ class Host(Protocol):
 
 
 class Own:
-    """A context that this library opened: made current by each block, and destroyed with all that is in it."""
+    """A context that this library opened: each outermost block makes it current, and restores the previous one.
 
-    def __init__(self, ctx: Any) -> None:
-        self._ctx = ctx
+    Between blocks it is current on no thread, so any thread may use it, one at a time.
+    """
+
+    def __init__(self, ctx: Any, current: CurrentContext, save: Callable[[], Callable[[], None]]) -> None:
+        """Wrap an opened context; `save` saves the context that is current, and returns the function to restore it."""
+        self._ctx, self._current, self._save = ctx, current, save
         self._make_current: Callable[[], object] = ctx.__enter__
+        self._in_use = threading.RLock()
 
     @contextlib.contextmanager
     def entered(self, by_others: bool) -> Iterator[None]:
-        """See `Host`; makes it current."""
-        self._make_current()
-        yield
+        """See `Host`; makes the context current, and the previous one when the block ends.
+
+        Raises:
+            BadInputError: another thread is inside a block, or the context cannot be made current.
+        """
+        if not self._in_use.acquire(blocking=False):
+            raise BadInputError(
+                "Another thread is drawing in this OpenGL context: use a compositor or renderer from one thread at a "
+                "time."
+            )
+        with contextlib.ExitStack() as at_end:
+            at_end.callback(self._in_use.release)
+            if not self._current.is_current():
+                at_end.callback(self._save())
+                self._make_current()
+                if not self._current.is_current():
+                    raise BadInputError(
+                        "This library's OpenGL context cannot be made current on this thread: release the context that "
+                        "is current there, or adopt it (context='current')."
+                    )
+            yield
 
     def release(self, objects: list[Any]) -> None:
-        """See `Host`; the context goes with them."""
+        """See `Host`; destroys the context with all its objects, and leaves any other current."""
+        restore = self._save()
         self._ctx.release()
+        restore()
 
 
 class Foreign:
