@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
+from wlr_render.terminal import say
 
 BACKENDS = ("auto", "egl", "osmesa", "cpu")
 
@@ -20,10 +21,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         command(args)
     except BadInputError as error:
-        print(f"benchmarks: {error}", file=sys.stderr)
+        say(f"benchmarks: {error}", error=True)
         return 2
     except KeyboardInterrupt:
-        print("benchmarks: interrupted.", file=sys.stderr)
+        say("benchmarks: interrupted.", error=True)
         return 130
     return 0
 
@@ -117,7 +118,7 @@ def _soak(args: argparse.Namespace) -> None:
     result = study.run(options, progress_bar)
     for table in result.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in result.files))
+    say("Written: " + ", ".join(str(path) for path in result.files))
 
 
 def _diagnosis(args: argparse.Namespace) -> None:

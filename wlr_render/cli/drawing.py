@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from wlr_render.cli.options import Verbs, add_backend, add_eye, add_seed, count, few, new_verb
+from wlr_render.terminal import say
 
 
 def _add_demo(verbs: Verbs) -> None:
@@ -30,7 +31,7 @@ def _demo(args: argparse.Namespace) -> None:
     result = alignment_demo.run(options, progress_bar)
     for table in result.tables:
         print_table(table)
-    print(f"The picture: {result.picture}")
+    say(f"The picture: {result.picture}")
 
 
 def _add_trace(verbs: Verbs) -> None:
@@ -49,7 +50,7 @@ def _trace(args: argparse.Namespace) -> None:
     result = trace_device.run(args.device, args.eye, args.out)
     for table in result.tables:
         print_table(table)
-    print(f"The drawing: {result.drawing}")
+    say(f"The drawing: {result.drawing}")
 
 
 def _add_render(verbs: Verbs) -> None:
@@ -105,9 +106,9 @@ def _render(args: argparse.Namespace) -> None:
         out=args.out,
     )
     result = render_sequence.run(options, progress_bar)
-    print(f"{result.drawn} frames drawn, {result.kept} kept from an earlier run, in {result.folder}")
+    say(f"{result.drawn} frames drawn, {result.kept} kept from an earlier run, in {result.folder}")
     for path in result.videos:
-        print(f"The video: {path}")
+        say(f"The video: {path}")
 
 
 def _add_compare(verbs: Verbs) -> None:
@@ -135,7 +136,7 @@ def _compare(args: argparse.Namespace) -> None:
     options = compare.Options(args.headset, args.scene, args.eye, offset, args.backend, args.out)
     result = compare.run(options, progress_bar)
     print_table(result.table)
-    print(f"The picture: {result.picture}")
+    say(f"The picture: {result.picture}")
 
 
 ADDED_BY = (_add_demo, _add_trace, _add_render, _add_compare)

@@ -1,11 +1,11 @@
 """Verbs that fit models to captures, and explain what was measured."""
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wlr_render.cli.options import Verbs, add_eye, add_seed, count, few, new_verb, not_negative
+from wlr_render.terminal import say
 
 if TYPE_CHECKING:
     from wlr_render.studies.calibrate import FitOptions
@@ -49,7 +49,7 @@ def _calibrate(args: argparse.Namespace) -> None:
         result = calibrate.calibrate_simulated(args.simulate, args.out, args.eye, simulation, fit)
     for table in result.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in result.files))
+    say("Written: " + ", ".join(str(path) for path in result.files))
 
 
 def _calibrate_photographs(args: argparse.Namespace, fit: "FitOptions") -> None:
@@ -61,9 +61,9 @@ def _calibrate_photographs(args: argparse.Namespace, fit: "FitOptions") -> None:
     told = report.write(result, args.out)
     for table in told.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in told.files))
+    say("Written: " + ", ".join(str(path) for path in told.files))
     for name, reason in result.left_out:
-        print(f"wlr-render: set aside {name}: {reason}", file=sys.stderr)
+        say(f"wlr-render: set aside {name}: {reason}", error=True)
     if result.faults:
         raise BadInputError(
             f"{args.session}: results are without {len(result.faults)} faulty item(s): {', '.join(result.faults)}."
@@ -99,7 +99,7 @@ def _evaluate(args: argparse.Namespace) -> None:
     report = sampling_study.run(options, progress_bar)
     for table in report.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in sampling_study.write(report, args.out)))
+    say("Written: " + ", ".join(str(path) for path in sampling_study.write(report, args.out)))
 
 
 def _add_diagnose(verbs: Verbs) -> None:
@@ -122,11 +122,11 @@ def _diagnose(args: argparse.Namespace) -> None:
 
     with status_line() as tell:
         result = diagnose.run(diagnose.Options(args.session, args.out, args.json, args.html, args.bench), tell)
-    print(result.sentence, *(f"- {line}" for line in (*result.warnings, *result.advice)), sep="\n", end="\n\n")
-    print("The search for causes:", *(f"- {line}" for line in result.reasons), sep="\n", end="\n\n")
+    say(result.sentence, *(f"- {line}" for line in (*result.warnings, *result.advice)), "")
+    say("The search for causes:", *(f"- {line}" for line in result.reasons), "")
     for table in result.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in result.files))
+    say("Written: " + ", ".join(str(path) for path in result.files))
 
 
 def _add_hold_out(verbs: Verbs) -> None:
@@ -154,7 +154,7 @@ def _import(args: argparse.Namespace) -> None:
     from wlr_render.studies import import_session
 
     made = import_session.FORMATS[args.format](args.source, args.out)
-    print(f"{made.captures} captures, {made.readings} readings that scatter by {made.sigma_px:.3f} px: {made.folder}")
+    say(f"{made.captures} captures, {made.readings} readings that scatter by {made.sigma_px:.3f} px: {made.folder}")
 
 
 ADDED_BY = (_add_calibrate, _add_evaluate, _add_diagnose, _add_hold_out, _add_import)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wlr_render.cli.options import Verbs, add_backend, add_eye, add_seed, count, new_verb, not_negative, size
+from wlr_render.terminal import say
 
 if TYPE_CHECKING:
     from wlr_render.studies.verification import verify
@@ -51,8 +52,8 @@ def _simulate(args: argparse.Namespace) -> None:
     )
     making = Making(args.device, args.eye, args.viewpoints, args.pattern, bench)
     made = simulate.run(args.session, making, args.workers, progress_bar)
-    print(f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {made.folder}")
-    print(f"Next: wlr-render calibrate {made.folder}")
+    say(f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {made.folder}")
+    say(f"Next: wlr-render calibrate {made.folder}")
 
 
 def _add_verify(verbs: Verbs) -> None:
@@ -97,7 +98,7 @@ def _verify(args: argparse.Namespace) -> None:
         result = verify.run(_verification(args), args.workers, progress_bar)
     for table in result.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in result.files))
+    say("Written: " + ", ".join(str(path) for path in result.files))
 
 
 def _verification(args: argparse.Namespace) -> "verify.Options":
@@ -122,7 +123,7 @@ def _board(args: argparse.Namespace) -> None:
     from wlr_render.studies import targets
 
     for path in targets.write_board(args.out, args.columns, args.rows, 1e-3 * args.pitch_mm, args.dpi, args.seed):
-        print(path)
+        say(path)
 
 
 def _add_pattern(verbs: Verbs) -> None:
@@ -135,7 +136,7 @@ def _pattern(args: argparse.Namespace) -> None:
     from wlr_render.studies import targets
 
     count_of, page = targets.write_pattern(args.out, args.panel, args.pattern)
-    print(f"{count_of} pictures; to show them, open {page} on the panel's screen")
+    say(f"{count_of} pictures; to show them, open {page} on the panel's screen")
 
 
 def _add_decode(verbs: Verbs) -> None:
@@ -168,7 +169,7 @@ def _decode(args: argparse.Namespace) -> None:
     result = decode_codes.run(codes, args.out, DecodeOptions(2**args.bits - 1))
     for table in result.tables:
         print_table(table)
-    print("Written: " + ", ".join(str(path) for path in result.files))
+    say("Written: " + ", ".join(str(path) for path in result.files))
 
 
 def _add_code(parser: argparse.ArgumentParser, required: bool) -> None:

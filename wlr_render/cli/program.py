@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from wlr_render.cli import drawing, measuring, photographing
 from wlr_render.cli.options import Command
 from wlr_render.errors import BadInputError
+from wlr_render.terminal import say
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,14 +26,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BadInputError as error:
         if args.debug:
             raise
-        print(f"wlr-render: {error}", file=sys.stderr)
+        say(f"wlr-render: {error}", error=True)
         return 2
     except BrokenPipeError:
         # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        print("wlr-render: interrupted; what is finished is kept.", file=sys.stderr)
+        say("wlr-render: interrupted; what is finished is kept.", error=True)
         return 130
     return 0
 
