@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
-FloatArray = NDArray[np.float64]
 StatusArray = NDArray[np.uint8]
 
 EYE_BOX_MARGIN = 0.5e-3

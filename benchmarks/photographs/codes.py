@@ -7,19 +7,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.patterns import PATTERNS
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photographs import photographs_in, read_each, write_photograph
 from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs import exact
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.sensor import Sensor
 from wlr_render.simulation.photographs.sight import Sight
-
-FloatArray = NDArray[np.float64]
 
 _EVERY = 3  # along each side: every ninth pixel is compared, enough to see one in ten thousand that is wrong
 _RIM_PX = 4.0  # panel pixels from the panel's edge, within which blur mixes in what is dark

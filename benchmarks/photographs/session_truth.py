@@ -30,8 +30,6 @@ from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.studies.calibrate import truth_errors
 from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
 
-FloatArray = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class SessionTruth:

@@ -12,7 +12,7 @@ from benchmarks.soak.records import MapCheck, Moment
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_field import NEAREST_M, RayField
 
 CHECKED = 5

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray, Status
+from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.tracked_viewpoint import TrackingState
 
 SACCADE_MM = 1.0

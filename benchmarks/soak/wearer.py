@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from benchmarks.soak.records import EyeMoment, Moment
 from wlr_render.compositing.checks import nearest_in_reach
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeBox, FloatArray
+from wlr_render.mappings import EyeBox
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.synthetic import eye_motion, head_motion

@@ -15,7 +15,8 @@ from wlr_render.evaluation.disocclusion import hidden_from
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
 from wlr_render.rendering.ray_field import FieldPlan, choose_plan, ray_field
 from wlr_render.rendering.raytrace import SceneTracer

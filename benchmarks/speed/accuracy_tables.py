@@ -12,7 +12,8 @@ from wlr_render.compositing.compositor import Compositor
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_lattice import TOLERANCE_ARCMIN, bend_error_arcmin
 from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.lattice import Lattice

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.rendering.scene import Float32Array, Mesh, Scene, world_positions
+from wlr_render.numerics.arrays import Float32Array
+from wlr_render.rendering.scene import Mesh, Scene, world_positions
 from wlr_render.rendering.view import View
 from wlr_render.rendering.workers import worker_count
 

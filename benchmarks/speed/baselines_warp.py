@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.numerics.arrays import Float32Array
 
-Float32Array = NDArray[np.float32]
 Uint8Array = NDArray[np.uint8]
 
 _WORKGROUP = 8

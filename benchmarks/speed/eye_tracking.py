@@ -9,7 +9,8 @@ from benchmarks.speed.running import Running
 from benchmarks.speed.timing import in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
 from wlr_render.evaluation.report import Cell, ReportTable
-from wlr_render.mappings import EyeBox, FloatArray
+from wlr_render.mappings import EyeBox
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gl_nodes import GlNodes
 from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.lattice import Lattice

@@ -27,7 +27,8 @@ from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_lattice import choose_lattice
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import middle_axes, solve_pixels

@@ -16,7 +16,8 @@ from benchmarks.speed.timing import alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload, bench_model, bench_scene
 from wlr_render.evaluation.report import Cell
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray, Panel
+from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, exact_field, ray_field

@@ -14,7 +14,7 @@ from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 
 LATE_S = 0.010

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.evaluation.report import cell_text
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 ROUNDS = 15
 """Rounds that count; one more warms up."""

@@ -8,7 +8,8 @@ import numpy as np
 from benchmarks.speed.timing import ROUNDS
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.mappings import EyeMappings, FloatArray, Panel
+from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.scene import Instance, Light, Scene

@@ -25,10 +25,8 @@ from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 IGNORED, POINT, BUNDLE = "viewpoint ignored", "one 3-D point per pixel", "bundle of rays"
 

@@ -1,11 +1,9 @@
 """From tangents to angles, and from measured sigmas to weights."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import ARCMIN
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 def angular_metric(tangents: FloatArray) -> FloatArray:

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import FEWEST_DOTS, BoardPoses, BoardView
 from wlr_render.calibration.poses import small_motion
 from wlr_render.calibration.reprojection import Reprojection, reproject, robust_scale, without_strays
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 MISFIT = 3.0
 """A photograph whose dots scatter this many times more than usual does not show a flat board, or shows it blurred."""

@@ -4,14 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.poses import Pose
 from wlr_render.captures.targets.board_sighting import BoardSighting
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 FEWEST_DOTS = 8
 """A pose has 6 unknowns; four dots are 8 readings, and twice that tells whether they are right."""

@@ -8,15 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import BoardView
 from wlr_render.calibration.poses import small_motion
 from wlr_render.calibration.reprojection import Reprojection, reproject
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _STEPS = 50
 _SETTLED = 1e-3  # of a sigma, all values together

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_poses import misfit, too_few_dots
 from wlr_render.calibration.board_views import BoardPoses, BoardView
@@ -18,9 +17,7 @@ from wlr_render.calibration.reprojection import robust_scale, without_strays
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 VALUES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 

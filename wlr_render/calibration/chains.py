@@ -4,15 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import BoardPoses
 from wlr_render.calibration.poses import Pose, adjoint, mean_of_dependent
 from wlr_render.calibration.stage_fit import StageFit
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

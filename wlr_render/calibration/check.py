@@ -4,13 +4,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.poses import ARCMIN, small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_MM = 0.03
 """A shift that moves a target at half a metre by 0.2 arcminutes; smaller ones are not worth a word."""

@@ -1,12 +1,10 @@
 """Why a fit is not determined, in one sentence with the number that is missing."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.regression import RANK_TOLERANCE
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
-
-FloatArray = NDArray[np.float64]
 
 _SAME = 1e-5  # of the extent: positions closer than this count as one
 

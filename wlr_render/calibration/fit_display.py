@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.angular import angular_metric, relative_sigma
 from wlr_render.calibration.coverage import shortage
@@ -19,9 +18,8 @@ from wlr_render.models.display import BundleDisplay
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay
 from wlr_render.models.volumetric import VolumetricDisplay
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.least_squares import RankDeficientError
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,8 @@ from wlr_render.mappings import SeeThroughMapping
 from wlr_render.models.see_through import BundleSeeThrough
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.least_squares import RankDeficientError
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import term_count
-
-IntArray = NDArray[np.int64]
 
 _ROWS = 150  # of a capture that take part: a mean needs no more
 _SPARE = 2.0  # times as many places as the model has terms in them must be left

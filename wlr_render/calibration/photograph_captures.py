@@ -15,8 +15,7 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _BEYOND_FIELD = 0.05  # of the panel's field on each side: solves start and interpolate there
 _SYSTEMATIC_PX = 0.02

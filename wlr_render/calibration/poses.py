@@ -8,11 +8,9 @@ T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 ARCMIN = np.pi / 10_800
 """One arcminute in radians."""

@@ -8,14 +8,11 @@ degrees too. The design of all rows is never held at once.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_report import HeldOut
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError, Solution, solve
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, exponents, term_count
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 HIGHEST_DEGREE = 7
 """Of the degrees tried when none is given; the shipped devices reach 0.04' there."""

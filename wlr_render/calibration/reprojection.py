@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import BoardView
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 STRAY = 6.0
 """A dot this many robust sigmas from its place is no reading of the board."""

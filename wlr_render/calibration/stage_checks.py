@@ -3,7 +3,6 @@
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.check import (
     NEGLIGIBLE_ARCMIN,
@@ -16,8 +15,7 @@ from wlr_render.calibration.check import (
 )
 from wlr_render.calibration.poses import ARCMIN
 from wlr_render.calibration.stage_fit import StageFit, TargetMoved
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 STEP = "photographs without the headset"
 

@@ -4,12 +4,10 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.poses import ARCMIN, motion_between
 from wlr_render.calibration.stage_problem import StageProblem, StageSolution, solved
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _SUSPECT = 20.0  # ratio of F that makes one photograph an outsider: beyond 1e-8 by chance
 _CHI_SQUARE = 2.0  # per degree of freedom; a fit that is no worse has no faults worth a search

@@ -10,16 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import BoardPoses
 from wlr_render.calibration.poses import Pose
 from wlr_render.calibration.stage_faults import outsider, target_step
 from wlr_render.calibration.stage_problem import STILL, Jitter, StageProblem, with_jitter
 from wlr_render.errors import BadInputError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,14 +8,11 @@ Biometrika 58 (1971) 545).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.poses import adjoint, motion_between, small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 STILL = 1e-3
 """An axis whose readings vary by less than this part of the largest travel has not moved."""

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import BoardPoses, BoardView
 from wlr_render.calibration.chains import Chains, chains_through, combined, tracked_targets
@@ -20,8 +19,7 @@ from wlr_render.calibration.station_checks import chain_check, lens_check, set_a
 from wlr_render.calibration.sweep_checks import RepeatedView, TargetChange, sweep_check
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _TRACKING = "photographs by the tracking camera"
 

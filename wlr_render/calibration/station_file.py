@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.poses import Pose
 from wlr_render.calibration.station import Station
@@ -17,8 +16,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import Table, write_text
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 FORMAT = "wlr-station"
 VERSION = 1

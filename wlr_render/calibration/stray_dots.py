@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import SeeThroughCaptures
 from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _TOP_DEGREE = 4
 _DOTS_PER_TERM = 8

@@ -9,15 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.board_views import BoardView
 from wlr_render.calibration.check import NEGLIGIBLE_ARCMIN, REFUSED_ARCMIN, Change, Check
 from wlr_render.calibration.poses import ARCMIN
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _RAYLEIGH = 1.1774  # median distance from the origin of a point that scatters by 1 along both axes
 _NOISY = 2.0  # a median distance this many times what noise makes is a change

@@ -13,9 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox, Panel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

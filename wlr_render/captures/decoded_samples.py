@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
 _RIM_PX = 2  # camera pixels beside a rejected one that are not used

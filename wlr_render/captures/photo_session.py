@@ -7,15 +7,11 @@ have thousands. The lists are in the order of taking.
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.patterns.catalogue import make_pattern, pattern_keys
 from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
@@ -17,8 +16,7 @@ from wlr_render.files import Table, read_toml, write_toml
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid
 from wlr_render.mappings import EyeBox, Panel
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 FILE = "session.toml"
 FORMAT = "photo-session"

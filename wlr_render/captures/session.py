@@ -7,11 +7,9 @@ reading. A simulation predicts the readings of a plan, so that measured minus si
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

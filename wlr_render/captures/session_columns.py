@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.captures.session_schema import (
@@ -28,8 +27,8 @@ from wlr_render.captures.session_schema import (
 from wlr_render.captures.session_tables import Columns
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
+from wlr_render.numerics.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Conversion = Callable[[Any, FloatArray], Any]
 
 MM = 1e-3

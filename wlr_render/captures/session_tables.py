@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from wlr_render.captures.session_schema import Column, Kind, Schema
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
+from wlr_render.numerics.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Columns = dict[str, FloatArray]
 """Columns (n,) by their names, in the units and the frame of the file."""
 

@@ -7,7 +7,8 @@ from typing import Any, Protocol
 from wlr_render.compositing.composed_frame import ComposedEye
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.mappings import FloatArray, planar_parts
+from wlr_render.mappings import planar_parts
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 
 CONTEXTS = ("auto", "egl", "osmesa", "cpu", "current")

@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EYE_BOX_MARGIN, Channels, EyeBox, EyeMappings, FloatArray
+from wlr_render.mappings import EYE_BOX_MARGIN, Channels, EyeBox, EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.pixel_solve import checked_viewpoint
 
 REACH = 0.5

@@ -26,7 +26,8 @@ from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.view import image_from_field
 

@@ -10,7 +10,8 @@ import numpy as np
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.compositing.steady_fields import SteadyFields
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import FloatArray, count_unsolved
+from wlr_render.mappings import count_unsolved
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.cpu_solve import CpuNodes, CpuSolve
 from wlr_render.rendering.cpu_warp import warp_on_cpu
 from wlr_render.rendering.lattice import Lattice

@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.view import View
 
 

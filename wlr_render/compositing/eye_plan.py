@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import Channels, FloatArray
+from wlr_render.mappings import Channels
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_lattice import ChosenLattice, choose_lattice
 from wlr_render.rendering.covering import covering_camera
 from wlr_render.rendering.map_shrink import shrink_over_eye_box, taps_for

@@ -13,7 +13,8 @@ from wlr_render.compositing.steady_fields import SteadyFields
 from wlr_render.compositing.targets import CallersFramebuffers
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray, PlanarDisplay, PlanarSeeThrough, count_unsolved
+from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_nodes import GlNodes
 from wlr_render.rendering.gl_solve import GlSolve

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Generic, Protocol, TypeVar
 
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 FieldT = TypeVar("FieldT", covariant=True)
 

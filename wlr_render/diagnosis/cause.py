@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
-FloatArray = NDArray[np.float64]
 Perturb = Callable[[Bench, FloatArray], Bench]
 """(bench, values of all parameters in their units) -> bench; the null values give the same bench back."""
 

@@ -13,10 +13,9 @@ from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
 from wlr_render.diagnosis.held_out import held_out_gain
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Design = tuple[str, str, FloatArray]
 """What a correction is bound to, its form, and its terms for each reading of the part."""
 

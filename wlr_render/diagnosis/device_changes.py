@@ -4,9 +4,9 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.transforms import rigid, rotation_about, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
     ClearAperture,
     EyeOptics,
@@ -20,8 +20,6 @@ from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.surfaces import Conic, Offset
 from wlr_render.optics.tracer import trace
 from wlr_render.simulation.bench import Bench
-
-FloatArray = NDArray[np.float64]
 
 _PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
 _PLATE_APART = 0.05  # metres from one added plate to the next

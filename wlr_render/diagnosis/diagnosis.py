@@ -9,9 +9,8 @@ from wlr_render.diagnosis.held_out import HeldOutGain
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
-
-FloatArray = NDArray[np.float64]
 
 NO_EFFECT, EXPLAINED, PARTLY, UNEXPLAINED = "no effect", "explained", "partly explained", "unexplained"
 

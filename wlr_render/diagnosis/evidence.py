@@ -7,8 +7,6 @@ from scipy.special import chdtrc
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.fit import Fit
 
-FloatArray = NDArray[np.float64]
-
 _SANE = 20.0  # times the plausible size: beyond it another explanation is wanted
 _WHOLE_CHOICES = 5  # multiples of a whole step that are as likely as each other
 

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from wlr_render.captures.session import Readings, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.observations import Observations
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import Sights, simulate, simulate_near
-
-FloatArray = NDArray[np.float64]
 
 _STEP = 2e-3  # of a parameter's plausible size, for the differences
 _NOTHING = 1e-6  # sigma per plausible size: the rounding of predictions that do not change

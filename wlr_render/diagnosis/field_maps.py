@@ -3,13 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _MOST = 4
 

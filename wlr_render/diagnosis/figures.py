@@ -1,14 +1,11 @@
 """Residuals as people state them: panel pixels, arcminutes, multiples of the noise."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis.diagnosis import Figures
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.geometry.directions import ARCMIN
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
 def of_residual(observations: Observations, residual: FloatArray, used: BoolArray) -> Figures:

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.diagnosis.extension import Extension, Linearisation, Predictor, State
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically

@@ -1,14 +1,11 @@
 """What is said of a cause that was found: values, evidence, and what it could be mistaken for."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.diagnosis import FoundCause, Overlap, ParameterValue, Rival
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.search import Round, Search
-
-FloatArray = NDArray[np.float64]
 
 _ALIKE = 0.95  # cosine from which two causes are said to overlap
 _RIVALS = 8

@@ -9,7 +9,6 @@ whatever the prescription says: there it is the picture that is rendered with th
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.refit import Refitted, refit_display, refit_see_through
@@ -18,11 +17,10 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.viewpoints import random_in_eye_box
-
-FloatArray = NDArray[np.float64]
 
 DISTANCES_M = (0.5, 1.0, 2.0)
 """Of the real points that the picture is rendered onto, in front of the eye."""

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.diagnosis.fit import Fit
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.extension import Hypothesis, Linearisation, Predictor
 from wlr_render.diagnosis.fit import Fit, fit
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import FloatArray
 
 _MOMENTS = 6  # times tried at once
 _EDGE = 0.05  # of all captures must lie on either side of a moment: fewer are captures that moved

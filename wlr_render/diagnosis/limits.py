@@ -3,14 +3,12 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.diagnosis import DetectionLimit
 from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
 from wlr_render.diagnosis.fit import fit
-
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray
 
 _SIGMAS = 5.0
 

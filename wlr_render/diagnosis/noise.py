@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _DEGREE = 6
 _ROWS_PER_COEFFICIENT = 2.5

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import panel_pixels, simulate
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
 PART_NAMES = ("display", "see-through", "run-time")

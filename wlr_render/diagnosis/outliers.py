@@ -11,8 +11,7 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.extension import Hypothesis, Predictor
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _POSE = ("camera_pupil_offset", "camera_rotation")
 _SIGNIFICANT = 25.0  # chi-squared per degree of freedom, over the fit's, that a pose of its own must gain a capture

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from wlr_render.diagnosis.field_maps import FieldMap
 from wlr_render.diagnosis.report_parts import ReportPart, Variable
+from wlr_render.numerics.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 _COLOURS = ("#9ab7d3", "#1f4e79", "#b2182b")  # of small to large arrows
 _FIRST, _SECOND, _GREY = "#1f4e79", "#c4651a", "#8c8c8c"

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis import evidence, figures
@@ -34,9 +33,8 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE
 from wlr_render.diagnosis.outliers import MovedCapture, kept, moved_captures
 from wlr_render.diagnosis.search import Progress, Round, Search, Selection
 from wlr_render.diagnosis.steadiness import unsteadiness
+from wlr_render.numerics.arrays import BoolArray
 from wlr_render.simulation.bench import Bench
-
-BoolArray = NDArray[np.bool_]
 
 _MOST_CAUSES = 5
 _OUTLIER_ROUNDS = 3

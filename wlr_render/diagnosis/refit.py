@@ -16,10 +16,10 @@ from wlr_render.diagnosis.held_out import HeldOutGain, held_out_gain
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_captures import display_captures, see_through_captures
 
-FloatArray = NDArray[np.float64]
 AnyMapping = TypeVar("AnyMapping", DisplayMapping, SeeThroughMapping)
 
 _KIND = "planar"

@@ -6,7 +6,6 @@ Angles are those that the camera sees, in arcminutes to the right and down.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
@@ -14,9 +13,7 @@ from wlr_render.diagnosis.field_maps import FieldMap, display_maps, run_time_map
 from wlr_render.diagnosis.figures import arcminutes, panel_pixels
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.held_out import HeldOutGain, held_out_gain, held_out_squares
 from wlr_render.diagnosis.hypotheses import Prospect, best_fit, prospect
+from wlr_render.numerics.arrays import BoolArray
 
-BoolArray = NDArray[np.bool_]
 Progress = Callable[[str], None]
 
 _PROMISE = 0.3  # of the best prospect's gain: who promises less is not fitted

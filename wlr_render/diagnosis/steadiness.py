@@ -5,14 +5,11 @@ a fit is not down to the noise, that tells a true cause beside something unexpla
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _SPREADS = 4.0  # standard deviations above its mean up to which the square of a change may be noise
 

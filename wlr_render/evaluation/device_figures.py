@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _COLUMNS, _ROWS = 25, 21  # directions judged over the nominal field, or pixels over the panel
 _BOX_STEPS = 5  # viewpoints judged per axis of the eye box

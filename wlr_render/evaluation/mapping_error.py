@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 import numpy as np
 
 from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 
 
 def misalignment_arcmin(truth: EyeMappings, viewpoint: FloatArray, pixel: FloatArray, point: FloatArray) -> FloatArray:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
-
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import IntArray
 
 MISSING = (
     "Not compared with OpenCV's decoder: this OpenCV has no cv2.structured_light. It comes with "

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.targets.board_sighting import BoardSighting
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,8 @@
 """Unit directions, their tangents, and angles between them. Device frame: looking along -z."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 ARCMIN = np.pi / 180 / 60
 """One arcminute in radians."""

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import normalised
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 OPENCV_PIXEL_SHIFT = -0.5
 """OpenCV's pixel = ours + this."""

@@ -1,9 +1,8 @@
 """Rays packed as (..., 6): a point, then a unit direction."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 def pack(origin: FloatArray, direction: FloatArray) -> FloatArray:

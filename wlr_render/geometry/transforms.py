@@ -5,9 +5,8 @@ A transform is named by what it does: `point_in_world = apply(world_from_device,
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 OPENXR_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 """Rotation from axes x right, y down, z forward to x right, y up, z backward; its own inverse."""

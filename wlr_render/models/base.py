@@ -4,13 +4,11 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.mappings import EyeBox, Mapped
 from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 class FittedModel(ABC):

@@ -6,14 +6,11 @@ four Newton steps from cold and fewer from the last frame's solution (paper: sec
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import Residual, Root, solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TOLERANCE = 1e-12
 """On the residual: metres in the base plane for the display, tangents for see-through."""

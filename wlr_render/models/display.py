@@ -3,18 +3,14 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.base import FittedDisplay
 from wlr_render.models.bundle_projection import solve_display
 from wlr_render.models.queries import Answer, Forms, joined
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.base import FittedDisplay
 from wlr_render.models.queries import Answer, Forms
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _TOLERANCE = 1e-12  # tangents
 

@@ -4,14 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Mapped, Status
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial, term_count
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
 

@@ -10,18 +10,14 @@ two such planes.
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox
 from wlr_render.models.base import FittedSeeThrough
 from wlr_render.models.bundle_projection import solve_see_through
 from wlr_render.models.queries import Answer, Forms, joined
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

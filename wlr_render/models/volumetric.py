@@ -6,16 +6,12 @@ Two viewpoints on one ray of a pixel may be told different directions: nothing i
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.base import FittedDisplay, FittedSeeThrough
 from wlr_render.models.queries import Answer, Forms, joined
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

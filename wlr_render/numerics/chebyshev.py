@@ -1,9 +1,8 @@
 """Tensor-product Chebyshev interpolation: a smooth field from few nodes to every pixel by two matrix products."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 
 def nodes(count: int, low: float, high: float) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 Residual = Callable[[FloatArray, NDArray[np.int64]], tuple[FloatArray, FloatArray]]
 """(unknown (m, 2), index (m,) into the batch) -> residual (m, 2), Jacobian (m, 2, 2)."""

@@ -13,8 +13,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 BOX_SLACK = 1e-3
 """By how much of its size a fitted box may be left, so that samples on its border count as inside."""

@@ -6,14 +6,12 @@ from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry.transforms import inverse
 from wlr_render.mappings import EyeBox, Field, Panel
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Shape
-
-FloatArray = NDArray[np.float64]
 
 MIRROR_X = np.diag([-1.0, 1.0, 1.0, 1.0])
 """Takes one eye's half of the device to the other eye's."""

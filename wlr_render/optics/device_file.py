@@ -7,17 +7,8 @@ import numpy as np
 from wlr_render.files import Table, named_or_path, read_toml
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid
 from wlr_render.mappings import EyeBox, Field, Panel
-from wlr_render.optics.device import (
-    Device,
-    EyeOptics,
-    FloatArray,
-    Interaction,
-    Path,
-    PlacedPanel,
-    PlacedSurface,
-    Step,
-    mirrored,
-)
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device, EyeOptics, Interaction, Path, PlacedPanel, PlacedSurface, Step, mirrored
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.surface_file import MM, axes, named, offset_chain, placed_surface, positive
 

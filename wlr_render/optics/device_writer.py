@@ -9,11 +9,11 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_toml
 from wlr_render.mappings import Field
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
     ClearAperture,
     Device,
     EyeOptics,
-    FloatArray,
     Interaction,
     Path,
     PlacedPanel,

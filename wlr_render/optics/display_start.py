@@ -13,7 +13,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel, Status, StatusArray
 from wlr_render.numerics import least_squares
-from wlr_render.numerics.polynomial import Box, FloatArray, Polynomial, basis
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis
 
 PixelOfViewDir = Callable[[FloatArray, FloatArray], tuple[FloatArray, StatusArray]]
 """(view_dir, viewpoint) -> pixel (..., 2), not cut off at the panel's edge, and status."""

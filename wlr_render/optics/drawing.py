@@ -10,7 +10,8 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_figure
 from wlr_render.mappings import Status
-from wlr_render.optics.device import Device, EyeOptics, FloatArray, Interaction, Path, PlacedSurface, Step
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device, EyeOptics, Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.media import AIR
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace

@@ -9,7 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from wlr_render.optics.surfaces import FloatArray, Hits, unit
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.surfaces import Hits, unit
 
 _MAX_STEPS = 25
 # Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.

@@ -7,7 +7,8 @@ import numpy as np
 from wlr_render.files import Table
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import rigid, rotation_about
-from wlr_render.optics.device import ClearAperture, FloatArray, PlacedSurface
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import ClearAperture, PlacedSurface
 from wlr_render.optics.media import Medium
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

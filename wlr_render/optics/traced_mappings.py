@@ -16,7 +16,8 @@ from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.mappings import EyeMappings, Mapped, Panel, Status, StatusArray
 from wlr_render.numerics import newton
-from wlr_render.optics.device import Device, EyeOptics, FloatArray
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.display_start import DisplayStart, fit_display_start
 from wlr_render.optics.tracer import trace
 

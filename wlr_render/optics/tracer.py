@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.mappings import Status, StatusArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface
 from wlr_render.optics.media import AIR
-from wlr_render.optics.surfaces import BoolArray, FloatArray, dot
+from wlr_render.optics.surfaces import dot
 
 _CHUNK = 8192  # rays at a time: their columns stay in the processor's cache
 _FORWARD = 1e-12  # metres; a root must lie this far ahead

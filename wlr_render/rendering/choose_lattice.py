@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import NEAREST_M, solve_pixels
 

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_field import asked_tangents
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.numerics.arrays import BoolArray, Float32Array
 from wlr_render.rendering import sampling
-from wlr_render.rendering.scene import Float32Array
 from wlr_render.rendering.warped_image import (
     MAX_MARCH,
     MAX_STEPS,
@@ -18,8 +18,6 @@ from wlr_render.rendering.warped_image import (
     TILE,
     WarpStatus,
 )
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,9 @@ from collections.abc import Collection
 
 import numpy as np
 
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.ray_render import RayRenderer
-from wlr_render.rendering.scene import Float32Array, Scene
+from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.view import GeometryImage, View
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.pixel_solve import checked_viewpoint
 from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, ray_field, solve_pixels

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import sampling
 from wlr_render.rendering.cpu_march import InverseDepths, Lines, follow
 from wlr_render.rendering.moved_rays import seen_from
-from wlr_render.rendering.scene import Float32Array
 from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warped_image import WarpedImage, WarpStatus
 from wlr_render.rendering.workers import for_blocks

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from wlr_render.geometry import directions, rays
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wlr_render.mappings import EyeMappings, FloatArray, StatusArray
+from wlr_render.mappings import EyeMappings, StatusArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.cpu_solve import CpuNodes
 from wlr_render.rendering.gpu_field import SolvedGpuField

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, FloatArray, Status, StatusArray, planar_parts
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, Status, StatusArray, planar_parts
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.gpu_field import SolvedGpuField
 from wlr_render.rendering.lattice import Lattice

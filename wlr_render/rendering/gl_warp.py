@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import FloatArray, Panel
+from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_depth_ranges import GlDepthRanges
 from wlr_render.rendering.gpu_field import GpuField

@@ -6,10 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray, StatusArray
+from wlr_render.mappings import StatusArray
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import Float32Array, RayField
+from wlr_render.rendering.ray_field import RayField
 
 
 @dataclass(frozen=True, eq=False)

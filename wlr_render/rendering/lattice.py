@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray, Panel
+from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import solve_pixels
-from wlr_render.rendering.scene import Float32Array
 
 SPACING_PX = 1.25
 """Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""

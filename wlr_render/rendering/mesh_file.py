@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering import gltf_lights
-from wlr_render.rendering.scene import Float32Array, Instance, Light, Mesh, Scene
+from wlr_render.rendering.scene import Instance, Light, Mesh, Scene
 from wlr_render.rendering.srgb import decode_srgb
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray
-from wlr_render.rendering.scene import Float32Array
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 
 
 def seen_from(bend: Float32Array, image_from_field: FloatArray) -> Float32Array:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.covering import covering_camera
 from wlr_render.rendering.map_shrink import shrink_over_eye_box, taps_for
 from wlr_render.rendering.raster_eye import RasterEye
@@ -18,8 +19,6 @@ from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.view import GeometryImage, View
-
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

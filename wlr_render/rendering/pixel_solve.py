@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_field import RayField
 
 

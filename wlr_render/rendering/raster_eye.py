@@ -10,7 +10,8 @@ import itertools
 import numpy as np
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
 from wlr_render.rendering.ray_field import solve_pixels
 

@@ -8,14 +8,12 @@ nodes from a measured error; `exact_field` is the slow plain version, which solv
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import EyeMappings, FloatArray, Panel, Status, StatusArray, worst
+from wlr_render.mappings import EyeMappings, Panel, Status, StatusArray, worst
 from wlr_render.numerics import chebyshev
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.lattice import Lattice
-
-Float32Array = NDArray[np.float32]
 
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.raytrace import Hits, SceneTracer
-from wlr_render.rendering.scene import Float32Array, Scene
+from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.shading import Shaded, shade
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.surfaces import Surfaces

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wlr_render.rendering.scene import Float32Array, Scene, world_positions
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering.scene import Scene, world_positions
 from wlr_render.rendering.workers import for_blocks
-
-FloatArray = NDArray[np.float64]
 
 _RAYS_PER_BLOCK = 1 << 16
 

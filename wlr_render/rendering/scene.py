@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
+from wlr_render.numerics.arrays import Float32Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,9 @@ units: tests/rendering/test_shader_polynomial.py has the measured errors.
 
 import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly
-from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import BOX_SLACK, Polynomial, exponents
-
-FloatArray = NDArray[np.float64]
 
 _COMPONENTS = "xyzw"
 _HELD = 2

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.raytrace import Hits, SceneTracer
-from wlr_render.rendering.scene import Float32Array, Light, Scene
+from wlr_render.rendering.scene import Light, Scene
 from wlr_render.rendering.surfaces import IndexArray, SurfaceHits, Surfaces
 
 _SHADOW_BIAS = 2e-4

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.rendering.scene import Float32Array
+from wlr_render.numerics.arrays import Float32Array
 
 _STEPS = (1 << 16) - 1
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering import sampling
-from wlr_render.rendering.scene import Float32Array, Instance, Mesh, Scene, world_normals
+from wlr_render.rendering.scene import Instance, Mesh, Scene, world_normals
 from wlr_render.rendering.srgb import decode_srgb
 
 IndexArray = NDArray[np.intp]

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

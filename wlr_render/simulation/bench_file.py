@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session_columns import MM
 from wlr_render.errors import BadInputError
 from wlr_render.files import Table, read_toml, shipped_names, write_toml
 from wlr_render.geometry.transforms import rigid
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import FRAMES, load_device
 from wlr_render.optics.device_writer import device_content, save_device
@@ -26,8 +26,6 @@ from wlr_render.simulation.bench import (
     Tracking,
 )
 from wlr_render.simulation.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
-
-FloatArray = NDArray[np.float64]
 
 FORMAT = "bench-session"
 VERSION = 1

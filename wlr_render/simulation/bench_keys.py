@@ -9,14 +9,11 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session_columns import HALF_PIXEL, MM, Quantity
 from wlr_render.files import Table
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import bench as parts
-
-FloatArray = NDArray[np.float64]
-
 
 # `axes` is device_from_file (3, 3), as in session_columns.
 PLAIN = Quantity()

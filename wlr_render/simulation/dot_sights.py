@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedSeeThrough
 from wlr_render.optics.tracer import trace
-
-FloatArray = NDArray[np.float64]
 
 _TANGENT_STEP = 1e-5  # of the differences
 _TOLERANCE = 1e-10  # radians as seen from the camera: a millionth of a camera pixel

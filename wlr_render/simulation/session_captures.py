@@ -5,12 +5,12 @@ points of the device frame. Only the headset's optics are left out: they are wha
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, select_rows
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.simulation.bench import Bench, EyeballCamera
 from wlr_render.simulation.simulate_session import (
     camera_positions,
@@ -19,9 +19,6 @@ from wlr_render.simulation.simulate_session import (
     tangents_of_pixel,
     undecoded,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _GREEN = 1
 

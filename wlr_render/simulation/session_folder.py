@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.captures.session_columns import PARTS
@@ -13,6 +12,7 @@ from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import read_toml
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import FRAMES
 from wlr_render.simulation.bench import Bench, EyeballCamera
 from wlr_render.simulation.bench_file import (
@@ -24,8 +24,6 @@ from wlr_render.simulation.bench_file import (
     save_bench,
 )
 from wlr_render.simulation.simulate_session import camera_dirs, pixel_of_tangents
-
-FloatArray = NDArray[np.float64]
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")

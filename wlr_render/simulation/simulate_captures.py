@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate
 from wlr_render.geometry.directions import ARCMIN, normalised
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.capture_setup import CaptureSetup
 
-FloatArray = NDArray[np.float64]
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 
 

@@ -4,18 +4,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.simulation.bench import Bench, EyeballCamera
 from wlr_render.simulation.dot_sights import Scene
 from wlr_render.simulation.simulate_run_time import run_time_readings
-
-FloatArray = NDArray[np.float64]
 
 _QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what is not seen is NaN, and is said to be
 

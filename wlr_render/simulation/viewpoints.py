@@ -6,12 +6,10 @@ its own level, and crowd them towards the edges as Chebyshev points do, where le
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 

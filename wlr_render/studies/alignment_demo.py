@@ -25,8 +25,9 @@ from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
 from wlr_render.models.static import undeviated
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.eye_view import EyeView, eye_view

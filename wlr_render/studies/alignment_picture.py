@@ -11,7 +11,7 @@ from wlr_render.evaluation.metrics import Summary
 from wlr_render.evaluation.report import cell_text
 from wlr_render.files import write_figure
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 OVERVIEW_WIDTH_PX = 720
 CLOSE_UP_WIDTH_PX = 480

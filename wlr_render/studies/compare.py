@@ -12,7 +12,7 @@ from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_figure, write_text
 from wlr_render.geometry import transforms
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.rasteriser import open_rasteriser

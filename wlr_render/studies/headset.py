@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeMappings, FloatArray
+from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import load_eye_model
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 

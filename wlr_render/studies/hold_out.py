@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
@@ -21,11 +20,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import BoolArray
 from wlr_render.simulation.session_folder import check_enough_captures, load_session
 from wlr_render.simulation.simulate_session import dot_geometry
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _APART = 1.05  # ratio of neighbouring distances from which they are different ones
 

@@ -4,17 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs, read_itoh_seethrough
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.files import output_folder
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.session_folder import save_session
-
-FloatArray = NDArray[np.float64]
 
 _SMOOTH_DEGREE = 3  # of the surface that a view's dots are scattered about
 _MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal components

@@ -14,7 +14,8 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
-from wlr_render.mappings import Channels, EyeMappings, FloatArray
+from wlr_render.mappings import Channels, EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter, colour_by_colour
 from wlr_render.rendering.rasteriser import open_rasteriser

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 PUPIL_DISTANCE_M = 0.0105
 """Rotation centre to entrance pupil: 13.5 mm less 3.05 mm, rounded.

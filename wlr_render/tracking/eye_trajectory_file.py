@@ -17,7 +17,7 @@ import numpy as np
 
 from wlr_render import files
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, EyeModel
 from wlr_render.tracking.text_rows import Row, TextTable, read_text_table, require_ascending_rows, shortest
 from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, ViewpointTrack

@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 Number = TypeVar("Number", float, FloatArray)
 

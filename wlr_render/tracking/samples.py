@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.random import Generator
 
 from wlr_render.geometry import directions
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import EyeModel
 from wlr_render.tracking.minimum_jerk import minimum_jerk
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, HeadTrajectory

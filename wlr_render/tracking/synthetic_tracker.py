@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.random import Generator
 
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.samples import require_ascending
 from wlr_render.tracking.trajectory import EYES, EyeTrajectory
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 UNIT_TOLERANCE = 1e-3
 """How far a printed quaternion or direction may be from unit length; beyond it, it is something else."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 
 class TrackingState(IntEnum):

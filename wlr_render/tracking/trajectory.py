@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import EyeModel
 from wlr_render.tracking.samples import bracket, require_ascending
 

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import FloatArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.minimum_jerk import minimum_jerk
 from wlr_render.tracking.tracked_viewpoint import StreamCounts, TrackedViewpoint, TrackingState
 

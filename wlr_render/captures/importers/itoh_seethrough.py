@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 SIZE_PX = (1280, 1024)
 FOCAL_PX = (1575.02, 1570.46)

@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.mappings import EyeBox, Panel
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 PANEL = Panel(1440, 1600)
 """One eye's half of the screen of a North Star headset; the maps only know fractions of it."""

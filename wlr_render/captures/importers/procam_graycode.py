@@ -16,7 +16,8 @@ import numpy as np
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
-from wlr_render.mappings import FloatArray, Panel
+from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import FloatArray
 
 PANEL = Panel(1024, 768)
 """The projector of the sample data."""

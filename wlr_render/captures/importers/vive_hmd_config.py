@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 CHANNELS = {"red": "distortion_red", "green": "distortion", "blue": "distortion_blue"}
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Slices = tuple[slice, slice]
 

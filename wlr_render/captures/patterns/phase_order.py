@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.patterns.shots import Shots
 from wlr_render.errors import BadInputError
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _SUSPECT = 0.02  # mean square of what no waveform explains, as a part of the fringe's
 _HOPELESS = 0.3

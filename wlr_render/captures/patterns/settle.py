@@ -16,8 +16,8 @@ from wlr_render.captures.patterns.photometry import Light
 from wlr_render.captures.patterns.shots import Grey
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
+from wlr_render.numerics.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _CLEAR = 4.0  # contrast over the noise of a difference, below which a pixel is dark

@@ -5,8 +5,9 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.targets.dot_board import BoolArray, DotBoard
+from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import BoolArray
 
 WINDOW = 5
 """Any window of this many dots square differs from every other, turned or mirrored, in at least `DISTANCE` sizes."""

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.targets.dot_detection import Dots
-from wlr_render.captures.targets.dot_patches import BoolArray, FloatArray, IntArray, Patches, patches_around
+from wlr_render.captures.targets.dot_patches import Patches, patches_around
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _PASSES = 4  # the last two only matter where blur is as wide as a small dot
 _FIRST_BAND_PX, _FIRST_BAND_PART = 2.0, 0.15  # half width of the band: pixels, and parts of the radius

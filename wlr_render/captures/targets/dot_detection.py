@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
+
 FloatImage = NDArray[np.float32]
 
 _LEVELS = 5  # dots of up to 24 px on the finest, 380 px on the coarsest

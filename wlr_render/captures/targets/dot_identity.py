@@ -4,13 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from wlr_render.captures.targets.board_sighting import BoardNotFoundError
-from wlr_render.captures.targets.dot_board import BoolArray, FloatArray
-
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _LEAD = 3  # sizes by which the best place must be better than the second best: two misread dots cannot bridge it
 _CHANCE = 2e-3  # that dots of random sizes fit the board somewhere as well

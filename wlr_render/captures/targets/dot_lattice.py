@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from wlr_render.captures.targets.dot_detection import Dots
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NEIGHBOURS = 16  # that hold the four arms of the cross up to a foreshortening of 1 to 2
 _SHAPE_NEIGHBOURS = 7

@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.targets.dot_detection import Dots
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _SIZE_STEP_PX = 4  # patches' half sides are rounded up to multiples, so that there are few sizes
 _OUTSIDE = -1

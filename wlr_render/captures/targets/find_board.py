@@ -1,19 +1,16 @@
 """From a photograph to identified dots."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.photographs import Photograph
 from wlr_render.captures.targets.board_sighting import BoardNotFoundError, BoardSighting
-from wlr_render.captures.targets.dot_board import DotBoard, FloatArray
+from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.captures.targets.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.targets.dot_detection import find_dots
 from wlr_render.captures.targets.dot_identity import identify
 from wlr_render.captures.targets.dot_lattice import LEAST_DOTS, Lattice, link_lattices
 from wlr_render.captures.targets.lattice_shape import LatticeShape, lattice_shape
-
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # lattices, the largest first, that are compared with the board
 _OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NEIGHBOURS = 24  # a 5 x 5 window without its middle
 _POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # of x and y: 1, x, y, x^2, x y, y^2, ...

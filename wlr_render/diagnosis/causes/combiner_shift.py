@@ -1,7 +1,8 @@
 """The combiner is displaced against the rest of the headset."""
 
 from wlr_render.diagnosis import device_changes
-from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter
+from wlr_render.diagnosis.cause import Cause, Parameter
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
 

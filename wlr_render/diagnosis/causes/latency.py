@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter
+from wlr_render.diagnosis.cause import Cause, Parameter
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
 

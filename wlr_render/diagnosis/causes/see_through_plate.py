@@ -1,7 +1,8 @@
 """A thick plane element between the optics and the world, where none was assumed."""
 
 from wlr_render.diagnosis import device_changes
-from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter, Role
+from wlr_render.diagnosis.cause import Cause, Parameter, Role
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
 

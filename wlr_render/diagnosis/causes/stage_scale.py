@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter
+from wlr_render.diagnosis.cause import Cause, Parameter
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
 

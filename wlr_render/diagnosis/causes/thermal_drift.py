@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from wlr_render.diagnosis.cause import Cause, FloatArray, Parameter, Role
+from wlr_render.diagnosis.cause import Cause, Parameter, Role
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
 _FASTEST_S = 1.0  # a fit may step below zero on its way

@@ -3,14 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.scene import Mesh
 from wlr_render.rendering.shapes import construction, textures
 from wlr_render.rendering.shapes.construction import Colour
-
-FloatArray = NDArray[np.float64]
 
 _TEXELS_PER_PITCH = 40
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.scene import Mesh
 
-FloatArray = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 

@@ -3,13 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.rendering.scene import Mesh
 from wlr_render.rendering.shapes import construction, textures
 from wlr_render.rendering.shapes.construction import Colour, coloured, cuboid, merged, moved, revolved, tube, turned
-
-FloatArray = NDArray[np.float64]
 
 _DARK: Colour = (0.02, 0.022, 0.026)
 _METAL: Colour = (0.45, 0.46, 0.48)

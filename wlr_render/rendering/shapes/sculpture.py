@@ -1,12 +1,10 @@
 """The centrepiece: a fluted, twisted, rippled trefoil knot with an inlaid skin, and the plinth that it stands on."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.scene import Mesh
 from wlr_render.rendering.shapes import construction, textures
-
-FloatArray = NDArray[np.float64]
 
 _FLUTES = 7
 _TWISTS = 9

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
+
 Texture = NDArray[np.uint8]
 
 

@@ -3,13 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry.transforms import inverse
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,11 @@
 """What a camera before true optics sees, ray by exact ray through the middle of its pupil: the truth to judge by."""
 
-import numpy as np
-from numpy.typing import NDArray
-
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import inverse, rotate
 from wlr_render.mappings import Mapped
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-
-FloatArray = NDArray[np.float64]
 
 
 def panel_position(

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.lens_camera import LensCamera
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _CANDIDATES = 2000  # sets of samples among which the most even one is taken
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.targets.board_design import design_board
 from wlr_render.captures.targets.dot_board import DotBoard
@@ -11,14 +10,13 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.photographs.lens import Lens
 from wlr_render.simulation.photographs.sensor import Sensor
 from wlr_render.simulation.viewpoints import planar
-
-FloatArray = NDArray[np.float64]
 
 _MARGIN = 1.08  # by how much the camera sees more than the display's field
 _BOARD_MARGIN = 1.15  # by how much the board is larger than that field at the farthest pose, where it can be

@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_readings
-
-FloatArray = NDArray[np.float64]
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
 _FILL = (0.75, 1.1)  # of the picture's width by the board, by turns

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 
 Exact = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
 """Places in the image (n, 2) -> the quantity (n, k) and where there is light (n,). Values without light may be NaN."""

@@ -18,13 +18,11 @@ from wlr_render.geometry import rays
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.transforms import inverse
 from wlr_render.mappings import Panel, Status
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.photographs.lens import Lens
-from wlr_render.simulation.photographs.pixel_field import BoolArray, PixelField
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
+from wlr_render.simulation.photographs.pixel_field import PixelField
 
 Radiance = Callable[[Float32Array], NDArray[np.floating]]
 """Rays (h, w, 6) of some rows, away from the lens, NaN where no light comes -> how bright what they meet is, (h, w)."""

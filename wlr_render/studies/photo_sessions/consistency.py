@@ -7,9 +7,10 @@ import numpy as np
 
 from wlr_render.calibration.moved_captures import Moved, moved_display, moved_see_through
 from wlr_render.calibration.stray_dots import follow_their_photograph
-from wlr_render.captures.correspondences import EyeCaptures, FloatArray, IntArray, SeeThroughCaptures, select
+from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures, select
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.studies.photo_sessions.reading import Reading
 from wlr_render.studies.photo_sessions.reading_tasks import SetAside
 

@@ -10,6 +10,7 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import write_figure
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.studies.decode_pictures import fate_colours
 from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 _ACROSS = 6  # small pictures side by side
 _ARROWS = 350  # of a small picture

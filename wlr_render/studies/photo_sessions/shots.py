@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
 from wlr_render.simulation.photographs.lens import Lens
 from wlr_render.simulation.photographs.sensor import Sensor
 from wlr_render.simulation.photographs.sight import Sight
-
-FloatArray = NDArray[np.float64]
 
 _DARK_ROOM = FarWall(brightness=0.03)  # while the panel is photographed
 

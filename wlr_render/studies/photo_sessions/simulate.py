@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
@@ -18,6 +17,7 @@ from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.captures.targets.board_file import save_board, write_board_svg
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.lens import Lens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
@@ -27,8 +27,6 @@ from wlr_render.studies.photo_sessions.making import Making
 from wlr_render.studies.photo_sessions.shots import BoardShot, PanelShots, Place, take
 from wlr_render.studies.processes import as_finished, few_workers
 from wlr_render.studies.progress import Progress, silent
-
-FloatArray = NDArray[np.float64]
 
 BOARD = "board.toml"
 _MOST_WORKERS = 4  # each takes up to 0.4 GB

@@ -19,6 +19,7 @@ from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_render import RayRenderer
@@ -29,8 +30,6 @@ from wlr_render.studies.progress import Progress
 from wlr_render.studies.verification import judgement
 from wlr_render.studies.verification.judgement import Judged
 from wlr_render.studies.verification.target_scene import target_scene
-
-FloatArray = NDArray[np.float64]
 
 METHODS = ("raster + warp", "ray traced")
 _SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not be jagged

@@ -6,8 +6,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
-
-FloatArray = NDArray[np.float64]
+from wlr_render.numerics.arrays import FloatArray
 
 _AROUND = 1.3  # of a dot's radius: some white has to be seen around it
 _RING = 12

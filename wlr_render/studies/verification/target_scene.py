@@ -1,15 +1,13 @@
 """The calibration target as a scene, to be drawn where it stands."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.scene import Instance, Mesh, Scene
 from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import encode_srgb
-
-FloatArray = NDArray[np.float64]
 
 _TEXELS_PER_PITCH = 64
 _LARGEST_TEXTURE_PX = 8192
