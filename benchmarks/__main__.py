@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.terminal import say
+from wlr_render.report.terminal import say
 
 BACKENDS = ("auto", "egl", "osmesa", "cpu")
 
@@ -91,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _speed(args: argparse.Namespace) -> None:
     from benchmarks.speed import study
-    from wlr_render.terminal import print_table, progress_bar
+    from wlr_render.report.terminal import print_table, progress_bar
 
     for table in study.run(study.Options(args.backend, args.out, args.record), progress_bar):
         print_table(table)
@@ -100,7 +100,7 @@ def _speed(args: argparse.Namespace) -> None:
 def _soak(args: argparse.Namespace) -> None:
     from benchmarks.soak import study
     from benchmarks.soak.wearer import Wearer
-    from wlr_render.terminal import print_table, progress_bar
+    from wlr_render.report.terminal import print_table, progress_bar
 
     options = study.Options(
         headset=tuple(args.headset),
@@ -123,7 +123,7 @@ def _soak(args: argparse.Namespace) -> None:
 
 def _diagnosis(args: argparse.Namespace) -> None:
     from benchmarks.diagnosis import study
-    from wlr_render.terminal import print_table, progress_bar
+    from wlr_render.report.terminal import print_table, progress_bar
 
     for table in study.run(study.Options(args.trials, args.seed, args.workers, args.out), progress_bar):
         print_table(table)
@@ -131,7 +131,7 @@ def _diagnosis(args: argparse.Namespace) -> None:
 
 def _photographs(args: argparse.Namespace) -> None:
     from benchmarks.photographs import study
-    from wlr_render.terminal import print_table, progress_bar
+    from wlr_render.report.terminal import print_table, progress_bar
 
     options = study.Options(args.session, args.calibration, seed=args.seed, out=args.out)
     for table in study.run(options, progress_bar):
@@ -140,7 +140,7 @@ def _photographs(args: argparse.Namespace) -> None:
 
 def _two_views(args: argparse.Namespace) -> None:
     from benchmarks.two_views import study
-    from wlr_render.terminal import print_table
+    from wlr_render.report.terminal import print_table
 
     for table in study.run(args.captures, args.out):
         print_table(table)

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from wlr_render.studies import render_sequence
-from wlr_render.studies.headset import open_eye
+from wlr_render.jobs import render as render_sequence
+from wlr_render.jobs.headset import open_eye
 from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
 from wlr_render.tracking.synthetic import eye_motion, head_motion

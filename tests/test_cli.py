@@ -12,11 +12,13 @@ from command_line import refused
 
 from wlr_render.cli import main
 from wlr_render.errors import MissingGlError
-from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import resource
+from wlr_render.jobs import demo as alignment_demo
+from wlr_render.jobs import render as render_sequence
+from wlr_render.jobs.evaluate import study as sampling_study
 from wlr_render.rendering import gl
-from wlr_render.studies import alignment_demo, render_sequence, sampling_study, trace_device
-from wlr_render.terminal import print_table
+from wlr_render.report.blocks import ReportTable
+from wlr_render.report.terminal import print_table
 
 VERBS = (
     "demo",
@@ -243,7 +245,7 @@ def test_an_interruption_has_its_own_status(monkeypatch, capsys):
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trace_device, "run", interrupt)
+    monkeypatch.setattr("wlr_render.jobs.trace.trace", interrupt)
     assert main(["trace", "northstar"]) == 130
     assert capsys.readouterr().err == "wlr-render: interrupted; what is finished is kept.\n"
 

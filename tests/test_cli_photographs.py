@@ -7,11 +7,11 @@ import pytest
 from command_line import refused
 
 from wlr_render.cli import main
-from wlr_render.evaluation.report import ReportTable
+from wlr_render.jobs.simulate import session as simulate
+from wlr_render.jobs.simulate.making import Making
+from wlr_render.jobs.verify import verify
+from wlr_render.report.blocks import ReportTable
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
-from wlr_render.studies.photo_sessions import simulate
-from wlr_render.studies.photo_sessions.making import Making
-from wlr_render.studies.verification import verify
 
 TABLE = ReportTable("A title", ("what", "how much (arcmin)"), [["this", 1.25]], ("A note.",))
 

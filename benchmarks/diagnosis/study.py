@@ -11,10 +11,10 @@ from oracle.effects import LISTED, UNLISTED
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import Kind, Outcome, Trial, run_trial
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.evaluation.report import ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
-from wlr_render.studies.processes import as_finished
-from wlr_render.studies.progress import Progress, silent
+from wlr_render.jobs.processes import as_finished
+from wlr_render.progress import SILENT, Progress
+from wlr_render.report.blocks import ReportTable, tables_as_json
 
 _CLEAN = 5  # clean bench sessions for every trial of a cause: false alarms are rare
 _PAIRS = 4  # of causes, likewise
@@ -38,7 +38,7 @@ class Options:
     out: Path = Path("out/benchmarks/diagnosis")
 
 
-def run(options: Options, progress: Progress = silent) -> list[ReportTable]:
+def run(options: Options, progress: Progress = SILENT) -> list[ReportTable]:
     """Run all trials; writes diagnosis.md and diagnosis.json into `options.out`, interrupted or not."""
     folder = output_folder(options.out)
     tasks = trials(options.trials, options.seed)

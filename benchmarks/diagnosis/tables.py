@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.diagnosis.trial import Kind, Outcome
 from wlr_render.diagnosis.diagnosis import NO_EFFECT, UNEXPLAINED
-from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.report.blocks import Cell, ReportTable
 
 _FIVE_SIGMA = 25.0  # chi-squared
 _AT_FLOOR = 1.03

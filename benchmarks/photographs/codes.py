@@ -12,8 +12,8 @@ from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.patterns import PATTERNS
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photographs import photographs_in, read_each, write_photograph
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.simulation.photographs import exact
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.sensor import Sensor

@@ -21,14 +21,14 @@ from wlr_render.calibration.photograph_captures import (
 from wlr_render.calibration.poses import ARCMIN, motion_between
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.decoded_samples import DecodedSamples
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
+from wlr_render.jobs.calibrate.captures import truth_errors
+from wlr_render.jobs.calibrate.photos import SessionCalibration
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.simulation.photographs import exact
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.studies.calibrate import truth_errors
-from wlr_render.studies.photo_sessions.calibrate import SessionCalibration
 
 
 @dataclass(frozen=True, eq=False)

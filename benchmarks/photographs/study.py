@@ -5,13 +5,13 @@ from pathlib import Path
 
 from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
-from wlr_render.evaluation.report import ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
+from wlr_render.jobs.calibrate import photos as calibrate
+from wlr_render.jobs.simulate.making import load_making
 from wlr_render.optics.device_file import load_device
+from wlr_render.progress import SILENT, Progress
+from wlr_render.report.blocks import ReportTable, tables_as_json
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
-from wlr_render.studies.photo_sessions import calibrate
-from wlr_render.studies.photo_sessions.making import load_making
-from wlr_render.studies.progress import Progress, silent
 
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels
 
@@ -35,7 +35,7 @@ class Options:
     out: Path = Path("out/benchmarks/photographs")
 
 
-def run(options: Options, progress: Progress = silent) -> list[ReportTable]:
+def run(options: Options, progress: Progress = SILENT) -> list[ReportTable]:
     """Photograph, read, compare; writes photographs.md and photographs.json.
 
     Raises:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.soak.records import SACCADE_MM, Cost, EyeMoment, FrameNote, MapCheck, Stream
-from wlr_render.evaluation.report import Cell, ReportTable, tables_as_json
 from wlr_render.files import write_text
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
 from wlr_render.tracking.tracked_viewpoint import TrackingState
 
 _PERCENTILES = (50, 95, 99)

@@ -15,12 +15,12 @@ from benchmarks.soak.wearer import Wearer
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import output_folder
+from wlr_render.jobs.headset import open_eye
 from wlr_render.mappings import EyeMappings
+from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.studies.headset import open_eye
-from wlr_render.studies.progress import Progress, silent
+from wlr_render.report.blocks import ReportTable
 
 LATEST_MS = 50.0
 """A pose older than this is beyond what late correction can make good."""
@@ -65,7 +65,7 @@ class Result:
     files: tuple[Path, ...]
 
 
-def run(options: Options, progress: Progress = silent) -> Result:
+def run(options: Options, progress: Progress = SILENT) -> Result:
     """Draw all frames; writes soak.md, soak.json, frames.csv and soak.png.
 
     Raises:
@@ -81,7 +81,7 @@ def run(options: Options, progress: Progress = silent) -> Result:
     return Result(tables, (*report.write(stream, tables, folder), draw_stream(folder / "soak.png", stream)))
 
 
-def draw(options: Options, models: Mapping[str, EyeMappings], progress: Progress = silent) -> Stream:
+def draw(options: Options, models: Mapping[str, EyeMappings], progress: Progress = SILENT) -> Stream:
     """Draw all frames of some models, and write nothing.
 
     Raises:

@@ -10,7 +10,6 @@ from benchmarks.speed.running import LATE_S, PUPIL_M_PER_S, TURN_DEG_PER_S, WALK
 from benchmarks.speed.workload import HEAD_POSE
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.evaluation.metrics import summary
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
@@ -19,6 +18,7 @@ from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import solve_pixels
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.report.blocks import Cell, ReportTable
 
 DEVICES = "northstar", "freeform40", "birdbath28"
 SCENES = "desk", "sculpture"

@@ -8,13 +8,13 @@ import numpy as np
 from benchmarks.speed.running import Running
 from benchmarks.speed.timing import in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gl_nodes import GlNodes
 from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.report.blocks import Cell, ReportTable
 
 SOLVES = "nodes", "pixels"
 PRICE_GOAL_SOFTWARE, PRICE_GOAL_GPU = 1.3, 1.1

@@ -11,9 +11,9 @@ from benchmarks.speed.frozen_map import IMAGE_MAPS, MESH, Scheme, frozen_map
 from benchmarks.speed.running import Running
 from benchmarks.speed.timing import Run, in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.ray_field import middle_axes
+from wlr_render.report.blocks import Cell, ReportTable
 
 OURS = "ours"
 

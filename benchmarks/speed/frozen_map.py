@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings
@@ -32,6 +31,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_lattice import choose_lattice
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.ray_field import middle_axes, solve_pixels
+from wlr_render.report.blocks import Cell, ReportTable
 
 Interpolation = Callable[[FloatArray, FloatArray], FloatArray]
 """(values (rows, columns, k), place (..., 2) in cells from the first point) -> (..., k)."""

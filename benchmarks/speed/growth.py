@@ -8,7 +8,6 @@ from benchmarks.speed.running import Running
 from benchmarks.speed.scaling import Scaling, scaling_table, time_over
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import Workload, bench_model, bench_scene
-from wlr_render.evaluation.report import ReportTable
 from wlr_render.mappings import EyeMappings, planar_parts
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.rendering.gl_nodes import GlNodes
@@ -16,6 +15,7 @@ from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.raster import GlRaster
 from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.report.blocks import ReportTable
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ import numpy as np
 from benchmarks.speed.baselines import bare_gl_frame, raw_embree
 from benchmarks.speed.timing import alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload, bench_model, bench_scene
-from wlr_render.evaluation.report import Cell
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -23,6 +22,7 @@ from wlr_render.rendering.rasteriser import open_rasteriser
 from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, exact_field, ray_field
 from wlr_render.rendering.ray_render import RayRenderer
 from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
+from wlr_render.report.blocks import Cell
 
 
 def ray_rows(work: Workload) -> list[list[Cell]]:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.report import ReportTable
 from wlr_render.files import write_text
+from wlr_render.report.blocks import ReportTable
 
 
 def record(tables: Sequence[ReportTable], folder: str | Path, renderer: str) -> Path:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from benchmarks.speed.timing import ROUNDS, Estimate, Run, alternately, exponent, in_ms
-from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.report.blocks import Cell, ReportTable
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from benchmarks.speed.running import Running, later_pose
 from benchmarks.speed.timing import Run, alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.rendering.gl_nodes import GlNodes
 from wlr_render.rendering.gl_solve import GlSolve
 from wlr_render.rendering.intermediate_view import PyrenderView
 from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.raster import GlRaster
 from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.report.blocks import Cell, ReportTable
 
 LARGE_PX = 2048, 2048
 FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS = 2.0, 4.0

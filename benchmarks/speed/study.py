@@ -14,12 +14,12 @@ from benchmarks.speed.record import record
 from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
 from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.evaluation.report import ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
 from wlr_render.mappings import Panel
+from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering import gl
 from wlr_render.rendering.workers import worker_count
-from wlr_render.studies.progress import Progress, silent
+from wlr_render.report.blocks import ReportTable, tables_as_json
 
 _NOTES = (
     "Ray path baseline: embreex's own query of the same rays, shared out over the same threads.",
@@ -67,7 +67,7 @@ class Options:
     record: Path | None = None
 
 
-def run(options: Options, progress: Progress = silent, extent: Extent = Extent()) -> list[ReportTable]:
+def run(options: Options, progress: Progress = SILENT, extent: Extent = Extent()) -> list[ReportTable]:
     """Measure; writes speed.md and speed.json into `options.out`.
 
     Raises:

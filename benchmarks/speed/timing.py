@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.evaluation.report import cell_text
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import cell_text
 
 ROUNDS = 15
 """Rounds that count; one more warms up."""

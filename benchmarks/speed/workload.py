@@ -8,13 +8,13 @@ import numpy as np
 from benchmarks.speed.timing import ROUNDS
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.jobs.demo import simulated_captures
 from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.scene import Instance, Light, Scene
 from wlr_render.rendering.shapes.sculpture import sculpture
-from wlr_render.studies.alignment_demo import simulated_captures
 
 HEAD_POSE = np.eye(4)
 DEVICE = "northstar"

@@ -6,8 +6,8 @@ from pathlib import Path
 from benchmarks.two_views.evidence import viewpoint_evidence
 from benchmarks.two_views.tables import tables
 from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
-from wlr_render.evaluation.report import ReportTable, tables_as_json
 from wlr_render.files import output_folder, write_text
+from wlr_render.report.blocks import ReportTable, tables_as_json
 
 
 def run(folder: Path, out: Path) -> Sequence[ReportTable]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.two_views.evidence import EyeEvidence, MirrorSplit, ViewpointEvidence, rms, vector_rms
-from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.report.blocks import Cell, ReportTable
 
 
 def tables(evidence: ViewpointEvidence) -> tuple[ReportTable, ...]:

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.soak import study
 from benchmarks.soak.wearer import Wearer
-from wlr_render.evaluation.report import ReportTable
+from wlr_render.report.blocks import ReportTable
 
 
 def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(monkeypatch, capsys):

@@ -13,7 +13,7 @@ from wlr_render.diagnosis.refit import Refitted
 from wlr_render.diagnosis.report_tables import gains_table, tables
 from wlr_render.diagnosis.report_text import advice, value_text, verdict_sentence, warnings
 from wlr_render.evaluation.metrics import Summary
-from wlr_render.evaluation.report import cell_text
+from wlr_render.report.blocks import cell_text
 
 
 @pytest.fixture(scope="module")

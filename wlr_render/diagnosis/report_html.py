@@ -10,7 +10,7 @@ from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.gain import Gains
 from wlr_render.diagnosis.report_parts import ReportPart, report_parts
 from wlr_render.diagnosis.report_text import FIGURES, advice, verdict_sentence, warnings
-from wlr_render.evaluation.report import ReportTable, cell_text
+from wlr_render.report.blocks import ReportTable, cell_text
 
 _STYLE = Path(__file__).with_name("report.css")
 _BAND_TEXT = (

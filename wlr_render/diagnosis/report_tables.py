@@ -4,7 +4,7 @@ from wlr_render.diagnosis.diagnosis import NO_EFFECT, Diagnosis
 from wlr_render.diagnosis.gain import Gains
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.report_text import FIGURES, value_and_sigma, value_text
-from wlr_render.evaluation.report import Cell, ReportTable
+from wlr_render.report.blocks import Cell, ReportTable
 
 _UNITS = {" px": "panel px", "'": "arcmin"}
 _RIVALS = 6  # of each place that are shown

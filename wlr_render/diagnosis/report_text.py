@@ -11,7 +11,7 @@ from wlr_render.diagnosis.diagnosis import (
     Overlap,
     ParameterValue,
 )
-from wlr_render.evaluation.report import cell_text
+from wlr_render.report.blocks import cell_text
 
 _DECIDED = 20.0  # of the cost: e^10 to 1 against whoever is so far behind
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Cell, ReportTable
 
 _COLUMNS, _ROWS = 25, 21  # directions judged over the nominal field, or pixels over the panel
 _BOX_STEPS = 5  # viewpoints judged per axis of the eye box

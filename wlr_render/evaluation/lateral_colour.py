@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from wlr_render.evaluation.metrics import summary
-from wlr_render.evaluation.report import Cell, ReportTable
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Cell, ReportTable
 
 DEPTH_M = 2.0
 """At which the world is looked at: about where headsets put their virtual image."""

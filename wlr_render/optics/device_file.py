@@ -24,7 +24,16 @@ def load_device(spec: str | FilePath) -> Device:
     Raises:
         BadInputError: the file does not exist, is not TOML, or breaks the format; the sentence says where.
     """
-    return device_of(read_toml(named_or_path("devices", spec)))
+    return device_of(read_toml(device_path(spec)))
+
+
+def device_path(spec: str | FilePath) -> FilePath:
+    """Path of a device file, given a shipped device's name or a path.
+
+    Raises:
+        BadInputError: there is no such device.
+    """
+    return named_or_path("devices", spec)
 
 
 def device_of(file: Table) -> Device:

@@ -17,9 +17,9 @@ from benchmarks.speed.frozen_map import (
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.jobs.headset import open_eye
 from wlr_render.mappings import Mapped, Status
 from wlr_render.rendering.ray_field import middle_axes, solve_pixels
-from wlr_render.studies.headset import open_eye
 
 PANEL_DEPTH_M = 0.5
 RNG = np.random.default_rng(2)

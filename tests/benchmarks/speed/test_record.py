@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.speed.record import record
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.report import ReportTable
+from wlr_render.report.blocks import ReportTable
 
 
 def test_the_file_is_named_after_the_renderer_and_holds_all_tables(tmp_path):

@@ -8,10 +8,10 @@ from benchmarks.two_views.tables import tables
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.report import tables_as_json
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.geometry.transforms import rotate, rotation_about
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.report.blocks import tables_as_json
 
 PANEL = Panel(160, 160)
 HALF_BASELINE_M = 0.011

@@ -1,0 +1,57 @@
+"""A folder of code photographs, from files to tables, pictures and positions."""
+
+import json
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.photographs import write_photograph
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.decode.codes import in_folder, of_procam_graycode, run
+from wlr_render.mappings import Panel
+
+
+@pytest.fixture
+def photographed(tmp_path):
+    """The panel itself, as a camera with its very pixels would see it, and what it shows."""
+    pattern = GrayCode(Panel(96, 64))
+    folder = tmp_path / "photographs"
+    for index in range(len(pattern.names())):
+        write_photograph(folder / f"{index}.png", pattern.image(index) // 2 + 20)
+    return folder, pattern
+
+
+def test_positions_tables_and_pictures_are_written(photographed, tmp_path):
+    folder, pattern = photographed
+    result = run(in_folder(folder, pattern), tmp_path / "out")
+    assert all(path.stat().st_size > 100 for path in result.files)
+    with np.load(tmp_path / "out" / "decoded.npz") as decoded:
+        accepted = decoded["rejection"] == Rejection.ACCEPTED
+        assert accepted.mean() > 0.9
+        np.testing.assert_allclose(decoded["pixel"][accepted], pattern.panel.pixel_centres()[accepted], atol=0.02)
+    fate, strength, flatness, _ = json.loads((tmp_path / "out" / "decode.json").read_text())["tables"]
+    assert sum(row["pixels"] for row in fate["rows"]) == 96 * 64
+    assert [row["bit"] for row in strength["rows"]] == [name for name in pattern.names()[2:] if "inverse" not in name]
+    assert all(row["median"] == 1.0 and row["verdict"] == "" for row in strength["rows"])
+    (surface,) = flatness["rows"]
+    assert surface["distortion taken away"] == "none"
+    assert surface["rms per axis (px)"] < 0.01
+
+
+def test_photographs_of_another_panel_are_refused(photographed, tmp_path):
+    with pytest.raises(BadInputError, match="photograph"):
+        run(in_folder(photographed[0], GrayCode(Panel(300, 64))), tmp_path / "out")
+
+
+def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data, tmp_path):
+    codes = of_procam_graycode(measured_data("procam_graycode"))
+    tables = {table.title: table for table in run(codes, tmp_path).tables}
+    fates = {row[0]: row[2] for row in tables["Camera pixels"].rows}
+    assert fates[Rejection.ACCEPTED.sentence] > 50
+    bits = {row[0]: row for row in tables["Strength of the bits"].rows}
+    assert [name for name, row in bits.items() if row[-1] == "weak"] == ["u bit 0", "v bit 0"]
+    board = [row for row in tables["Homographies of flat surfaces"].rows if row[2] == "camera"][:2]
+    assert sum(row[1] for row in board) > 75
+    assert all(row[3] < 0.2 and row[-1] < 0.1 for row in board)

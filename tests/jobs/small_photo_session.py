@@ -1,0 +1,170 @@
+"""A session of photographs that is made and calibrated in seconds: small pictures of few things, one process.
+
+The device is a tilted glass plate whose near face mirrors a flat panel, half a metre away: its display is of degree 1
+in place and pixel, exactly.
+"""
+
+import os
+import shutil
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.photo_session_file import load_photo_session
+from wlr_render.captures.photographs import read_photograph, write_photograph
+from wlr_render.errors import BadInputError
+from wlr_render.files import resource, write_toml
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.jobs.calibrate import photos as calibrate
+from wlr_render.jobs.calibrate import reading
+from wlr_render.jobs.calibrate.captures import FitOptions
+from wlr_render.jobs.calibrate.store import Store
+from wlr_render.jobs.simulate import making
+from wlr_render.jobs.simulate import session as simulate
+from wlr_render.jobs.simulate.making import Making
+from wlr_render.jobs.verify import procedure
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
+from wlr_render.simulation.photographs.photo_plan import plan_photographs
+
+VIEWPOINTS = 4
+CAMERA_PX = (400, 320)
+TRACKING_PX = (400, 300)
+FIT = FitOptions(display_degree=None, see_through_degree=None)  # as the command line has it
+
+
+def in_this_process(run, tasks, workers):
+    """As `processes.as_finished`, without the seconds that starting processes takes."""
+    return map(run, tasks)
+
+
+def small_bench(device, eye, options):
+    """The usual bench with a smaller tracking camera, which is what takes longest."""
+    bench = design_photo_bench(device, eye, options)
+    camera = bench.tracking.camera
+    scale = TRACKING_PX[0] / camera.size_px[0]
+    smaller = LensCamera(TRACKING_PX, camera.focal_px * scale, camera.centre_px * scale, camera.distortion)
+    return replace(bench, tracking=replace(bench.tracking, camera=smaller))
+
+
+def small_plan(bench, viewpoints):
+    """The usual plan with fewer photographs: still two and more along every axis of the stage, and six of each lens."""
+    plan = plan_photographs(bench, viewpoints)
+    return replace(
+        plan,
+        bare=plan.bare[[0, 2, 7, 9, 10]],
+        eyeball_boards=plan.eyeball_boards[2:8],
+        tracking_boards=plan.tracking_boards[2:8],
+    )
+
+
+def make_small(patch):
+    """Have everything about simulated sessions small, by a `pytest.MonkeyPatch`."""
+    patch.setattr(making, "design_photo_bench", small_bench)
+    patch.setattr(simulate, "plan_photographs", small_plan)
+    for module in (simulate, reading, procedure):
+        patch.setattr(module, "as_finished", in_this_process)
+
+
+def far_panel_device(folder):
+    """Path of tilted_plate with its panel half a metre away and 320 x 180 pixels."""
+    text = resource("devices", "tilted_plate.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ("pixels = [1920, 1080]", "pixels = [320, 180]"),
+        ("size_mm = [48.0, 27.0]", "size_mm = [320.0, 180.0]"),
+        ("centre_mm = [0.0, -40.0, 40.0]", "centre_mm = [0.0, -460.0, 40.0]"),
+    ):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path = folder / "far_panel.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+@dataclass(frozen=True)
+class SmallSession:
+    """A session's folder, the folder of its results, and how it was made."""
+
+    folder: Path
+    out: Path
+    making: Making
+
+    @property
+    def bench(self) -> PhotoBench:
+        """The truth."""
+        return small_bench_of(self.making)
+
+    def read(self):
+        """What calibration reads first."""
+        return reading.read_session(load_photo_session(self.folder), Store(self.out / calibrate.READ))
+
+    def calibrate(self):
+        return calibrate.run(self.folder, self.out, FIT)
+
+    def refusal(self):
+        """The one sentence in which calibration says no."""
+        with pytest.raises(BadInputError) as caught:
+            self.calibrate()
+        sentence = str(caught.value)
+        assert "\n" not in sentence
+        return sentence
+
+    def edit(self, change):
+        """Let `change` alter what session.toml says, a dictionary."""
+        path = self.folder / "session.toml"
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        change(content)
+        path.unlink()
+        write_toml(path, content)
+
+    def repaint(self, name, paint):
+        """Replace a photograph by `paint` of it."""
+        path = self.folder / name
+        image = paint(read_photograph(path))
+        path.unlink()
+        write_photograph(path, image)
+
+    def cut_short(self, name):
+        path = self.folder / name
+        content = path.read_bytes()
+        path.unlink()
+        path.write_bytes(content[: len(content) // 3])
+
+    def swap(self, first, second):
+        """Exchange two photographs."""
+        one, other, aside = self.folder / first, self.folder / second, self.folder / "aside"
+        one.rename(aside)
+        other.rename(one)
+        aside.rename(other)
+
+
+def small_bench_of(made):
+    with pytest.MonkeyPatch.context() as patch:
+        make_small(patch)
+        return made.build()
+
+
+def made_session(folder):
+    """Simulate the session and calibrate it once; returns both."""
+    made = Making(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=PhotoBenchOptions(camera_px=CAMERA_PX))
+    session = SmallSession(folder / "session", folder / "out", made)
+    with pytest.MonkeyPatch.context() as patch:
+        make_small(patch)
+        simulate.run(session.folder, made)
+        return session, session.calibrate()
+
+
+def copied(session, folder):
+    """Its copy, with what was read already: linked, since no test writes into a photograph that is there."""
+    for source, name in ((session.folder, "session"), (session.out, "out")):
+        shutil.copytree(source, folder / name, copy_function=os.link)
+    return replace(session, folder=folder / "session", out=folder / "out")
+
+
+BLACK = np.zeros_like
+
+
+def blown_out(image):
+    return np.full_like(image, 255)

@@ -1,0 +1,125 @@
+"""The verb from end to end, with a few causes so that it is quick."""
+
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.session_writer import write_session
+
+from wlr_render.cli import main
+from wlr_render.diagnosis import procedure
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.jobs import diagnose
+from wlr_render.simulation.bench_file import load_bench
+
+SCALE_PERCENT = 0.4
+FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
+
+
+@pytest.fixture
+def few_causes(monkeypatch):
+    options = procedure.Options(FEW, thin=1500)
+    monkeypatch.setattr(diagnose, "diagnose", partial(procedure.diagnose, options=options))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Folder of a session whose target was printed too large."""
+    folder = tmp_path_factory.mktemp("bench") / "printed"
+    effect = Effect("target_scale", {"scale_percent": SCALE_PERCENT})
+    write_session(folder, Plan(grid=(7, 6), dots=(7, 5), off_plane=6), [effect], np.random.default_rng(2))
+    return folder
+
+
+def run(capsys, *arguments):
+    status = main(["diagnose", *map(str, arguments)])
+    return status, capsys.readouterr()
+
+
+def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_causes, tmp_path, capsys):
+    out = tmp_path / "out"
+    status, printed = run(capsys, session, "--out", out)
+    assert status == 0
+    assert printed.out.startswith("Explained: printed size of the target (target_scale: scale_")
+    assert "What the extended bench is worth in use" in printed.out
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
+        "diagnosis.html",
+        "diagnosis.json",
+        "extended/bench.toml",
+        "extended/display.csv.gz",
+        "extended/seethrough.csv.gz",
+    ]
+    record = json.loads((out / "diagnosis.json").read_text())
+    (cause,) = record["causes"]
+    for axis in "xy":
+        found = cause["parameters"][f"scale_{axis}"]
+        assert found["unit"] == "%"
+        assert abs(found["value"] - SCALE_PERCENT) < 4 * found["sigma"]
+    assert record["gains"]["seethrough_refitted"]["held_out_gain"] > 20
+    extended = load_bench(out / "extended" / "bench.toml")
+    np.testing.assert_allclose(extended.target.scale, 1 + 1e-2 * SCALE_PERCENT, atol=3e-4)
+
+
+def test_by_the_extended_bench_the_session_shows_no_effect_and_the_old_bench_goes(
+    session, few_causes, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    assert run(capsys, session, "--out", out)[0] == 0
+    extended = (out / "extended").rename(tmp_path / "session")
+    (out / "extended").mkdir()
+    (out / "extended" / "bench.toml").write_text("of an earlier diagnosis")
+    elsewhere = tmp_path / "record.json"
+    status, printed = run(capsys, extended, "--out", out, "--json", elsewhere)
+    assert status == 0
+    assert printed.out.startswith("No effect found")
+    record = json.loads(elsewhere.read_text())
+    assert (record["verdict"], record["causes"], record["gains"]) == ("no effect", [], None)
+    assert {limit["cause"] for limit in record["detection_limits"]} == set(FEW)
+    assert not (out / "extended" / "bench.toml").exists()
+
+
+def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):
+    inside = tmp_path / "out" / "extended"
+    shutil.copytree(session, inside)
+    status, printed = run(capsys, inside, "--out", tmp_path / "out")
+    assert status == 2
+    assert "would replace this session" in printed.err
+    assert sorted(path.name for path in inside.iterdir()) == sorted(path.name for path in Path(session).iterdir())
+
+
+def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, monkeypatch):
+    def never(*arguments):
+        raise AssertionError("work was begun")
+
+    monkeypatch.setattr(diagnose, "diagnose", never)
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    for arguments, words in (
+        ([tmp_path / "none"], "none/bench.toml: cannot be read"),
+        ([session, "--out", taken], "taken: cannot write to this output folder"),
+        ([session, "--out", tmp_path / "out", "--html", tmp_path], "is a folder; name a file"),
+        ([session, "--out", tmp_path / "out", "--json", taken / "x.json"], "cannot write to this output folder"),
+    ):
+        status, printed = run(capsys, *arguments)
+        assert status == 2
+        assert printed.err.count("\n") == 1
+        assert words in printed.err
+
+
+def test_too_few_captures_are_refused(tmp_path, capsys):
+    folder = tmp_path / "few"
+    write_session(folder, Plan(grid=(4, 3), dots=(3, 3)), [], np.random.default_rng(1))
+    for name in ("display", "seethrough"):
+        (folder / f"{name}.csv.gz").unlink()
+    plan = "capture,time_s,travel,stage_x_mm,stage_y_mm,stage_z_mm,channel,camera_u,camera_v,pixel_u,pixel_v\n"
+    rows = [f"{n},{40 * n},1,{32 + n},0,33,1,640,512,700,500\n" for n in range(3)]
+    (folder / "display.csv").write_text(plan + "".join(rows))
+    status, printed = run(capsys, folder, "--out", tmp_path / "out")
+    assert status == 2
+    assert "has 3 captures, too few captures to hold any out" in printed.err
+    assert not (tmp_path / "out").exists()

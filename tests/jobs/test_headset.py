@@ -1,0 +1,93 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import directions
+from wlr_render.jobs.headset import open_channels, open_eye, require_in_eye_box
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+
+
+def test_a_device_is_traced_and_a_model_is_read(straight_device, model_file):
+    traced = open_eye(straight_device, "left")
+    assert (traced.name, traced.eye) == ("no_optics (traced)", "left")
+    fitted = open_eye(Path(model_file))
+    assert (fitted.name, fitted.eye) == ("fitted", "right")
+    assert open_eye("no_optics").display.panel.width_px == 1280
+
+
+def test_a_model_of_the_other_eye_is_refused(model_file):
+    with pytest.raises(BadInputError, match=r"model\.json: is a model of the right eye; the left eye was asked for"):
+        open_eye(model_file, "left")
+
+
+def test_an_eye_that_the_device_does_not_have_is_refused():
+    with pytest.raises(BadInputError, match="no left eye; choose right"):
+        open_eye("no_optics", "left")
+
+
+def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path):
+    text = Path(model_file).read_text(encoding="utf-8")
+    short, newer = tmp_path / "short.json", tmp_path / "newer.json"
+    short.write_text(text[: len(text) // 2], encoding="utf-8")
+    newer.write_text(json.dumps(json.loads(text) | {"version": 2}), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"short\.json: is not a model file, or is cut short"):
+        open_eye(short)
+    with pytest.raises(BadInputError, match=r"newer\.json: has version 2; this program reads version 1"):
+        open_eye(newer)
+
+
+def test_the_eye_box_is_a_border_with_a_micrometre_of_slack(straight_device):
+    eye = open_eye(straight_device)
+    corner = eye.eye_box.at(np.ones(3))
+    require_in_eye_box(eye, corner, "here")
+    require_in_eye_box(eye, corner + 0.9e-6, "here")
+    with pytest.raises(BadInputError) as refused:
+        require_in_eye_box(eye, corner + [0.0, 0.001, 0.0], "eyes.txt at 2.5 s")
+    sentence = str(refused.value)
+    assert sentence.startswith("eyes.txt at 2.5 s: the viewpoint (5.00, 5.00, 3.00) mm lies outside the eye box of")
+    assert "(-5.00, -4.00, -3.00) to (5.00, 4.00, 3.00) mm" in sentence
+
+
+def test_a_device_is_traced_in_red_green_and_blue():
+    channels = open_channels(["freeform40"])
+    viewpoint = channels[0].eye_box.centre
+    ray = np.array([0.2, -0.1, -1.0]) / np.sqrt(1.05)
+    red, green, blue = (each.see_through.real_ray_of_view_dir(ray, viewpoint).value[3:] for each in channels)
+    of_p3_green = traced_eye(load_device("freeform40"), "right", 0.5442).see_through
+    np.testing.assert_array_equal(green, of_p3_green.real_ray_of_view_dir(ray, viewpoint).value[3:])
+    # Glass bends blue the most: the colours lie in their order.
+    assert directions.angle_between(red, blue) == pytest.approx(
+        directions.angle_between(red, green) + directions.angle_between(green, blue), rel=1e-3
+    )
+    assert directions.angle_between(green, blue) > directions.angle_between(red, green) > 0
+
+
+def test_three_models_are_three_colours(model_file, tmp_path):
+    record = json.loads(Path(model_file).read_text(encoding="utf-8"))
+    files = [tmp_path / f"{name}.json" for name in ("red", "green", "blue")]
+    for path in files:
+        path.write_text(json.dumps(record | {"name": path.stem}), encoding="utf-8")
+    assert [each.name for each in open_channels(files)] == ["red", "green", "blue"]
+
+
+@pytest.mark.parametrize("part", ["panel", "eye box"])
+def test_colours_of_different_headsets_are_refused(model_file, tmp_path, part):
+    record = json.loads(Path(model_file).read_text(encoding="utf-8"))
+    if part == "panel":
+        record["display"]["panel"]["width_px"] += 1
+    else:
+        record["eye_box"]["size_m"][0] *= 1.1
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(record), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"other\.json: has another panel or eye box than the green model"):
+        open_channels([model_file, model_file, other])
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 4])
+def test_another_number_of_models_is_refused(model_file, count):
+    with pytest.raises(BadInputError, match="give one device, or three model files"):
+        open_channels([model_file] * count)

@@ -1,0 +1,88 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.evaluation.lateral_colour import lateral_colour
+from wlr_render.geometry import directions
+from wlr_render.jobs import render as render_sequence
+from wlr_render.jobs.headset import open_channels
+from wlr_render.jobs.render import Options
+from wlr_render.rendering.image_files import read_map, read_png
+from wlr_render.rendering.painters import WarpedPainter
+from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.srgb import decode_srgb
+
+WHITE_DISC = """
+format = "wlr-scene"
+version = 1
+frame = "openxr"
+ambient = [1.0, 1.0, 1.0]
+
+[[object]]
+name = "disc"
+shape = "sphere"
+radius_m = 0.1
+colour = [1.0, 1.0, 1.0]
+position_m = [-0.25, 0.15, -1.5]
+"""
+
+
+@pytest.fixture
+def colourful(tmp_path, prism_of_plastic):
+    """A white disc near a corner of what a prism shows."""
+    scene = tmp_path / "disc.toml"
+    scene.write_text(WHITE_DISC, encoding="utf-8")
+    return Options((prism_of_plastic,), str(scene), backend="cpu", out=tmp_path / "colours")
+
+
+def seen_middles(picture, channels):
+    """Directions (3, 3) in which the eye sees the middle of what each colour of a picture shows."""
+    light = decode_srgb(picture).astype(float)
+    v, u = np.indices(light.shape[:2]) + 0.5
+    middle = np.stack([(light * axis[..., None]).sum(axis=(0, 1)) for axis in (u, v)], axis=-1)
+    pixel = middle / light.sum(axis=(0, 1))[:, None]
+    centre = channels[0].eye_box.centre
+    return np.array(
+        [each.display.view_dir_of_pixel(at, centre).value for each, at in zip(channels, pixel, strict=True)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("way", "unseen_arcmin"),
+    [
+        # Edges are sampled once a pixel, each colour's elsewhere: a twentieth of a pixel is seen of that.
+        ({"method": "raster", "resolution": 2.0}, 0.25),
+        ({"method": "raytrace", "supersample": 4}, 0.05),
+    ],
+    ids=["raster", "raytrace"],
+)
+def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way, unseen_arcmin):
+    """Seen through the prism, whose glass spreads the colours of one pixel."""
+    channels = open_channels(colourful.headset)
+    fringe = {}
+    for per_colour in (False, True):
+        job = replace(colourful, per_colour=per_colour, out=colourful.out / str(per_colour), **way)
+        render_sequence.run(job)
+        red, green, blue = seen_middles(read_png(job.out / "right-000000.png"), channels)
+        fringe[per_colour] = directions.arcmin_between(np.stack([red, blue]), green)
+    centre = channels[1].eye_box.centre
+    pixel = channels[1].display.pixel_of_view_dir(green[None], centre).value
+    spread = [lateral_colour(channels[1], other, centre, pixel).display[0] for other in channels[::2]]
+    np.testing.assert_allclose(fringe[False], spread, rtol=0.05)
+    assert fringe[False].min() > 0.6
+    assert fringe[True].max() < unseen_arcmin
+
+
+def test_each_channel_and_map_is_that_of_the_frame_of_its_colour(colourful):
+    render_sequence.run(replace(colourful, per_colour=True, maps="tiff"))
+    channels, rasteriser = open_channels(colourful.headset), open_rasteriser(load_scene(colourful.scene), "cpu")
+    drawn = read_png(colourful.out / "right-000000.png")
+    for number, (colour, mappings) in enumerate(zip(("red", "green", "blue"), channels, strict=True)):
+        painter = WarpedPainter(mappings, rasteriser, colours=channels)
+        frame = painter.paint(mappings.eye_box.centre, np.eye(4), with_geometry=True)
+        np.testing.assert_array_equal(drawn[..., number], frame.colour[..., number])
+        np.testing.assert_array_equal(read_map(colourful.out / f"right-000000-{colour}.tiff"), frame.source)
+    assert (drawn[..., 0] != drawn[..., 2]).any()
+    assert len(list(colourful.out.iterdir())) == 6  # frame, maps, from where they were drawn, record

@@ -1,0 +1,115 @@
+"""The on-device experiment on a small session: the target drawn over itself, both photographed, and compared."""
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.photographs import read_photograph
+from wlr_render.cli import main
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.jobs.verify import verify
+from wlr_render.jobs.verify.procedure import METHODS
+from wlr_render.models.model_file import load_eye_model, save_eye_model
+
+pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
+
+DEPTH_M = 0.6
+
+
+@pytest.fixture
+def options(photo_session, tmp_path):
+    return verify.Options(photo_session.folder, photo_session.out, tmp_path / "verify", 2, (DEPTH_M,), backend="cpu")
+
+
+def test_drawn_dots_cover_real_ones(options):
+    """The models fit to 0.2 arcminutes, the camera's pose is known to 0.4, and one display pixel is nearly 7.
+
+    Dots that the panel's edge cuts are found off their places, by arcminutes; hence medians.
+    """
+    result = verify.run(options)
+    overall, each = result.tables
+    assert [row[0] for row in overall.rows] == list(METHODS)
+    assert [row[:3] for row in each.rows] == [[DEPTH_M, view, method] for view in (0, 1) for method in METHODS]
+    for row in each.rows:
+        dots, median = row[3:5]
+        assert dots >= 20
+        assert 0 < median < 1.0
+        assert row[-1] is None
+    assert all(path.is_file() and path.stat().st_size > 0 for path in result.files)
+    assert {path.name for path in result.files} >= {"misalignment.png", "close_up.png", "verification.md"}
+    record = json.loads((options.out / "verification.json").read_text(encoding="utf-8"))
+    assert record["session"] == str(options.session)
+
+
+def test_photographs_of_an_earlier_verification_are_taken_again(options):
+    """They show what other models drew."""
+    stale = options.out / "photographs" / "600mm_view00_off.png"
+    stale.parent.mkdir(parents=True)
+    options = replace(options, viewpoints=1)
+    stale.write_bytes(b"of other models")
+    result = verify.run(options)
+    assert read_photograph(stale).shape == (320, 400)
+    assert all(row[-1] is None for row in result.tables[1].rows)
+
+
+def test_an_error_of_the_display_model_is_measured(options, photo_session):
+    """By the model every display pixel lies 0.005 aside, as a tangent: dots are drawn as far to the other side."""
+    path = photo_session.out / "model.json"
+    model = load_eye_model(path)
+    forward = model.mappings.display.forward
+    coefficients = np.array(forward.coefficients)
+    coefficients[0, 0] += 0.005  # the constant term of tx
+    display = replace(model.mappings.display, forward=replace(forward, coefficients=coefficients))
+    os.remove(path)
+    save_eye_model(path, replace(model, mappings=replace(model.mappings, display=display)))
+    result = verify.run(replace(options, viewpoints=1))
+    medians = [row[4] for row in result.tables[1].rows]
+    # The field reaches 18 degrees: a tangent there is 0.9 of an angle.
+    assert medians == pytest.approx([0.005 / ARCMIN] * 2, rel=0.1)
+
+
+def without(name):
+    def spoil(session, options):
+        os.remove(session.out / name)
+        return options
+
+    return spoil
+
+
+def not_simulated(session, options):
+    os.remove(session.folder / "simulation.toml")
+    return options
+
+
+def of_another_device(session, options):
+    model = load_eye_model(session.out / "model.json")
+    os.remove(session.out / "model.json")
+    save_eye_model(session.out / "model.json", replace(model, device="birdbath28"))
+    return options
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (not_simulated, "has no simulation.toml, so it is no simulated session"),
+        (without("model.json"), "holds no model.json; run `wlr-render calibrate"),
+        (without("station.json"), "`wlr-render calibrate` writes it"),
+        (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),
+        (lambda session, options: replace(options, depths_m=(0.05,)), "tracking_50mm.png"),
+    ],
+)
+def test_what_cannot_be_verified_is_refused_in_one_sentence(photo_session, options, spoil, complaint):
+    with pytest.raises(BadInputError, match=complaint) as caught:
+        verify.run(spoil(photo_session, options))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_command_line_ends_with_status_2(photo_session, tmp_path, capsys):
+    calibration = ["--calibration", str(tmp_path / "none"), "--out", str(tmp_path / "verify")]
+    assert main(["verify", str(photo_session.folder), *calibration]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"wlr-render: {tmp_path / 'none'}: holds no model.json; run")

@@ -1,0 +1,122 @@
+"""A report says the same in HTML, Markdown, JSON and the terminal, and where it comes from."""
+
+import dataclasses
+import enum
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import needs_browser, open_page
+
+from wlr_render import __version__
+from wlr_render.rendering.image_files import write_png
+from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.records import to_jsonable
+from wlr_render.report.save import markdown_table, save_report
+
+TABLE = ReportTable("Errors", ["name", "error (arcmin)"], [["a", 0.24321], ["b|<i>", np.nan], ["c", 3e-6]], ["A note."])
+CURVE = Plot("Curve", [{"type": "scatter", "x": np.arange(3), "y": [1.0, np.nan, 2.0]}], {"xaxis": {"title": "x"}})
+
+
+@pytest.fixture
+def saved(tmp_path):
+    picture = write_png(tmp_path / "dots.png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "dots.png"
+    source = tmp_path / "input.toml"
+    source.write_text("a = 1\n")
+    report = Report(
+        "Report of <session> & co",
+        "It works to 0.2'.",
+        advice=["Type `scale = 0.997`."],
+        warnings=["Few captures."],
+        blocks=[Section("First"), Text("Words.", ["one"]), TABLE, Section("Second"), Picture("Dots", picture), CURVE],
+        inputs=[source],
+        record={"sigma": np.float64(0.5)},
+    )
+    return save_report(report, tmp_path / "out", "report")
+
+
+def test_three_files_are_written_and_named(saved, tmp_path):
+    assert [path.name for path in saved.files] == ["report.html", "report.md", "report.json"]
+    assert all(path.is_file() for path in saved.files)
+
+
+def test_json_holds_the_record_full_precision_and_provenance(saved, tmp_path):
+    record = json.loads(saved.files[2].read_text())
+    assert record["record"] == {"sigma": 0.5}
+    assert record["tables"][0]["rows"][0] == {"name": "a", "error (arcmin)": 0.24321}
+    assert record["tables"][0]["rows"][1]["error (arcmin)"] is None
+    assert record["plots"][0]["data"][0]["y"] == [1.0, None, 2.0]
+    origin = record["provenance"]
+    assert origin["version"] == __version__
+    assert origin["inputs"][0]["sha256"] == hashlib.sha256(b"a = 1\n").hexdigest()
+
+
+def test_a_changed_file_in_a_folder_changes_its_hash(tmp_path):
+    folder = tmp_path / "session"
+    folder.mkdir()
+    hashes = []
+    for content in ("1", "2"):
+        (folder / "a").write_text(content)
+        report = save_report(Report("T", inputs=[folder]), tmp_path, "report")
+        hashes.append(json.loads(report.files[2].read_text())["provenance"]["inputs"][0]["sha256"])
+    assert hashes[0] != hashes[1]
+
+
+def test_markdown_links_pictures_and_escapes_bars(saved):
+    text = saved.files[1].read_text()
+    assert "](../dots.png)" in text
+    assert "| b\\|<i> | - |" in text
+    assert "1. Type `scale = 0.997`." in text
+
+
+def test_the_page_escapes_text_of_files(saved):
+    page = saved.files[0].read_text()
+    assert "<title>Report of &lt;session&gt; &amp; co</title>" in page
+    assert "b|&lt;i&gt;" in page
+    assert "b|<i>" not in page.split("application/json")[0]
+
+
+def test_a_page_without_plots_carries_no_script(tmp_path):
+    page = save_report(Report("T", blocks=[TABLE]), tmp_path, "report").files[0]
+    assert "<script" not in page.read_text()
+
+
+def test_cells_have_three_digits():
+    text = markdown_table(TABLE)
+    assert "| a | 0.243 |" in text
+    assert "| c | 3.0e-06 |" in text
+
+
+class Verdict(enum.Enum):
+    GOOD = "good"
+
+
+@dataclasses.dataclass(frozen=True)
+class Inner:
+    path: Path
+    verdict: Verdict
+    hidden: object = dataclasses.field(default=object(), metadata={"json": False})
+
+
+def test_records_become_json_by_their_fields():
+    record = to_jsonable([Inner(Path("a/b"), Verdict.GOOD), (np.inf, np.bool_(True), np.int8(3)), {1: None}])
+    assert record == [{"path": "a/b", "verdict": "good"}, [None, True, 3], {"1": None}]
+    with pytest.raises(TypeError, match="object"):
+        to_jsonable(object())
+
+
+@needs_browser
+def test_the_page_opens_in_a_browser_with_every_figure(saved, tmp_path):
+    page = open_page(saved.files[0], tmp_path)
+    assert page.console == []
+    assert page.plots == 1
+    assert 'data-plots="1"' in page.dom
+
+
+@needs_browser
+def test_the_browser_reports_a_broken_page(tmp_path):
+    path = tmp_path / "broken.html"
+    path.write_text("<!doctype html><body><script>nothingOfThatName()</script></body>")
+    assert any("nothingOfThatName" in line for line in open_page(path, tmp_path).console)

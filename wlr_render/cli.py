@@ -1,0 +1,112 @@
+"""The command line: verbs generated from the options of the jobs. No formulas.
+
+A new verb is a job (options, function, report) and its row in `VERBS`.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cyclopts import App, CycloptsError, Group, Parameter
+
+from wlr_render import __version__
+from wlr_render.errors import BadInputError
+
+PROGRAM = "wlr-render"
+DRAW, CALIBRATE, EXPLAIN, DATA = "Draw", "Calibrate", "Explain", "Data"
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A verb: its words on the command line, its group in --help, the function it calls, and its help text."""
+
+    words: str
+    group: str
+    function: str
+    help: str
+
+
+VERBS = (Verb("trace", DRAW, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),)
+FOLDERS_OF_VERBS = {
+    "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),
+}
+"""Verbs that have verbs of their own."""
+
+EPILOGUE = (
+    "HEADSET is a shipped device by name, a device file (.toml) or a fitted model (.json). SCENE is a shipped scene by "
+    "name, a scene file (.toml) or a mesh (.glb, .gltf, .obj, .ply). Add --debug to any verb for a traceback."
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    tokens = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in tokens
+    tokens = [token for token in tokens if token != "--debug"] or ["--help"]
+    # Before numpy is imported: on thin matrix products BLAS threads are slower than none, many times so on a machine
+    # that is busy otherwise. Work is shared out over threads and processes elsewhere.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        return _run(tokens)
+    except (BadInputError, CycloptsError) as error:
+        if debug:
+            raise
+        return _refuse(str(error), 2)
+    except BrokenPipeError:
+        # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        return _refuse("interrupted; finished files are kept.", 130)
+
+
+def make_app() -> App:
+    """The parser of the command line; a verb's module is imported when the verb is used."""
+    app = App(
+        name=PROGRAM,
+        help="World-locked rendering for augmented-reality glasses.",
+        help_epilogue=EPILOGUE,
+        version=__version__,
+        version_flags=["--version"],
+        default_parameter=Parameter(negative=()),
+    )
+    groups = {title: Group(title, sort_key=order) for order, title in enumerate((DRAW, CALIBRATE, EXPLAIN, DATA))}
+    folders = {}
+    for name, (group, text) in FOLDERS_OF_VERBS.items():
+        folders[name] = App(name=name, help=text, group=groups[group])
+        app.command(folders[name])
+    for verb in VERBS:
+        *folder, name = verb.words.split()
+        parent = folders[folder[0]] if folder else app
+        group = None if folder else groups[verb.group]
+        parent.command(f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group)
+    app.register_install_completion_command()
+    return app
+
+
+def _run(tokens: Sequence[str]) -> int:
+    app = make_app()
+    command, bound, ignored = app.parse_args(tokens, exit_on_error=False, print_error=False)
+    if "progress" not in ignored:
+        command(*bound.args, **bound.kwargs)  # --help, --version and completion
+        return 0
+    from wlr_render.report.terminal import print_report, terminal_progress
+
+    with terminal_progress() as progress:
+        report = command(*bound.args, **bound.kwargs, progress=progress)
+    print_report(report)
+    if report.faults:
+        return _refuse(f"{len(report.faults)} faulty item(s) were left out: {', '.join(report.faults)}.", 2)
+    return 0
+
+
+def _refuse(sentence: str, status: int) -> int:
+    from wlr_render.report.terminal import say
+
+    say(f"{PROGRAM}: {sentence}", error=True)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

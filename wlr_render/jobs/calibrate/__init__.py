@@ -1,0 +1,1 @@
+"""`calibrate`: fit the models of an eye to photographs, captures or a simulated bench."""

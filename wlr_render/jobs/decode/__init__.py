@@ -1,0 +1,1 @@
+"""`decode`: read photographs of a panel or projector that shows a code."""

@@ -1,0 +1,226 @@
+"""The main job: one scene drawn four ways for one headset, seen through its true optics, judged in arcminutes.
+
+    naive        the panel taken as a flat picture in space (a linear map), the combiner as not there
+    static       the best map for one viewpoint, used at all of them
+    raster+warp  planar models, intermediate image at the viewpoint, per-frame warp map
+    ray traced   planar models, world rays as primary rays
+
+The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.files import output_folder, write_text
+from wlr_render.geometry import directions, transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.jobs.demo_picture import (
+    Panorama,
+    busiest_place,
+    close_up_camera,
+    misalignment_caption,
+    overview_camera,
+    save_picture,
+)
+from wlr_render.mappings import EyeMappings
+from wlr_render.models.static import undeviated
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.progress import SILENT, Progress
+from wlr_render.rendering.eye_view import EyeView, eye_view
+from wlr_render.rendering.image_files import write_png
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.rasteriser import Rasteriser, open_rasteriser
+from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.scene import Scene
+from wlr_render.rendering.scene_file import load_scene
+from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.simulation import viewpoints as stage
+from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+
+METHODS = ("naive", "static", "raster + warp", "ray traced")
+CAMERA_POSITIONS = 49
+CAMERA_NOISE_ARCMIN = 0.25
+DISPLAY_DEGREE, SEE_THROUGH_DEGREE = 6, 3
+HEAD_POSE = np.eye(4)
+_GRID = (48, 54)
+"""Pixels of each frame, across and down, at which the misalignment is taken."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to run; `viewpoints` is 5 or more, the first is the eye box's centre."""
+
+    device: str = "northstar"
+    scene: str = "sculpture"
+    eye: str = "right"
+    viewpoints: int = 7
+    seed: int = 1
+    backend: str = "auto"
+    out: Path = Path("out/demo")
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Tables of misalignment, and the picture that shows it."""
+
+    tables: list[ReportTable]
+    picture: Path
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """One viewpoint: what each method shows on the panel, and its misalignment (n,)."""
+
+    viewpoint: FloatArray
+    shown: dict[str, NDArray[np.uint8]]
+    misalignment: dict[str, FloatArray]
+
+
+def run(options: Options, progress: Progress = SILENT) -> Result:
+    """Fit, draw, look, judge; writes frames, views, the picture and the tables into `options.out`.
+
+    Raises:
+        BadInputError: unknown device or scene, fewer than 5 viewpoints, an output folder that cannot be written.
+    """
+    if options.viewpoints < 5:
+        raise BadInputError(f"--viewpoints is {options.viewpoints}; a statement about the eye box needs 5 or more.")
+    device = load_device(options.device)
+    truth = traced_eye(device, options.eye)
+    scene = load_scene(options.scene)
+    if np.all(scene.bounds[:, 2] >= truth.eye_box.centre[2]):
+        raise BadInputError(f"The scene '{scene.name}' lies wholly behind the head; place it at negative z, in front.")
+    rasteriser = open_rasteriser(scene, options.backend)
+    folder = output_folder(options.out)
+    renderer = RayRenderer(scene)
+    painters = _painters(truth, renderer, rasteriser, options.seed)
+    places = judged_viewpoints(truth, options.viewpoints)
+    seen = list(progress(_sights(truth, painters, places), len(places), "viewpoints"))
+    tables = [_overall(truth, scene, seen), _by_viewpoint(seen)]
+    picture = _save_views(folder, device.name, truth, renderer, seen[1])
+    write_text(folder / "misalignment.md", "\n".join(table.markdown() for table in tables))
+    write_text(folder / "misalignment.json", tables_as_json(tables, device=device.name, seed=options.seed))
+    return Result(tables, picture)
+
+
+def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
+    """The eye box's centre, then fixed pseudo-random viewpoints, the first of them near a corner: (count, 3)."""
+    rng = np.random.default_rng(5)
+    unit = np.concatenate([np.zeros((1, 3)), [[0.8, 0.8, -0.8]], rng.uniform(-1, 1, (count - 2, 3))])
+    return truth.eye_box.at(unit)
+
+
+def _painters(truth: EyeMappings, renderer: RayRenderer, rasteriser: Rasteriser, seed: int) -> dict[str, Painter]:
+    captures = simulated_captures(truth, seed)
+    planar = fit_eye(captures, "planar", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
+    static = fit_eye(captures, "static", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
+    flat, _ = fit_display(captures.display, "static", 1)
+    naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
+    return {
+        "naive": TracedPainter(naive, renderer),
+        "static": TracedPainter(static, renderer),
+        "raster + warp": WarpedPainter(planar, rasteriser),
+        "ray traced": TracedPainter(planar, renderer),
+    }
+
+
+def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
+    """A planar calibration with camera noise, plus one position at the centre for the static map."""
+    rng = np.random.default_rng(seed)
+    setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
+    planar = stage.planar(truth.eye_box, setup.field.reach, CAMERA_POSITIONS)
+    positions = np.concatenate([planar, stage.nominal(truth.eye_box)])
+    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+
+
+def _sights(truth: EyeMappings, painters: dict[str, Painter], places: FloatArray) -> Iterator[_Sight]:
+    for viewpoint in places:
+        sight = _Sight(viewpoint, {}, {})
+        for method, painter in painters.items():
+            frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
+            sight.shown[method] = frame.colour
+            sight.misalignment[method] = _misalignment(truth, viewpoint, frame)
+        yield sight
+
+
+def _misalignment(truth: EyeMappings, viewpoint: FloatArray, frame: Frame) -> FloatArray:
+    panel = truth.display.panel
+    pixel = np.floor(panel.grid(*_GRID).reshape(-1, 2)) + 0.5
+    assert frame.position is not None
+    shown = frame.position[pixel[:, 1].astype(int), pixel[:, 0].astype(int)].astype(np.float64)
+    kept = np.isfinite(shown[:, 0])
+    return misalignment_arcmin(
+        truth, viewpoint, pixel[kept], transforms.apply(transforms.inverse(HEAD_POSE), shown[kept])
+    )
+
+
+def _overall(truth: EyeMappings, scene: Scene, seen: list[_Sight]) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for method in METHODS:
+        s = summary(np.concatenate([sight.misalignment[method] for sight in seen]))
+        rows.append([method, s.median, s.p95, s.maximum, s.count])
+    columns = ["method", "median (arcmin)", "95 % (arcmin)", "max (arcmin)", "points"]
+    title = f"Misalignment of {scene.name} on {truth.name}, {len(seen)} viewpoints in the eye box"
+    return ReportTable(title, columns, rows)
+
+
+def _by_viewpoint(seen: list[_Sight]) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for sight in seen:
+        x, y, z = sight.viewpoint * 1e3
+        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(sight.misalignment[m]).median for m in METHODS)])
+    return ReportTable("Median misalignment (arcmin) by viewpoint", ["viewpoint (mm)", *METHODS], rows)
+
+
+def _save_views(folder: Path, device: str, truth: EyeMappings, renderer: RayRenderer, sight: _Sight) -> Path:
+    """Look through the true optics with each method's picture on the panel."""
+
+    def look(camera: Pinhole) -> EyeView:
+        return eye_view(truth, renderer, sight.viewpoint, HEAD_POSE, camera)
+
+    overview = overview_camera(_content_tangents(truth, renderer.scene, sight.viewpoint))
+    far = look(overview)
+    close_up = close_up_camera(overview, busiest_place(overview, far.real))
+    near = look(close_up)
+    write_png(folder / "eye-display-off.png", far.real)
+    panoramas = [Panorama("display off", far.real, near.real, "the real object")]
+    for method, shown in sight.shown.items():
+        stem = method.replace(" + ", "-").replace(" ", "-")
+        caption = misalignment_caption(summary(sight.misalignment[method]))
+        panorama = Panorama(method, _blended(far, shown), _blended(near, shown), caption)
+        write_png(folder / f"panel-{stem}.png", shown)
+        write_png(folder / f"eye-{stem}.png", panorama.overview)
+        panoramas.append(panorama)
+    heading = f"What the eye sees through {device}: the real {renderer.scene.name} and its virtual twin, in green"
+    return save_picture(folder / "alignment.png", panoramas, (overview, close_up), heading)
+
+
+def _content_tangents(truth: EyeMappings, scene: Scene, viewpoint: FloatArray) -> FloatArray:
+    """Tangents of what there is to see: where panel and scene overlap, with a margin."""
+    panel = truth.display.panel
+    edge = truth.display.view_dir_of_pixel(panel.grid(9, 9).reshape(-1, 2), viewpoint)
+    field = directions.tangents_of_dir(edge.value[edge.usable])
+    corners = np.stack(np.meshgrid(*scene.bounds.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    content = directions.tangents_of_dir(transforms.apply(transforms.inverse(HEAD_POSE), corners) - viewpoint)
+    low, high = np.nanmin(content, axis=0), np.nanmax(content, axis=0)
+    margin = 0.05 * (high - low)
+    return np.stack([np.maximum(low - margin, field.min(axis=0)), np.minimum(high + margin, field.max(axis=0))])
+
+
+def _blended(view: EyeView, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The virtual twin glows over the real object in one colour, so that the two can be told apart."""
+    luminance = shown.astype(np.float32) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    tint = np.array([0.15, 1.0, 0.45], np.float32)
+    return view.with_display((luminance[..., None] * tint).astype(np.uint8), gain=0.6, see_through=0.5)

@@ -1,0 +1,1 @@
+"""`evaluate`: compare model types and numbers of camera positions on simulated captures."""

@@ -1,0 +1,144 @@
+"""How well the causes that a diagnosis found predict what they were not fitted to: other captures, other distances.
+
+Which causes act, and how, stays as it was found; their values are fitted again to all that is not held out.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
+from wlr_render.diagnosis.fit import Fit, fit
+from wlr_render.diagnosis.held_out import held_out_squares
+from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder, write_text
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import BoolArray
+from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.simulation.session_folder import check_enough_captures, load_session
+from wlr_render.simulation.simulate_session import dot_geometry
+
+_APART = 1.05  # ratio of neighbouring distances from which they are different ones
+
+
+@dataclass(frozen=True)
+class Result:
+    """What to tell, and what was written."""
+
+    table: ReportTable
+    files: tuple[Path, ...]
+
+
+def run(folder: Path, out: Path, tell: Callable[[str], None] = lambda _: None) -> Result:
+    """Diagnose a session and hold out its captures and distances; writes hold-out.md and hold-out.json.
+
+    Raises:
+        BadInputError: a faulty session, too few captures, no cause found, or a place that cannot be written.
+    """
+    nominal, session = load_session(folder)
+    check_enough_captures(session)
+    out = output_folder(out)
+    found = diagnose(nominal, session, tell)
+    if not found.causes:
+        raise BadInputError(f"{folder}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out.")
+    table = hold_out_table(found)
+    record = tables_as_json([table], session=session.name)
+    files = write_text(out / "hold-out.md", table.markdown()), write_text(out / "hold-out.json", record)
+    return Result(table, files)
+
+
+def hold_out_table(found: Diagnosis) -> ReportTable:
+    """Rms angle of measured minus simulated in what was held out, with the bench as described and as extended."""
+    observations = found.observations
+    predictor, extension = Predictor(observations), _extension(found)
+    rows = _by_capture(found, fit(predictor, extension, found.used))
+    for fitted_to, tested_on, tested in _splits(found):
+        refitted = fit(predictor, extension, found.used & ~tested)
+        tested = tested & found.used
+        before, after = (float(np.sum(each[tested] ** 2)) for each in (found.residual_before, refitted.residual))
+        rows.append([fitted_to, tested_on, *_figures(observations, SEE_THROUGH, int(tested.sum()), before, after)])
+    columns = (
+        "fitted to",
+        "tested on",
+        "readings",
+        "bench as described (arcmin)",
+        "extended (arcmin)",
+        "noise (arcmin)",
+    )
+    return ReportTable(f"Held out of {observations.session.name}", columns, rows, _notes(found))
+
+
+def _extension(found: Diagnosis) -> Extension:
+    extension = Extension()
+    for cause in found.causes:
+        values = np.array([parameter.value for parameter in cause.parameters])
+        extension = extension.plus(Hypothesis(CAUSES[cause.name], cause.variant), values)
+    return extension
+
+
+def _by_capture(found: Diagnosis, whole: Fit) -> list[list[Cell]]:
+    """For each part of the session: every capture as the fit to all others predicts it."""
+    observations, rows = found.observations, list[list[Cell]]()
+    held_out = held_out_squares(whole, observations.group, len(observations.captures))
+    for part in np.unique(observations.part[found.used]):
+        tested = found.used & (observations.part == part)
+        before = float(np.sum(found.residual_before[tested] ** 2))
+        after = float(np.sum(held_out[np.unique(observations.group[tested])]))
+        figures = _figures(observations, part, int(tested.sum()), before, after)
+        rows.append(["all other captures", f"each {PART_NAMES[part]} capture", *figures])
+    return rows
+
+
+def _splits(found: Diagnosis) -> Iterator[tuple[str, str, BoolArray]]:
+    """What is fitted to, what is tested on, and its readings (n,): target distances held out, and fitted to alone."""
+    at_distance = _distances(found.observations)
+    distance = {name: rows for name, rows in at_distance.items() if np.any(rows & found.used)}
+    if len(distance) < 2:
+        return
+    everything = np.any(list(distance.values()), axis=0)
+    for name, rows in distance.items():
+        yield "all other distances", name, rows
+    for name, rows in distance.items() if len(distance) > 2 else ():
+        yield f"{name} only", "all other distances", everything & ~rows
+
+
+def _distances(observations: Observations) -> dict[str, BoolArray]:
+    """Readings (n,) of the target at each distance from the camera, by name, nearest first."""
+    plan = observations.session.plan.see_through
+    if plan is None:
+        return {}
+    viewpoint, point, _ = dot_geometry(observations.nominal, plan)
+    _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
+    of_pose = np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count
+    order = np.argsort(of_pose)
+    steps = np.flatnonzero(of_pose[order][1:] > _APART * of_pose[order][:-1]) + 1
+    named = {}
+    for poses in np.split(order, steps):
+        rows = np.zeros(len(observations), dtype=bool)
+        rows[observations.part == SEE_THROUGH] = np.isin(pose, poses)
+        named[" to ".join(dict.fromkeys(f"{of_pose[each]:.2f}" for each in poses[[0, -1]])) + " m"] = rows
+    return named
+
+
+def _figures(observations: Observations, part: int, count: int, before: float, after: float) -> list[Cell]:
+    """A count of readings, and rms angles of sums of squares in units of sigma and of noise, arcminutes."""
+    sigma_arcmin = observations.sigma_px[part] / np.mean(observations.nominal.camera.focal_px) / ARCMIN
+    return [count, *(float(sigma_arcmin * np.sqrt(squares / count)) for squares in (before, after, 2.0 * count))]
+
+
+def _notes(found: Diagnosis) -> tuple[str, ...]:
+    observations, aside = found.observations, [outlier.capture for outlier in found.outliers]
+    kept = ~np.isin(observations.group, [observations.captures.index(capture) for capture in aside])
+    acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in found.causes)
+    captures = ", ".join(str(capture) for capture in aside) or "no capture"
+    return (
+        f"Rms of the angle, both axes together. At work: {acting}.",
+        f"Neither fitted nor tested: {captures}; {int(np.sum(kept & ~found.used))} single readings far from their "
+        "neighbours.",
+    )

@@ -1,0 +1,121 @@
+"""Options of jobs: a frozen dataclass each, whose fields state help text, unit, range and default once.
+
+The command line is generated from them, and they check themselves, so that a script and the terminal are refused the
+same values in the same words.
+"""
+
+import dataclasses
+import math
+import typing
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+from cyclopts import Parameter
+
+from wlr_render.errors import BadInputError
+from wlr_render.progress import Progress
+
+
+@dataclass(frozen=True)
+class Range:
+    """Limits of a number, or of each number of a sequence."""
+
+    at_least: float = -math.inf
+    at_most: float = math.inf
+    above: float = -math.inf
+
+    def sentence(self) -> str:
+        """The limits in words."""
+        if self.above > -math.inf:
+            return f"a finite number above {self.above:g}"
+        if self.at_most < math.inf:
+            return f"between {self.at_least:g} and {self.at_most:g}"
+        return f"a finite number of {self.at_least:g} or more" if self.at_least > -math.inf else "a finite number"
+
+    def admits(self, value: float) -> bool:
+        """Whether a number lies within the limits."""
+        return math.isfinite(value) and self.at_least <= value <= self.at_most and value > self.above
+
+
+@dataclass(frozen=True)
+class OnlyWith:
+    """The option has a meaning only if another option has one of these values."""
+
+    option: str
+    values: tuple[object, ...]
+
+
+def described(text: str, *, name: str | None = None, flag: bool = False) -> Parameter:
+    """Help text of an option; `name` replaces the one made from the field's name."""
+    names = {"name": name} if name else {}
+    return Parameter(help=text, show_default=False if flag else None, **names)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Options:
+    """Base of all options: checks ranges, and refuses options that the others make meaningless."""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            for note in _notes(type(self), field.name):
+                if isinstance(note, Range):
+                    self._check_range(field.name, value, note)
+                elif isinstance(note, OnlyWith) and value != _default(field):
+                    self._check_used(field.name, note)
+
+    def _check_range(self, name: str, value: object, limits: Range) -> None:
+        numbers = value if isinstance(value, Sequence) else [value]
+        for number in numbers:
+            if number is not None and not limits.admits(number):
+                raise BadInputError(f"{flag_of(type(self), name)} is {number}; it must be {limits.sentence()}.")
+
+    def _check_used(self, name: str, needs: OnlyWith) -> None:
+        if getattr(self, needs.option) not in needs.values:
+            wanted = " or ".join(f"{flag_of(type(self), needs.option)} {value}" for value in needs.values)
+            raise BadInputError(
+                f"{flag_of(type(self), name)} is used with {wanted} only; leave it out, or give {wanted}."
+            )
+
+    def with_values(self, **values: object) -> Self:
+        """A copy with some values replaced."""
+        return dataclasses.replace(self, **values)
+
+
+def flag_of(options: type[Options], field: str) -> str:
+    """Name of an option on the command line, e.g. "--noise-px"."""
+    for note in _notes(options, field):
+        if isinstance(note, Parameter) and note.name:
+            return note.name[0]
+    return "--" + field.replace("_", "-")
+
+
+def _notes(options: type[Options], field: str) -> tuple[object, ...]:
+    return getattr(typing.get_type_hints(options, include_extras=True)[field], "__metadata__", ())
+
+
+def _default(field: "dataclasses.Field[object]") -> object:
+    return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
+
+
+ProgressArgument = Annotated[Progress, Parameter(parse=False)]
+"""Type of a job's `progress` argument, which is no option of the command line."""
+Eye = Literal["left", "right"]
+Eyes = Literal["left", "right", "both"]
+Backend = Annotated[
+    Literal["auto", "egl", "osmesa", "cpu"],
+    described("Rendering backend: OpenGL through EGL or OSMesa, or the CPU. auto takes the first that works."),
+]
+Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0)]
+Workers = Annotated[
+    int | None, described("Number of processes (default: one per core, fewer where memory limits)."), Range(at_least=1)
+]
+Degree = Range(at_least=1, at_most=12)
+"""Limits of polynomial degrees and of rays per pixel and axis: more only costs time."""
+
+
+def eyes_of(eye: Eyes) -> tuple[Eye, ...]:
+    """The eyes that an `--eye` option names."""
+    return ("left", "right") if eye == "both" else (eye,)

@@ -1,0 +1,1 @@
+"""`simulate`: write a session of photographs as a lab would deliver it."""

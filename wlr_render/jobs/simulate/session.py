@@ -1,0 +1,167 @@
+"""Write a session's folder as a lab would: every photograph taken through the true optics, and session.toml.
+
+`simulation.toml`, beside it, says how the photographs were made, so that interrupted work goes on and verification can
+take more photographs on the same bench. Calibration never opens it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session_file import FILE, save_photo_session
+from wlr_render.captures.targets.board_file import save_board, write_board_svg
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
+from wlr_render.jobs.processes import as_finished, few_workers
+from wlr_render.jobs.simulate import making as making_file
+from wlr_render.jobs.simulate.making import Making
+from wlr_render.jobs.simulate.shots import BoardShot, PanelShots, Place, take
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.progress import SILENT, Progress
+from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
+from wlr_render.simulation.photographs.sensor import Sensor
+
+BOARD = "board.toml"
+_MOST_WORKERS = 4  # each takes up to 0.4 GB
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What was written.
+
+    Attributes:
+        folder: of the session.
+        taken: number of photographs.
+        kept: number of photographs that an earlier run had taken.
+    """
+
+    folder: Path
+    taken: int
+    kept: int
+
+
+def run(folder: str | Path, making: Making, workers: int | None = None, progress: Progress = SILENT) -> Simulated:
+    """Take all photographs of a session; those that an interrupted run has taken are kept.
+
+    Raises:
+        BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way.
+    """
+    bench = making.build()  # what cannot be simulated is refused before a folder is made
+    root = output_folder(folder)
+    pattern = make_pattern(making.pattern, bench.optics.panel.pixels)
+    if (root / making_file.FILE).is_file():
+        if apart := making_file.difference(making_file.load_making(root), making):
+            raise BadInputError(
+                f"{root}: holds a session that was simulated in another way ({apart}); choose another folder."
+            )
+    elif (root / FILE).is_file():
+        raise BadInputError(f"{root}: holds a session that was not simulated; choose another folder.")
+    else:
+        making_file.save_making(root, making)
+    plan = plan_photographs(bench, making.viewpoints)
+    session = _session(root, bench, plan, pattern, making)
+    places = list(_places(session, bench, plan, making.bench.stage_error_um, making.bench.seed))
+    total = sum(len(place.paths()) for place in places)
+    taken = sum(
+        progress(as_finished(take, places, workers or few_workers(_MOST_WORKERS)), len(places), "camera places")
+    )
+    save_board(session.board, root / BOARD)
+    write_board_svg(session.board, root / "board.svg")
+    save_photo_session(session, {"pattern": making.pattern}, BOARD)
+    return Simulated(root, taken, total - taken)
+
+
+def _session(root: Path, bench: PhotoBench, plan: PhotoPlan, pattern: Pattern, making: Making) -> PhotoSession:
+    """What session.toml is to say: names and readings, and nothing of the truth."""
+    poses = range(len(bench.device_from_target))
+    eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
+    tracking = _camera(
+        root / "intrinsics" / "tracking", bench.tracking, bench.tracking_sensor, len(plan.tracking_boards)
+    )
+    # The first reading once more at the end of each sweep: what moved meanwhile shows there.
+    readings = [*plan.sweep, plan.sweep[0]]
+    return PhotoSession(
+        folder=root,
+        device=bench.device.name,
+        eye=bench.eye,
+        eye_box=bench.optics.eye_box,
+        pattern=pattern,
+        decoding=DecodeOptions(full_scale=eyeball.full_scale),
+        board=bench.board,
+        eyeball_camera=eyeball,
+        tracking_camera=tracking,
+        device_from_tracking=bench.device_from_tracking,
+        bare=tuple(
+            BoardPhotograph(root / "bare" / f"pose{pose}_{number:02d}.png", pose, stage)
+            for pose in plan.bare_poses
+            for number, stage in enumerate(plan.bare)
+        ),
+        tracking=tuple(
+            BoardPhotograph(root / "tracking" / f"pose{pose}_{when}.png", pose, np.zeros(3))
+            for pose in poses
+            for when in ("before", "after")
+        ),
+        see_through=tuple(
+            BoardPhotograph(root / "see_through" / f"pose{pose}_{number:02d}.png", pose, stage)
+            for pose in poses
+            for number, stage in enumerate(readings)
+        ),
+        display=tuple(CodeSet(root / "display" / f"{number:02d}", stage) for number, stage in enumerate(plan.sweep)),
+    )
+
+
+def _camera(folder: Path, lens: Lens, sensor: Sensor, count: int) -> SessionCamera:
+    return SessionCamera(
+        lens.camera.size_px, sensor.bits, tuple(folder / f"{number:02d}.png" for number in range(count))
+    )
+
+
+def _places(
+    session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, stage_error_um: float, seed: int
+) -> Iterator[Place]:
+    rng = np.random.default_rng([seed, 17])
+
+    def camera_at(stage: FloatArray) -> FloatArray:
+        return bench.camera_at(stage + rng.normal(0.0, 1e-6 * stage_error_um, 3))
+
+    for number, stage in enumerate(plan.sweep):
+        boards = [_on_bench(each, bench) for each in session.see_through if np.array_equal(each.stage, stage)]
+        panels = (PanelShots(session.display[number].folder, session.pattern),)
+        yield _eyeball(bench, camera_at(stage), tuple(boards), panels, seed, through=True)
+    for each in session.bare:
+        yield _eyeball(bench, camera_at(each.stage), (_on_bench(each, bench),), (), seed, through=False)
+    eyeball_shots = _shots(session.eyeball_camera, plan.eyeball_boards)
+    yield _eyeball(bench, np.eye(4), eyeball_shots, (), seed, through=False)
+    tracked = tuple(_on_bench(each, bench) for each in session.tracking)
+    for pose, shots in (
+        (bench.device_from_tracking, tracked),
+        (np.eye(4), _shots(session.tracking_camera, plan.tracking_boards)),
+    ):
+        yield Place(bench.tracking, bench.tracking_sensor, pose, None, bench.board, shots, seed=seed)
+
+
+def _eyeball(
+    bench: PhotoBench,
+    frame_from_camera: FloatArray,
+    boards: tuple[BoardShot, ...],
+    panels: tuple[PanelShots, ...],
+    seed: int,
+    through: bool,
+) -> Place:
+    optics = bench.optics if through else None
+    return Place(bench.eyeball, bench.eyeball_sensor, frame_from_camera, optics, bench.board, boards, panels, seed)
+
+
+def _on_bench(photograph: BoardPhotograph, bench: PhotoBench) -> BoardShot:
+    return BoardShot(photograph.path, bench.device_from_target[photograph.target_pose])
+
+
+def _shots(camera: SessionCamera, camera_from_board: FloatArray) -> tuple[BoardShot, ...]:
+    return tuple(BoardShot(path, pose) for path, pose in zip(camera.intrinsics, camera_from_board, strict=True))

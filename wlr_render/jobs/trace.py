@@ -1,0 +1,56 @@
+"""Draw a device with its rays and tabulate its optical figures."""
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated
+
+from wlr_render.evaluation.device_figures import figures_table
+from wlr_render.evaluation.lateral_colour import lateral_colour_table
+from wlr_render.files import output_folder
+from wlr_render.jobs.headset import open_channels
+from wlr_render.jobs.options import Eyes, Options, ProgressArgument, described, eyes_of
+from wlr_render.optics.device_file import device_path, load_device
+from wlr_render.optics.drawing import draw_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Block, Picture, Report, Section
+from wlr_render.report.save import save_report
+
+FRAUNHOFER_F_D_C_UM = (0.4861, 0.5876, 0.6563)
+"""Wavelengths of blue, yellow and red light: the figures are stated for the middle one, colour between the others."""
+
+
+@dataclass(frozen=True)
+class TraceOptions(Options):
+    """Options of `trace`."""
+
+    device: Annotated[str, described("A shipped device or a device file (.toml).")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes to trace.")] = "right"
+    out: Annotated[Path, described("Output folder.")] = Path("out/trace")
+
+
+def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Trace a device; writes a drawing of each eye, and the report, into `options.out`.
+
+    Raises:
+        BadInputError: a faulty device, an eye that the device does not have, or a folder that cannot be written.
+    """
+    device = load_device(options.device)
+    eyes = eyes_of(options.eye)
+    traced = {eye: [traced_eye(device, eye, line) for line in FRAUNHOFER_F_D_C_UM] for eye in eyes}
+    folder = output_folder(options.out)
+    blocks: list[Block] = []
+    for eye in progress(eyes, len(eyes), "eyes"):
+        blue, middle, red = traced[eye]
+        drawing = folder / f"{device.name}-{eye}.png"
+        draw_device(device, eye, drawing)
+        blocks += [
+            Section(f"The {eye} eye"),
+            figures_table(middle, blue, red),
+            lateral_colour_table([open_channels([options.device], eye)]),
+            Picture(f"Rays through {device.name}", drawing, "Side view and top view with surfaces, panel and rays."),
+        ]
+    drawings = tuple(block.path for block in blocks if isinstance(block, Picture))
+    report = Report(f"Optics of {device.name}", blocks=blocks, inputs=[device_path(options.device)], files=drawings)
+    return save_report(report, folder, device.name)

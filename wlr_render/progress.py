@@ -1,0 +1,20 @@
+"""Progress of a long job, shown by whoever runs it."""
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+
+class Progress:
+    """Receives the progress of a job and shows nothing: the default of library calls."""
+
+    def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
+        """Yield the items unchanged."""
+        yield from items
+
+    def say(self, text: str) -> None:
+        """Note what is being done, e.g. "reading the session"."""
+
+
+SILENT = Progress()

@@ -1,0 +1,144 @@
+"""A report and the blocks it is made of: text, tables, pictures and interactive plots."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading; the blocks after it belong to it."""
+
+    title: str
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph, or a list if `items` are given.
+
+    Attributes:
+        text: one or more sentences.
+        items: entries of a bullet list under the text.
+    """
+
+    text: str
+    items: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """Rows of results under named columns.
+
+    Attributes:
+        title: one line.
+        columns: heads, units included, e.g. "median (arcmin)".
+        rows: one cell per column; None for an empty cell.
+        notes: sentences under the table.
+    """
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    notes: Sequence[str] = field(default_factory=tuple)
+
+    def text_rows(self) -> list[list[str]]:
+        """Cells as text, numbers with three significant digits."""
+        return [[cell_text(cell) for cell in row] for row in self.rows]
+
+    def markdown(self) -> str:
+        """TRANSITION: goes when every job returns a report."""
+        from wlr_render.report.save import markdown_table
+
+        return markdown_table(self)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image file; HTML pages embed it, Markdown links to it.
+
+    Attributes:
+        title: one line.
+        path: a PNG file.
+        caption: what it shows; also its alternative text.
+    """
+
+    title: str
+    path: Path
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A Plotly figure: interactive in HTML pages, its data in the JSON.
+
+    Attributes:
+        title: one line.
+        data: Plotly traces.
+        layout: Plotly layout; colours and fonts come from the page.
+        caption: what it shows.
+        height_px: height in the page.
+    """
+
+    title: str
+    data: Sequence[Mapping[str, Any]]
+    layout: Mapping[str, Any]
+    caption: str = ""
+    height_px: int = 420
+
+
+Block = Section | Text | ReportTable | Picture | Plot
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a job found.
+
+    Attributes:
+        title: one line, e.g. "Diagnosis of session-7".
+        verdict: the result in one or two sentences.
+        advice: what to do next, most important first.
+        warnings: what limits the result.
+        blocks: the evidence.
+        inputs: files and folders that the result depends on; pages state their SHA-256.
+        files: files that the job wrote.
+        record: data for the JSON file beside the tables; any dataclass or mapping.
+        faults: items that could not be used; the command line ends with status 2 if there are any.
+    """
+
+    title: str
+    verdict: str = ""
+    advice: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    blocks: Sequence[Block] = ()
+    inputs: Sequence[Path] = ()
+    files: Sequence[Path] = ()
+    record: object = None
+    faults: Sequence[str] = ()
+
+    @property
+    def tables(self) -> list[ReportTable]:
+        """The tables among the blocks."""
+        return [block for block in self.blocks if isinstance(block, ReportTable)]
+
+
+def cell_text(cell: Cell) -> str:
+    """Text of a cell: three significant digits for floats, a dash for an empty cell or NaN."""
+    if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
+        return "-"
+    if not isinstance(cell, float):
+        return str(cell)
+    if cell != 0 and abs(cell) < 1e-4:
+        return f"{cell:.1e}"
+    return f"{cell:.0f}" if abs(cell) >= 1000 else f"{cell:.3g}"
+
+
+def tables_as_json(tables: Sequence[ReportTable], **context: object) -> str:
+    """TRANSITION: goes when every job returns a report."""
+    from wlr_render.report.records import json_text
+    from wlr_render.report.save import table_record
+
+    return json_text({**context, "tables": [table_record(table) for table in tables]})

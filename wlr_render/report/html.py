@@ -1,0 +1,58 @@
+"""A report as one HTML page that works from a file, without network."""
+
+import base64
+import functools
+import gzip
+import importlib.resources
+import json
+from typing import TYPE_CHECKING
+
+import jinja2
+
+from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.records import to_jsonable
+
+if TYPE_CHECKING:
+    from wlr_render.report.save import Provenance
+
+
+def html_page(report: Report, provenance: "Provenance") -> str:
+    """The page as text; pictures and, if there are plots, Plotly are embedded.
+
+    Raises:
+        OSError: a picture cannot be read.
+    """
+    has_plots = any(isinstance(block, Plot) for block in report.blocks)
+    return _template().render(
+        report=report,
+        sections=[block.title for block in report.blocks if isinstance(block, Section)],
+        provenance=provenance,
+        plotly=_plotly_base64() if has_plots else "",
+        kind=_kind,
+    )
+
+
+def _kind(block: object) -> str:
+    """Name of the template's branch for a block."""
+    return {Section: "section", Text: "text", ReportTable: "table", Picture: "picture", Plot: "plot"}[type(block)]
+
+
+@functools.cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters["png"] = lambda path: base64.b64encode(path.read_bytes()).decode("ascii")
+    environment.filters["figure"] = _figure_json
+    return environment.from_string(importlib.resources.files(__package__).joinpath("page.html.j2").read_text("utf-8"))
+
+
+def _figure_json(plot: Plot) -> str:
+    """Plotly's figure as JSON that may stand inside a script element."""
+    text = json.dumps(to_jsonable({"data": plot.data, "layout": plot.layout}), allow_nan=False)
+    return text.replace("<", "\\u003c")
+
+
+@functools.cache
+def _plotly_base64() -> str:
+    """plotly.min.js, compressed: a page of 2 MB instead of 5 MB; browsers decompress it themselves."""
+    script = importlib.resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes()
+    return base64.b64encode(gzip.compress(script, mtime=0)).decode("ascii")

@@ -1,0 +1,46 @@
+"""Records as JSON: one function for all of them."""
+
+import dataclasses
+import enum
+import json
+import math
+from collections.abc import Mapping, Sequence, Set
+from pathlib import PurePath
+
+import numpy as np
+
+
+def to_jsonable(value: object) -> object:
+    """Convert a record to what JSON can hold.
+
+    Dataclasses become objects with one key per field (fields whose metadata has `"json": False` are left out), arrays
+    become nested lists, enumerations their values, paths and dates text. NaN and infinity become null.
+
+    Raises:
+        TypeError: a value of another type.
+    """
+    if value is None or isinstance(value, str | bool | int):
+        return value.value if isinstance(value, enum.Enum) else value
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.generic):
+        return to_jsonable(value.item())
+    if isinstance(value, enum.Enum):
+        return to_jsonable(value.value)
+    if isinstance(value, np.ndarray):
+        return to_jsonable(value.tolist())
+    if isinstance(value, PurePath):
+        return str(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        kept = [field for field in dataclasses.fields(value) if field.metadata.get("json", True)]
+        return {field.name: to_jsonable(getattr(value, field.name)) for field in kept}
+    if isinstance(value, Mapping):
+        return {str(key): to_jsonable(item) for key, item in value.items()}
+    if isinstance(value, Sequence | Set):
+        return [to_jsonable(item) for item in value]
+    raise TypeError(f"cannot convert a {type(value).__name__} to JSON")
+
+
+def json_text(value: object) -> str:
+    """A record as indented JSON text that ends with a newline."""
+    return json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n"

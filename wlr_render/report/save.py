@@ -1,0 +1,124 @@
+"""Writing a report: an HTML page, a Markdown file and a JSON file under one name, with their provenance."""
+
+import dataclasses
+import datetime
+import hashlib
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from wlr_render import __version__
+from wlr_render.files import write_text
+from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.html import html_page
+from wlr_render.report.records import json_text
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """An input of a result: its name and the SHA-256 of its content.
+
+    The hash of a folder is that of the sorted list of its files' relative names and hashes.
+    """
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """When, by which version and from which inputs a result was made."""
+
+    date: str
+    version: str
+    command: str
+    inputs: tuple[InputFile, ...]
+
+
+def save_report(report: Report, folder: Path, stem: str) -> Report:
+    """Write FOLDER/STEM.html, .md and .json; returns the report with these files added.
+
+    Raises:
+        BadInputError: a file cannot be written.
+    """
+    origin = provenance(report.inputs)
+    record = {
+        "provenance": origin,
+        "title": report.title,
+        "verdict": report.verdict,
+        "advice": report.advice,
+        "warnings": report.warnings,
+        "record": report.record,
+        "tables": [table_record(table) for table in report.tables],
+        "plots": [{"title": plot.title, "data": plot.data} for plot in report.blocks if isinstance(plot, Plot)],
+    }
+    written = [
+        write_text(folder / f"{stem}.html", html_page(report, origin)),
+        write_text(folder / f"{stem}.md", markdown(report, folder)),
+        write_text(folder / f"{stem}.json", json_text(record)),
+    ]
+    return dataclasses.replace(report, files=(*report.files, *written))
+
+
+def provenance(inputs: Sequence[Path]) -> Provenance:
+    """Date, version, command line and input hashes of the running program."""
+    now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+    command = shlex.join(["wlr-render" if Path(sys.argv[0]).stem in _PROGRAM_NAMES else sys.argv[0], *sys.argv[1:]])
+    return Provenance(now, __version__, command, tuple(InputFile(str(path), _sha256(path)) for path in inputs))
+
+
+_PROGRAM_NAMES = ("wlr-render", "__main__")
+
+
+def _sha256(path: Path) -> str:
+    if not path.is_dir():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    total = hashlib.sha256()
+    for file_path in sorted(item for item in path.rglob("*") if item.is_file()):
+        total.update(f"{file_path.relative_to(path).as_posix()} {_sha256(file_path)}\n".encode())
+    return total.hexdigest()
+
+
+def table_record(table: ReportTable) -> dict[str, object]:
+    """Title, rows as objects with full-precision numbers, and notes of a table."""
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    return {"title": table.title, "rows": rows, "notes": table.notes}
+
+
+def markdown(report: Report, folder: Path) -> str:
+    """The report as Markdown; links are relative to `folder`."""
+    parts = [f"# {report.title}\n"]
+    parts += [f"{sentence}\n" for sentence in (report.verdict, *report.warnings) if sentence]
+    parts += ["".join(f"{number}. {step}\n" for number, step in enumerate(report.advice, 1))] if report.advice else []
+    parts += [_markdown_block(block, folder) for block in report.blocks]
+    return "\n".join(parts)
+
+
+def _markdown_block(block: Block, folder: Path) -> str:
+    match block:
+        case Section():
+            return f"## {block.title}\n"
+        case Text():
+            return "\n".join([block.text, *(f"- {item}" for item in block.items)]) + "\n"
+        case ReportTable():
+            return markdown_table(block)
+        case Picture():
+            return f"![{block.caption or block.title}]({os.path.relpath(block.path, folder)})\n"
+        case Plot():
+            return f"*{block.title}*: an interactive plot in the HTML page. {block.caption}\n"
+
+
+def markdown_table(table: ReportTable) -> str:
+    """A Markdown table with its title and notes."""
+    lines = [f"### {table.title}", "", _line(table.columns), _line(["---"] * len(table.columns))]
+    lines += [_line(row) for row in table.text_rows()]
+    lines += ["", *table.notes] if table.notes else []
+    return "\n".join(lines) + "\n"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,110 @@
+"""Reports, tables and progress in the terminal.
+
+Names and messages may come from files of others: control characters are escaped and markup is not interpreted.
+"""
+
+import sys
+import unicodedata
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+from rich.status import Status
+from rich.table import Table
+from rich.text import Text
+
+from wlr_render.progress import Item, Progress
+from wlr_render.report.blocks import Report, ReportTable
+
+PIPE_WIDTH = 140
+"""Columns of output that goes into a file or a pipe."""
+
+
+def escaped(text: str) -> str:
+    """Text with its control, formatting and unencodable characters written as Python escapes, e.g. ESC as `\\x1b`."""
+    unsafe = ("Cc", "Cf", "Cs", "Zl", "Zp")
+    return "".join(
+        char.encode("unicode_escape").decode() if unicodedata.category(char) in unsafe else char for char in text
+    )
+
+
+def say(*lines: object, error: bool = False) -> None:
+    """Print lines, escaped, on standard output, or on standard error if `error`."""
+    for line in lines:
+        print(escaped(str(line)), file=sys.stderr if error else sys.stdout)
+
+
+def _console(stderr: bool = False, width: int | None = None) -> Console:
+    return Console(stderr=stderr, width=width, markup=False, emoji=False)
+
+
+class TerminalProgress(Progress):
+    """Progress on standard error, so that standard output stays clean for pipes."""
+
+    def __init__(self, status: Status) -> None:
+        self._status = status
+
+    def __call__(self, items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
+        """Yield the items under a bar with the time left."""
+        self._status.stop()
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
+        with Bar(*columns, console=self._status.console) as bar:
+            task = bar.add_task(escaped(label), total=total)
+            for item in items:
+                yield item
+                bar.advance(task)
+
+    def say(self, text: str) -> None:
+        """Show what is being done."""
+        self._status.update(Text(escaped(text)))
+        self._status.start()
+
+
+@contextmanager
+def terminal_progress() -> Iterator[TerminalProgress]:
+    """Progress for one job; the status line is removed at the end."""
+    status = _console(stderr=True).status("")
+    try:
+        yield TerminalProgress(status)
+    finally:
+        status.stop()
+
+
+def print_report(report: Report) -> None:
+    """Print a report on standard output: verdict, warnings, what to do, tables, files."""
+    say(*filter(None, (report.verdict, *report.warnings)), *(f"{n}. {step}" for n, step in enumerate(report.advice, 1)))
+    # A file or a pipe has no window width.
+    console = _console(width=None if sys.stdout.isatty() else PIPE_WIDTH)
+    for table in report.tables:
+        console.print(_drawn(table))
+        for note in table.notes:
+            console.print(escaped(note), style="dim", highlight=False)
+    if report.files:
+        say("Written: " + ", ".join(str(path) for path in report.files))
+
+
+def _drawn(table: ReportTable) -> Table:
+    drawn = Table(title=escaped(table.title), title_justify="left")
+    for index, column in enumerate(table.columns):
+        drawn.add_column(escaped(column), justify="left" if index == 0 else "right", overflow="fold")
+    for row in table.text_rows():
+        drawn.add_row(*("\n".join(map(escaped, cell.split("\n"))) for cell in row))
+    return drawn
+
+
+def print_table(table: ReportTable) -> None:
+    """TRANSITION: goes when every job returns a report."""
+    print_report(Report("", blocks=[table]))
+
+
+def progress_bar(items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
+    """TRANSITION: goes when every job returns a report."""
+    with terminal_progress() as progress:
+        yield from progress(items, total, label)

@@ -1,1 +1,0 @@
-"""Whole jobs that the command line runs: alignment demo, sampling study, sequences, benchmarks."""
