@@ -68,3 +68,14 @@ def test_where_all_disagree_few_or_none_are_named(captures):
     rng = np.random.default_rng(2)
     shift = rng.normal(0, 0.005, (25, 3))[display.capture]
     assert len(moved_display(moved_by(display, slice(None), shift))) <= 5
+
+
+def test_fits_to_the_others_are_neither_cross_validated_nor_reported(captures, monkeypatch):
+    def refused(*_):
+        raise AssertionError("a report is built and thrown away")
+
+    monkeypatch.setattr("wlr_render.calibration.regression._held_out", refused)
+    monkeypatch.setattr("wlr_render.calibration.fit_report.Residuals.of", refused)
+    display, see_through = captures
+    assert moved_display(display) == []
+    assert moved_see_through(see_through, photographs(see_through)) == []

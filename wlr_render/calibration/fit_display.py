@@ -49,6 +49,16 @@ def fit_display(
     Raises:
         BadInputError: an unknown kind, or captures that do not determine the model; the sentence says what is missing.
     """
+    result = _fitted(captures, kind, degree, base_plane)
+    return result.mapping, _report(kind, result)
+
+
+def display_of_degree(captures: DisplayCaptures, kind: str, degree: int) -> DisplayMapping:
+    """Fit a display model of a given degree, without cross-validation and report; otherwise as `fit_display`."""
+    return _fitted(captures, kind, degree, None).mapping
+
+
+def _fitted(captures: DisplayCaptures, kind: str, degree: int | None, base_plane: BasePlane | None) -> _Fit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of display model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
     plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
@@ -58,12 +68,11 @@ def fit_display(
     if lacks := _lacking_viewpoints(captures, kind, lowest):
         raise BadInputError(f"{refusal}: {lacks}.")
     try:
-        result = _KINDS[kind](captures, plane, degree)
+        return _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
         lacks = shortage("panel pixels", captures.pixel, "uv", lowest)
         reason = lacks or "pixels and viewpoints are not spread independently of each other"
         raise BadInputError(f"{refusal}: {reason}.") from error
-    return result.mapping, _report(kind, result)
 
 
 def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _Fit:

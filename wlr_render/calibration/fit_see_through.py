@@ -51,6 +51,16 @@ def fit_see_through(
         BadInputError: an unknown kind, a point behind the base plane, or captures that do not determine the model; the
             sentence says what is missing.
     """
+    result = _fitted(captures, kind, degree, base_plane)
+    return result.mapping, _report(kind, result)
+
+
+def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) -> SeeThroughMapping:
+    """Fit a see-through model of a given degree, without cross-validation and report; otherwise as `fit_see_through`."""
+    return _fitted(captures, kind, degree, None).mapping
+
+
+def _fitted(captures: SeeThroughCaptures, kind: str, degree: int | None, base_plane: BasePlane | None) -> _Fit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
     plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
@@ -62,11 +72,10 @@ def fit_see_through(
     if lacks := _lacking_places(captures, kind, lowest):
         raise BadInputError(f"{refusal}: {lacks}.")
     try:
-        result = _KINDS[kind](captures, plane, degree)
+        return _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
         lacks = shortage("view directions", tangents_of_dir(captures.view_dir), "xy", lowest)
         raise BadInputError(f"{refusal}: {lacks or _one_depth(captures)}.") from error
-    return result.mapping, _report(kind, result)
 
 
 def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _Fit:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.calibration.fit_display import display_of_degree
+from wlr_render.calibration.fit_see_through import see_through_of_degree
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -41,7 +41,7 @@ def moved_display(captures: DisplayCaptures) -> list[Moved]:
     """Captures of the panel that do not fit the others; none where there are too few to tell."""
 
     def errors(kept: DisplayCaptures, left_out: DisplayCaptures, degree: int) -> FloatArray:
-        model, _ = fit_display(kept, "planar", degree)
+        model = display_of_degree(kept, "planar", degree)
         return model.view_dir_of_pixel(left_out.pixel, left_out.viewpoint).value
 
     return _moved(captures, captures.capture, errors)
@@ -51,7 +51,7 @@ def moved_see_through(captures: SeeThroughCaptures, photograph: IntArray) -> lis
     """Photographs of the target that do not fit the others; (n,) `photograph` numbers each row's."""
 
     def errors(kept: SeeThroughCaptures, left_out: SeeThroughCaptures, degree: int) -> FloatArray:
-        model, _ = fit_see_through(kept, "planar", degree)
+        model = see_through_of_degree(kept, "planar", degree)
         return model.view_dir_of_real_point(left_out.point, left_out.viewpoint).value
 
     return _moved(captures, photograph, errors)

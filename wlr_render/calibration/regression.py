@@ -5,7 +5,9 @@ then a few stacked triangles, and since terms are ordered by total degree, one p
 degrees too. The design of all rows is never held at once.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -68,12 +70,17 @@ class Fitted:
     Attributes:
         polynomial: over the samples' box, grown by a margin.
         condition: of the scaled design.
-        held_out: per degree tried, ascending; degrees that the training sets cannot determine are missing.
+        cross_validate: returns `held_out`, at the cost of one solve per fold and degree.
     """
 
     polynomial: Polynomial
     condition: float
-    held_out: tuple[HeldOut, ...]
+    cross_validate: Callable[[], tuple[HeldOut, ...]]
+
+    @property
+    def held_out(self) -> tuple[HeldOut, ...]:
+        """Error per degree tried, ascending; degrees that the training sets cannot determine are missing."""
+        return self.cross_validate()
 
 
 @dataclass(frozen=True)
@@ -94,10 +101,14 @@ def fit(regression: Regression, degree: int | None) -> Fitted:
     top = _highest_degree(regression) if degree is None else degree
     folds = [_compressed(regression, rows, top, box) for rows in _fold_rows(regression.group)]
     tried = range(1, top + 1) if degree is None else [degree]
-    held_out = tuple(entry for d in tried if (entry := _held_out(regression, folds, top, d)) is not None)
-    chosen = _lowest_good(held_out) if degree is None else degree
+
+    @cache
+    def cross_validated() -> tuple[HeldOut, ...]:
+        return tuple(entry for d in tried if (entry := _held_out(regression, folds, top, d)) is not None)
+
+    chosen = _lowest_good(cross_validated()) if degree is None else degree
     solution = _solved(regression, folds, top, chosen)
-    return Fitted(_polynomial(regression, box, chosen, solution), solution.condition, held_out)
+    return Fitted(_polynomial(regression, box, chosen, solution), solution.condition, cross_validated)
 
 
 def _grown(box: Box) -> Box:
