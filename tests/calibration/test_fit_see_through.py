@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toy_device import EYE_BOX, PLANE, bend_of, positions_in_plane, see_through_captures
@@ -146,3 +148,28 @@ def test_held_out_choice_takes_few_terms_under_noise():
     )
     assert straight_report.degree == 1
     assert np.abs(exact.deviation.coefficients).max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["planar", "volumetric"])
+def test_precise_captures_outweigh_imprecise_ones(kind):
+    """Half the rows have 200 times the noise: a fit weighted by 1 / sigma hardly notices them."""
+    positions = positions_in_plane(15)
+    heights = (-0.003, 0.0, 0.003) if kind == "volumetric" else (0.0,)
+
+    def at_all_heights(sigma_arcmin, seed):
+        captures = see_through_captures(positions, sigma_arcmin=sigma_arcmin, seed=seed)
+        return concatenate([replace(raised(captures, h), sigma_arcmin=captures.sigma_arcmin) for h in heights])
+
+    precise, imprecise = at_all_heights(0.1, 1), at_all_heights(20.0, 2)
+    both = concatenate([precise, imprecise])
+    point, viewpoint, _ = truth_at(1.0, 0.0)
+
+    def error_arcmin(captures):
+        mapping, _ = fit_see_through(captures, kind, 2)
+        alone, _ = fit_see_through(precise, kind, 2)
+        seen = [each.view_dir_of_real_point(point, viewpoint).value for each in (mapping, alone)]
+        return arcmin_between(*seen).max()
+
+    unweighted = error_arcmin(replace(both, sigma_arcmin=1.0))
+    assert error_arcmin(both) < 0.02 * unweighted
+    assert unweighted > 0.3
