@@ -54,7 +54,7 @@ def fit_display(
 
 
 def display_of_degree(captures: DisplayCaptures, kind: str, degree: int) -> DisplayMapping:
-    """Fit a display model of a given degree, without cross-validation and report; otherwise as `fit_display`."""
+    """Fit a display model of a given degree as `fit_display` does, without cross-validation and report."""
     return _fitted(captures, kind, degree, None).mapping
 
 

@@ -56,7 +56,7 @@ def fit_see_through(
 
 
 def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) -> SeeThroughMapping:
-    """Fit a see-through model of a given degree, without cross-validation and report; otherwise as `fit_see_through`."""
+    """Fit a see-through model of a given degree as `fit_see_through` does, without cross-validation and report."""
     return _fitted(captures, kind, degree, None).mapping
 
 
