@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-TEXTS = sorted([ROOT / "README.md", ROOT / "shaders/README.md", *(ROOT / "docs").rglob("*.md")])
+TEXTS = sorted(
+    [
+        ROOT / "README.md",
+        ROOT / "shaders/README.md",
+        *(ROOT / "docs").rglob("*.md"),
+        *(ROOT / "benchmarks").rglob("*.md"),
+    ]
+)
 FILE = re.compile(r"`([\w./-]+\.(?:py|md|glsl|frag|vert|toml))`")
 LINK = re.compile(r"\]\(([^)#:]+)\)")
 # Files of users, not of ours.
@@ -15,8 +22,6 @@ THEIRS = {
     "bench.toml",
     "board.toml",
     "device.toml",
-    "bench.md",
-    "stream.md",
     "compare.md",
     "calibration.md",
 }
@@ -26,6 +31,7 @@ PLACES = [
     ROOT / "shaders",
     ROOT / "docs",
     *(p for p in (ROOT / "wlr_render").rglob("*") if p.is_dir()),
+    *(p for p in (ROOT / "benchmarks").rglob("*") if p.is_dir()),
 ]
 
 

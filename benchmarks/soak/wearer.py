@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.soak.records import EyeMoment, Moment
+from benchmarks.soak.synthetic_tracker import tracker_samples
 from wlr_render.compositing.checks import nearest_in_reach
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox
@@ -15,7 +16,6 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.synthetic import eye_motion, head_motion
-from wlr_render.tracking.synthetic_tracker import tracker_samples
 from wlr_render.tracking.trajectory import EYES, EyeTrajectory, HeadTrajectory
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.soak.synthetic_tracker import tracker_samples
 from wlr_render.errors import BadInputError
 from wlr_render.tracking import synthetic
-from wlr_render.tracking.synthetic_tracker import tracker_samples
 from wlr_render.tracking.trajectory import EyeTrajectory, ViewpointTrack
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 
