@@ -3,8 +3,8 @@
 A transform is named by what it does: `point_in_world = apply(world_from_device, point_in_device)`.
 """
 
-import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from wlr_render.numerics.arrays import FloatArray
 
@@ -53,46 +53,24 @@ def rotation_about(axis: str, angle: float) -> FloatArray:
 def rotations_of_vectors(vector: FloatArray) -> FloatArray:
     """Right-handed rotations (..., 3, 3) about the directions of vectors (..., 3), by their lengths in radians."""
     vector = np.asarray(vector, dtype=np.float64)
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    cross = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    # sinc keeps both factors exact down to no rotation at all.
-    half = np.sinc(0.5 * angle / np.pi)
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half * half * (cross @ cross))
+    return _matrices(Rotation.from_rotvec(vector.reshape(-1, 3)), vector.shape[:-1])
 
 
 def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
-    """(..., 4) unit quaternion xyzw -> (..., 3, 3)."""
-    x, y, z, w = np.moveaxis(np.asarray(xyzw, dtype=np.float64), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def slerp(first_xyzw: FloatArray, second_xyzw: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Spherical interpolation between unit quaternions (..., 4) at `fraction` (...) in 0..1, the short way."""
-    cosine = np.sum(first_xyzw * second_xyzw, axis=-1)
-    second = np.where(cosine[..., None] < 0, -second_xyzw, second_xyzw)
-    half = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    sine = np.sin(half)
-    small = sine < 1e-9
-    safe = np.where(small, 1.0, sine)
-    a = np.where(small, 1.0 - fraction, np.sin((1.0 - fraction) * half) / safe)
-    b = np.where(small, fraction, np.sin(fraction * half) / safe)
-    mixed = a[..., None] * first_xyzw + b[..., None] * second
-    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
+    """(..., 4) quaternion xyzw -> (..., 3, 3)."""
+    xyzw = np.asarray(xyzw, dtype=np.float64)
+    return _matrices(Rotation.from_quat(xyzw.reshape(-1, 4)), xyzw.shape[:-1])
 
 
 def between(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatArray:
     """Rigid transforms (n, 4, 4) on the way from one (4, 4) to another, at `fraction` (n,) of it.
 
-    Turned at a constant rate about one axis, the short way, and moved along a straight line.
+    Rotated at a constant rate about one axis, the short way, and moved along a straight line.
     """
-    vector, _ = cv2.Rodrigues(first[:3, :3].T @ last[:3, :3])
-    turned = first[:3, :3] @ rotations_of_vectors(fraction[:, None] * vector[:, 0])
-    return rigid(turned, first[:3, 3] + fraction[:, None] * (last[:3, 3] - first[:3, 3]))
+    vector = Rotation.from_matrix(first[:3, :3].T @ last[:3, :3]).as_rotvec()
+    rotated = first[:3, :3] @ rotations_of_vectors(fraction[:, None] * vector)
+    return rigid(rotated, first[:3, 3] + fraction[:, None] * (last[:3, 3] - first[:3, 3]))
+
+
+def _matrices(rotations: Rotation, shape: tuple[int, ...]) -> FloatArray:
+    return np.asarray(rotations.as_matrix().reshape(*shape, 3, 3))

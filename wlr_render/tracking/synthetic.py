@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.random import Generator
+from scipy.spatial.transform import Rotation
 
 from wlr_render.geometry import directions
 from wlr_render.numerics.arrays import FloatArray
@@ -29,7 +30,7 @@ def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> H
     waves = _slow_waves(rng, time_s)
     position = waves[:, :3] * _SWAY_M
     nod, shake, tilt = (np.deg2rad(_TURN_DEG) * waves[:, 3:]).T
-    xyzw = _product(_product(_about("y", shake), _about("x", nod)), _about("z", tilt))
+    xyzw = Rotation.from_euler("YXZ", np.stack([shake, nod, tilt], axis=-1)).as_quat()
     return HeadTrajectory(time_s, position, xyzw, f"synthetic head, seed {seed}")
 
 
@@ -67,21 +68,6 @@ def _slow_waves(rng: Generator, time_s: FloatArray) -> FloatArray:
     weight = rng.dirichlet(np.ones(_FREQUENCY_HZ.size), 6)
     angle = 2 * np.pi * _FREQUENCY_HZ * time_s[:, None, None] + phase
     return np.asarray((weight * np.sin(angle)).sum(axis=-1))
-
-
-def _about(axis: str, angle: FloatArray) -> FloatArray:
-    """Quaternions xyzw (n, 4) of turns about one axis by angles (n,)."""
-    xyzw = np.zeros((angle.size, 4))
-    xyzw[:, "xyz".index(axis)] = np.sin(0.5 * angle)
-    xyzw[:, 3] = np.cos(0.5 * angle)
-    return xyzw
-
-
-def _product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Quaternion products (n, 4): the turn `second`, then the turn `first`."""
-    vector = first[:, 3:] * second[:, :3] + second[:, 3:] * first[:, :3] + np.cross(first[:, :3], second[:, :3])
-    scalar = first[:, 3] * second[:, 3] - np.sum(first[:, :3] * second[:, :3], axis=1)
-    return np.concatenate([vector, scalar[:, None]], axis=1)
 
 
 def _fixated_point(rng: Generator, time_s: FloatArray) -> FloatArray:

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation, Slerp
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
@@ -41,9 +43,13 @@ class HeadTrajectory:
         Raises:
             BadInputError: a moment outside the trajectory.
         """
-        between = bracket(self.time_s, time_s, self.name)
-        xyzw = transforms.slerp(*between.pair(self.world_from_device_xyzw), between.fraction)
-        return transforms.rigid(transforms.rotation_of_quaternion(xyzw), between.linear(self.position_in_world))
+        position = bracket(self.time_s, time_s, self.name).linear(self.position_in_world)
+        rotation = self._rotation(np.ravel(np.asarray(time_s, dtype=np.float64))).as_matrix()
+        return transforms.rigid(rotation.reshape(*position.shape, 3), position)
+
+    @cached_property
+    def _rotation(self) -> Slerp:
+        return Slerp(self.time_s, Rotation.from_quat(self.world_from_device_xyzw))
 
 
 class EyeTrack(Protocol):
@@ -101,14 +107,14 @@ class GazeTrack:
     def gaze_at(self, time_s: ArrayLike) -> FloatArray:
         """Moments (...) -> unit gaze direction (..., 3), turning at a constant rate between samples."""
         between = bracket(self.time_s, time_s, self.name)
-        return _turned(*between.pair(self.gaze_dir), between.fraction)
+        return _slerp_directions(*between.pair(self.gaze_dir), between.fraction)
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
         """Moments (...) -> entrance pupil (..., 3), device frame."""
         return self.eye_model.viewpoint_of_gaze(self.gaze_at(time_s))
 
 
-def _turned(first: FloatArray, second: FloatArray, fraction: FloatArray) -> FloatArray:
+def _slerp_directions(first: FloatArray, second: FloatArray, fraction: FloatArray) -> FloatArray:
     """Spherical interpolation between unit directions (..., 3) that are not opposite."""
     angle = directions.angle_between(first, second)
     sine = np.sin(angle)
