@@ -81,7 +81,7 @@ def explained(nominal, session, *names):
         verdict=EXPLAINED,
         causes=causes,
         outliers=(),
-        floors=tuple(NoiseFloor(PART_NAMES[part], 0.1, 0.0991, np.nan, 0.1) for part in present),
+        floors=tuple(NoiseFloor(PART_NAMES[part], 0.1, 0.0991, np.nan, 0.0991, 0.001, 0.1) for part in present),
         noise=figures.of_noise(observations, used),
         before=figures.of_residual(observations, before, used),
         after=figures.of_residual(observations, found.residual, used),
@@ -104,7 +104,7 @@ def partly(diagnosis):
     left = Unexplained(
         "display", "panel pixels", 2.37, tuple(Correction("display", b, "smooth", 9, g) for b, g in gains)
     )
-    floor = NoiseFloor("display", 0.05, 0.0931, np.nan, 0.0931)
+    floor = NoiseFloor("display", 0.05, 0.0931, np.nan, 0.0931, 0.001, 0.0931)
     doubtful = [replace(c, rivals=(c.rivals[0], replace(c.rivals[1], cost_behind=1.5))) for c in diagnosis.causes]
     return replace(
         diagnosis,

@@ -59,6 +59,7 @@ def test_the_record_has_the_keys_that_others_read(diagnosis):
         "within_px": 0.0931,
         "repeats_px": None,
         "measured_px": 0.0931,
+        "error_px": 0.001,
         "used_px": 0.0931,
         "believable": False,
     }

@@ -1,6 +1,7 @@
-"""How much of a session is noise: from repeated photographs, from within each photograph, and as stated.
+"""Noise of a session: from repeated photographs, from the scatter within each photograph, and as stated.
 
-Within one photograph every physical effect is smooth over the image; what a smooth surface leaves is noise.
+Within one photograph every physical effect is smooth over the image; what a smooth surface leaves is noise. One test,
+`is_significant`, says whether two variances differ: the stated from the measured noise, and a residual from the noise.
 """
 
 from collections.abc import Iterator
@@ -10,14 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
 
 _DEGREE = 6
 _ROWS_PER_COEFFICIENT = 2.5
 _STRAY = 6.0  # times the noise: nothing smooth and no noise is so far off
 _STRAY_ROUNDS = 6
-_BELIEVABLE = 1.1  # a stated sigma that is wrong by less is kept
+_SIGNIFICANT = 3.0  # standard errors
+_MATERIAL = 0.1  # of a variance: a smaller difference changes neither verdict nor error bars by much
+
+
+@dataclass(frozen=True)
+class Variance:
+    """A variance per axis and its standard error, both in units of sigma squared; NaN where it is not known."""
+
+    value: float
+    error: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is one."""
+        return bool(np.isfinite(self.value))
+
+
+def is_significant(difference: float, error: float, reference: float = 1.0) -> bool:
+    """Whether a difference of two variances is more than chance and large enough to matter.
+
+    Args:
+        difference: of the variances, of either sign.
+        error: its standard error.
+        reference: the variance that it is compared with.
+    """
+    return abs(difference) > _SIGNIFICANT * error and abs(difference) > _MATERIAL * reference
 
 
 @dataclass(frozen=True)
@@ -29,24 +55,23 @@ class NoiseFloor:
         stated_px: what the bench says.
         within_px: from within the photographs; NaN where they have too few points.
         repeats_px: from photographs taken twice from one place; NaN without such.
-        used_px: what the diagnosis goes by.
+        measured_px: the best estimate from both; NaN without either.
+        error_px: standard error of `measured_px`.
+        used_px: what the diagnosis uses: the measured noise where it differs significantly from the stated one.
     """
 
     part: str
     stated_px: float
     within_px: float
     repeats_px: float
+    measured_px: float
+    error_px: float
     used_px: float
 
     @property
-    def measured_px(self) -> float:
-        """The best measured value: repeats before smoothness; NaN without either."""
-        return self.repeats_px if np.isfinite(self.repeats_px) else self.within_px
-
-    @property
     def believable(self) -> bool:
-        """Whether the stated value agrees with the measured one to a tenth."""
-        return not np.isfinite(self.measured_px) or 1 / _BELIEVABLE < self.measured_px / self.stated_px < _BELIEVABLE
+        """Whether the stated noise does not differ significantly from the measured one."""
+        return self.used_px == self.stated_px
 
 
 def noise_floors(observations: Observations, residual: FloatArray) -> tuple[NoiseFloor, ...]:
@@ -54,11 +79,85 @@ def noise_floors(observations: Observations, residual: FloatArray) -> tuple[Nois
     floors = []
     for part in np.unique(observations.part):
         stated = float(observations.sigma_px[part])
-        within = stated * _within(observations, residual, part)
-        repeats = stated * _repeats(observations, residual) if part == DISPLAY else np.nan
-        floor = NoiseFloor(PART_NAMES[part], stated, within, repeats, stated)
-        floors.append(floor if floor.believable else NoiseFloor(floor.part, stated, within, repeats, floor.measured_px))
+        within = _within(observations, residual, part)
+        repeats = _repeats(observations, residual) if part == DISPLAY else Variance(np.nan, np.nan)
+        measured = _combined(within, repeats)
+        within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
+        error_px, used_px = np.nan, stated
+        if measured.value > 0.0:
+            error_px = 0.5 * measured_px * measured.error / measured.value
+            used_px = measured_px if is_significant(measured.value - 1.0, measured.error) else stated
+        floors.append(NoiseFloor(PART_NAMES[part], stated, within_px, repeats_px, measured_px, error_px, used_px))
     return tuple(floors)
+
+
+def _combined(within: Variance, repeats: Variance) -> Variance:
+    """The mean weighted by inverse variance; repeats alone where the two contradict each other.
+
+    Repeats do not take a fixed pattern that is finer than a photograph's points for noise.
+    """
+    if not (within.is_known and repeats.is_known):
+        return within if within.is_known else repeats
+    if is_significant(within.value - repeats.value, float(np.hypot(within.error, repeats.error)), repeats.value):
+        return repeats
+    squares = np.array([repeats.error, within.error]) ** 2
+    if squares.sum() == 0.0:
+        return within
+    value = float(squares @ [within.value, repeats.value] / squares.sum())
+    return Variance(value, float(np.sqrt(squares.prod() / squares.sum())))
+
+
+@dataclass(frozen=True)
+class ExcessOverNoise:
+    """Mean square of a part's residual beside the noise within the same photographs, in units of sigma squared.
+
+    Attributes:
+        mean_square: of the residual, per axis.
+        noise: of the same readings.
+        error: standard error of the difference by noise alone.
+    """
+
+    mean_square: float
+    noise: float
+    error: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the residual is more than noise."""
+        excess = self.mean_square - self.noise
+        return excess > 0 and is_significant(excess, self.error, self.noise)
+
+
+def excess_over_noise(observations: Observations, residual: FloatArray, used: BoolArray) -> dict[int, ExcessOverNoise]:
+    """For each part: whether a residual (n, 2) in units of sigma is more than the noise of the readings `used` (n,).
+
+    Every photograph is compared with its own noise, so that noise which differs between photographs, over the field,
+    or from the stated one is no excess. Where a photograph has too few points, sigma counts as its noise.
+    """
+    used = used & np.isfinite(residual).all(axis=1)
+    observations, residual = observations.of_rows(used), residual[used]
+    return {int(part): _excess(observations, residual, int(part)) for part in np.unique(observations.part)}
+
+
+def _excess(observations: Observations, residual: FloatArray, part: int) -> ExcessOverNoise:
+    own = residual[observations.part == part]
+    squares, noise, error_squared, count = 0.0, 0.0, 0.0, 0
+    rest = np.ones(len(own), dtype=bool)
+    for surface in _smoothed(observations, residual, part):
+        good, terms = surface.good, surface.terms
+        rows, values = surface.rows[good], int(good.sum())
+        rest[surface.rows] = False
+        # Weighted by leverage, as noise may grow towards the edge, where a surface follows it most closely.
+        variance = float(np.mean(surface.left[good] ** 2 / (1.0 - surface.leverage[good]).clip(1e-6)[:, None]))
+        squares += float(np.sum(own[rows] ** 2))
+        noise += 2 * values * variance
+        # For both axes: the difference is what the surface takes, 2 terms of n, less its share of what it leaves.
+        error_squared += variance**2 * 4.0 * terms * (1.0 + terms / (values - terms))
+        count += 2 * values
+    left = 2 * int(rest.sum())
+    total = count + left
+    error = float(np.sqrt(error_squared + 2.0 * left)) / total
+    return ExcessOverNoise((squares + float(np.sum(own[rest] ** 2))) / total, (noise + left) / total, error)
 
 
 def sigma_of(floors: tuple[NoiseFloor, ...], stated: FloatArray) -> FloatArray:
@@ -80,14 +179,24 @@ def _image_places(observations: Observations, part: int) -> tuple[FloatArray, ND
     return None
 
 
-def _within(observations: Observations, residual: FloatArray, part: int) -> float:
-    """What smooth surfaces over each photograph leave, over sigma."""
-    variances = [
-        np.sum(left[good] ** 2) / (2 * (good.sum() - terms))
-        for _, left, good, terms in _smoothed(observations, residual, part)
+def _within(observations: Observations, residual: FloatArray, part: int) -> Variance:
+    """What smooth surfaces over each photograph leave: the median over the photographs, so that one may be bad."""
+    found = [
+        (np.sum(surface.left[surface.good] ** 2) / degrees, degrees)
+        for surface in _smoothed(observations, residual, part)
+        for degrees in [2 * (int(surface.good.sum()) - surface.terms)]
     ]
-    # The median over photographs: one that is bad throughout is not noise.
-    return float(np.sqrt(np.median(variances))) if variances else np.nan
+    if not found:
+        return Variance(np.nan, np.nan)
+    variances, degrees = np.array(found).T
+    # The median of chi-squared is smaller than its mean (E. B. Wilson and M. M. Hilferty, PNAS 17 (1931) 684).
+    variances = variances / (1.0 - 2.0 / (9.0 * degrees)) ** 3
+    median = float(np.median(variances))
+    # 1.48: a standard deviation by the median absolute deviation; noise alone scatters by no less than Gaussian noise.
+    scatter = max(1.48 * np.median(np.abs(variances - median)), median * np.sqrt(2.0 / np.mean(degrees)))
+    # 1.25: the standard error of a median over that of a mean.
+    few = 1.25 if len(variances) > 2 else 1.0
+    return Variance(median, float(few * scatter / np.sqrt(len(variances))))
 
 
 def stray_readings(observations: Observations, residual: FloatArray) -> BoolArray:
@@ -95,15 +204,32 @@ def stray_readings(observations: Observations, residual: FloatArray) -> BoolArra
     stray = np.zeros(len(observations), dtype=bool)
     for part in np.unique(observations.part):
         own = np.flatnonzero(observations.part == part)
-        for rows, _, good, _ in _smoothed(observations, residual, part):
-            stray[own[rows[~good]]] = True
+        for surface in _smoothed(observations, residual, part):
+            stray[own[surface.rows[~surface.good]]] = True
     return stray
 
 
-def _smoothed(
-    observations: Observations, residual: FloatArray, part: int
-) -> Iterator[tuple[NDArray[np.int64], FloatArray, BoolArray, int]]:
-    """For each photograph: its rows within the part, what a surface leaves, which are no strays, its terms."""
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """A smooth surface through the residual of one photograph.
+
+    Attributes:
+        rows: (m,) of the photograph, within the part.
+        left: (m, 2) what the surface leaves.
+        leverage: (m,) of each row on the surface.
+        good: (m,) the rows that it was fitted to: no strays.
+        terms: its coefficients per axis.
+    """
+
+    rows: IntArray
+    left: FloatArray
+    leverage: FloatArray
+    good: BoolArray
+    terms: int
+
+
+def _smoothed(observations: Observations, residual: FloatArray, part: int) -> Iterator[_Surface]:
+    """A smooth surface for each photograph that has points enough."""
     found = _image_places(observations, part)
     if found is None:
         return
@@ -118,7 +244,7 @@ def _smoothed(
             continue
         design, good = basis(place[rows], degree, box), np.ones(len(rows), dtype=bool)
         for _ in range(_STRAY_ROUNDS):
-            left, size = _studentised(design, own[rows], good)
+            left, leverage, size = _studentised(design, own[rows], good)
             # 1.18: the median length of a two-vector of unit normal components.
             near = size <= _STRAY * max(1.0, float(np.median(size[good])) / 1.18)
             if np.array_equal(near, good):
@@ -126,11 +252,11 @@ def _smoothed(
             # A stray pulls the surface, and its neighbours seem astray until it is gone.
             good = near
         if good.sum() > 2 * design.shape[1]:
-            yield rows, left, good, design.shape[1]
+            yield _Surface(rows, left, leverage, good, design.shape[1])
 
 
-def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """What a surface through the good ones of `values` (n, 2) leaves of all, and its length over its spread (n,).
+def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What a surface through the good ones of `values` (n, 2) leaves, all leverages, and lengths over spread (n,).
 
     A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
     "Residuals and Influence in Regression", 1982, chapter 2).
@@ -139,17 +265,17 @@ def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tup
     left = values - design @ (solve @ values[good])
     leverage = np.sum((design @ solve) ** 2, axis=1)
     spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
-    return left, np.linalg.norm(left, axis=1) / spread
+    return left, leverage, np.linalg.norm(left, axis=1) / spread
 
 
-def _repeats(observations: Observations, residual: FloatArray) -> float:
+def _repeats(observations: Observations, residual: FloatArray) -> Variance:
     """From display points seen at the same camera pixel from the same place more than once, over sigma.
 
     What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
     """
     plan = observations.session.plan.display
     if plan is None:
-        return np.nan
+        return Variance(np.nan, np.nan)
     place = np.round(np.column_stack([1e9 * plan.stage, 1e3 * plan.camera_pixel, plan.travel, plan.channel]))
     _, point, counts = np.unique(place, axis=0, return_inverse=True, return_counts=True)
     own, times = residual[observations.part == DISPLAY], counts[point]
@@ -158,4 +284,7 @@ def _repeats(observations: Observations, residual: FloatArray) -> float:
     deviation = (own - sums[point] / times[:, None]) / np.sqrt(1.0 - 1.0 / times.clip(2))[:, None]
     repeated = np.zeros(len(observations), dtype=bool)
     repeated[np.flatnonzero(observations.part == DISPLAY)[times > 1]] = True
-    return _within(observations.of_rows(repeated), deviation[times > 1], DISPLAY)
+    found = _within(observations.of_rows(repeated), deviation[times > 1], DISPLAY)
+    # Of k photographs from one place, the deviations from their mean hold k - 1 independent ones.
+    again = float(np.mean(times[times > 1])) if repeated.any() else 2.0
+    return Variance(found.value, found.error / float(np.sqrt(1.0 - 1.0 / again)))

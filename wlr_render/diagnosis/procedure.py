@@ -28,7 +28,7 @@ from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.found import found_cause
 from wlr_render.diagnosis.hypotheses import hypotheses
 from wlr_render.diagnosis.limits import detection_limits
-from wlr_render.diagnosis.noise import NoiseFloor, noise_floors, sigma_of, stray_readings
+from wlr_render.diagnosis.noise import NoiseFloor, excess_over_noise, noise_floors, sigma_of, stray_readings
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations, observe
 from wlr_render.diagnosis.outliers import MovedCapture, kept, moved_captures
 from wlr_render.diagnosis.search import Progress, Round, Search, Selection
@@ -42,7 +42,6 @@ _SAME_NOISE = 0.02  # relative; noise that differs by less needs no second selec
 _CONTESTS = 3  # times that a rival may take a place before the contest ends
 _THIN = 6000  # readings for the first comparison of candidates
 _UNSTEADY = 0.35
-_NOT_NOISE = 1.1  # misfit of a part above which what is left is more than noise
 _STRUCTURED = 1.0  # percent that a correction must gain on held-out captures, to count as structure
 _SIGNIFICANT = 4.0  # standard errors, likewise
 _UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}
@@ -212,15 +211,14 @@ def _contests(search: Search, found: Fit, first: Round) -> list[Round]:
 def _unexplained(observations: Observations, found: Fit, used: BoolArray) -> Unexplained | None:
     """The part of the session in which most is left, if it is more than noise or has structure."""
     left: list[Unexplained] = []
-    for part in np.unique(observations.part):
-        rows = used & (observations.part == part)
-        rms = float(np.sqrt(np.mean(found.residual[rows] ** 2)))
+    for part, excess in excess_over_noise(observations, found.residual, used).items():
         tried = corrections(observations, found.residual, used, part)
         gain = tried[0].gain if tried else None
         structured = gain is not None and gain.percent > _STRUCTURED and gain.significance > _SIGNIFICANT
-        if structured or rms**2 > _NOT_NOISE:
+        if structured or excess.is_significant:
             # What nothing smooth carries from one capture to the next comes and goes with where the camera stood.
-            bound_to = tried[0].bound_to if structured else _UNPREDICTED[int(part)]
+            bound_to = tried[0].bound_to if structured else _UNPREDICTED[part]
+            rms = float(np.sqrt(excess.mean_square))
             left.append(Unexplained(PART_NAMES[part], bound_to, rms, tuple(tried)))
     return max(left, key=lambda each: each.rms_over_noise, default=None)
 

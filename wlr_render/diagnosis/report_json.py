@@ -139,6 +139,7 @@ def _noise(floor: NoiseFloor) -> dict[str, Any]:
         "within_px": floor.within_px,
         "repeats_px": floor.repeats_px,
         "measured_px": floor.measured_px,
+        "error_px": floor.error_px,
         "used_px": floor.used_px,
         "believable": floor.believable,
     }

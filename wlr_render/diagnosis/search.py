@@ -13,6 +13,7 @@ from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.held_out import HeldOutGain, held_out_gain, held_out_squares
 from wlr_render.diagnosis.hypotheses import Prospect, best_fit, prospect
+from wlr_render.diagnosis.noise import excess_over_noise
 from wlr_render.numerics.arrays import BoolArray
 
 Progress = Callable[[str], None]
@@ -28,7 +29,6 @@ _SIGNIFICANCE = 2.0  # standard errors of the held-out difference
 _SHARE = 0.3  # of what is above the noise: a cause must take away so much, unless it leads down to the noise
 _IDLE = 1.2  # misfit over the misfit with a cause, up to which it may be idle
 _NOTHING_MORE = "no other cause gains more than chance would"
-_AT_NOISE = 1.1  # misfit up to which residuals count as noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Search:
         """
         first = self.round(fit(self.full, Extension(), self.used))
         best = self._grown(first, most)
-        if len(best.fit.extension.hypotheses) > 2 or evidence.misfit(best.fit) > _AT_NOISE:
+        if len(best.fit.extension.hypotheses) > 2 or not self._at_noise(best.fit):
             for seed in [c for c in first.candidates[1:] if c.misfit < _SEED * first.candidates[0].misfit][:_SEEDS]:
                 self.progress(f"again from {seed.hypothesis.cause.name}")
                 start = seed.fit if seed.whole else fit(self.full, seed.fit.extension, self.used)
@@ -175,6 +175,11 @@ class Search:
         squares = [held_out_squares(each, observations.group, len(observations.captures)) for each in (before, after)]
         return held_out_gain(*squares)
 
+    def _at_noise(self, found: Fit) -> bool:
+        """Whether no part of the session is left with more than noise."""
+        excesses = excess_over_noise(self.full.observations, found.residual, found.used)
+        return not any(excess.is_significant for excess in excesses.values())
+
     def _verdict(self, at: Round) -> tuple[bool, str]:
         """Whether the best candidate is worth adding, and why not."""
         if not at.candidates:
@@ -193,7 +198,7 @@ class Search:
             return False, f"{name} comes next, but held-out captures gain {gain.significance:.1f} standard errors only"
         above = evidence.misfit(current) - 1.0
         share = (evidence.misfit(current) - best.misfit) / above if above > 0 else 1.0
-        if best.misfit > _AT_NOISE and share < _SHARE:
+        if share < _SHARE and not self._at_noise(best.fit):
             return False, (
                 f"{name} comes next, but takes away only {100 * share:.0f} % of what is above the noise, and does not "
                 "lead down to it"
