@@ -1,10 +1,12 @@
 """The examples run as they stand, each in a folder of its own, and say something."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from wlr_render.rendering.osmesa import OsMesaContext
@@ -15,7 +17,7 @@ WORDS_AND_FILES = {
     "02_calibrate": ("against the truth, anywhere in the eye box: 0.0", {"birdbath28.model.json"}),
     "03_render_a_frame": ("pixels are disoccluded", {"raster.png", "raytrace.png", "warp.tiff"}),
     "04_moving_wearer": ("4 frames in frames; again: 4 kept", {"head.tum", "eyes.txt", "frames"}),
-    "05_diagnose": ("Explained: printed size of the target", {"session", "diagnosis.html", "extended"}),
+    "05_diagnose": ("Explained: printed size of the target", {"out"}),
     "06_photographs": ("81 dots found to 0.00", set()),
     "07_plug_into_pyrender": ("right eye: the drawn dot appears 0.", {"left.png", "right.png"}),
     "08_real_time": ("OpenGL state of its own was left alone", {"panel.png"}),
@@ -48,6 +50,20 @@ def test_the_plug_in_works_without_egl_too(tmp_path):
     except OSError as error:
         pytest.skip(f"libosmesa6 is not installed ({error}).")
     run("07_plug_into_pyrender", tmp_path, PYOPENGL_PLATFORM="osmesa")
+
+
+def test_the_session_that_is_diagnosed_is_made_as_its_readme_says(tmp_path, monkeypatch):
+    """To what text of other processors' rounding allows."""
+    data = EXAMPLES[0].parent / "data"
+    (code,) = re.findall(r"```python\n(.*?)```", (data / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    assert Path("session/bench.toml").read_text(encoding="utf-8") == (data / "session/bench.toml").read_text("utf-8")
+    for name in ("display.csv.gz", "seethrough.csv.gz"):
+        made, kept = (
+            np.genfromtxt(folder / name, delimiter=",", skip_header=1) for folder in (Path("session"), data / "session")
+        )
+        np.testing.assert_allclose(made, kept, rtol=0, atol=1e-3)
 
 
 def test_every_example_is_known_here():
