@@ -1,7 +1,7 @@
 """What a suspected cause is: a named, parametrised change of the bench.
 
-A new cause is a file in `causes/` that defines one `Cause`, and one line in `causes/__init__.py`. Everything else
-(signature, fit, ranking, report) follows from `perturb`.
+A new cause is an entry in the tuple of its subject's file in `causes/`. Everything else (signature, fit, ranking,
+report) follows from `perturb`.
 """
 
 from collections.abc import Callable, Mapping
