@@ -170,7 +170,7 @@ OPTICS = (
             Parameter("angle_y", "deg", 20.0, Role.FORM),
         ),
         source="cover and prism plates of optical see-through headsets, 1 to 20 mm",
-        separated_by="the target at more distances: the offset by a plate goes with 1 / distance, by a lens it does not",
+        separated_by="the target at more distances: the offset by a plate goes with 1 / distance, a lens's does not",
         variants={
             "plane-parallel, tilted by the angles": _plate_tilted,
             "facing the eye, a wedge of the angles": _plate_wedged,
