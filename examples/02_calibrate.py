@@ -12,8 +12,7 @@ from wlr_render.models.model_file import load_eye_model, save_eye_model
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 truth = traced_eye(load_device("birdbath28"))
 setup = CaptureSetup(truth, camera_noise_arcmin=0.25)

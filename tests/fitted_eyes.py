@@ -10,8 +10,7 @@ from wlr_render.jobs.designs import camera_positions
 from wlr_render.numerics.polynomial import Polynomial, basis, term_count
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 DEGREES = {3: 2, 5: 3}  # of the display, and of see-through beside it
 

@@ -15,8 +15,8 @@ from wlr_render.captures.photographs import photographs_in, read_each, write_pho
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.simulation.photographs import exact
+from wlr_render.simulation.photographs.camera import Sensor
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.sensor import Sensor
 from wlr_render.simulation.photographs.sight import Sight
 
 _EVERY = 3  # along each side: every ninth pixel is compared, enough to see one in ten thousand that is wrong

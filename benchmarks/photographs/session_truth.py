@@ -20,7 +20,7 @@ from wlr_render.calibration.photograph_captures import (
 )
 from wlr_render.calibration.poses import ARCMIN, motion_between
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.captures.decoded_samples import DecodedSamples
+from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.geometry import transforms
 from wlr_render.jobs.calibrate.captures import truth_errors
 from wlr_render.jobs.calibrate.photos import SessionCalibration

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.angular import angular_metric
-from wlr_render.calibration.regression import Fitted, Regression, fit
+from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir

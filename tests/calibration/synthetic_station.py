@@ -4,8 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wlr_render.calibration.board_poses import poses_of
-from wlr_render.calibration.board_views import BoardView
+from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.poses import small_motion
 from wlr_render.calibration.station import StationPhoto, StationPhotos, find_station
 from wlr_render.calibration.sweep_checks import RepeatedView

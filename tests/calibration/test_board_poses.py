@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from synthetic_station import BOARD, EYEBALL, NOISE_PX, board_view, lens_views, tilted_poses, turned
 
-from wlr_render.calibration.board_poses import poses_of
-from wlr_render.calibration.board_views import BoardView
+from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.poses import motion_between
-from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardSighting
 from wlr_render.geometry import transforms
 
 

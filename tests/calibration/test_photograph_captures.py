@@ -13,9 +13,9 @@ from wlr_render.calibration.photograph_captures import (
     see_through_captures,
     within_field,
 )
-from wlr_render.captures.decoded_samples import DecodedSamples
+from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardSighting
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from wlr_render.calibration.angular import angular_metric, relative_sigma
 from wlr_render.calibration.coverage import shortage
 from wlr_render.calibration.fit_report import Residuals
-from wlr_render.calibration.regression import Regression, fit
+from wlr_render.calibration.regression import Regression, angular_metric, fit, relative_sigma
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.least_squares import RankDeficientError

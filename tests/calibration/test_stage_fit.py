@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from synthetic_station import EYEBALL, NOISE_PX, STAGE_AXES, board_view, lens_views, stage_grid, turned
 
-from wlr_render.calibration.board_poses import poses_of
-from wlr_render.calibration.board_views import BoardPoses
+from wlr_render.calibration.board_poses import BoardPoses, poses_of
 from wlr_render.calibration.camera_calibration import calibrate_camera
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.calibration.stage_fit import fit_stage

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.decoded import Decoded, Rejection
-from wlr_render.captures.decoded_samples import sample
+from wlr_render.captures.decoded import Decoded, Rejection, sample
 
 
 def decoded_plane(noise_px=0.0, seed=1, size=(200, 160)):

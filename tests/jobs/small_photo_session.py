@@ -26,8 +26,12 @@ from wlr_render.jobs.simulate import making
 from wlr_render.jobs.simulate import session as simulate
 from wlr_render.jobs.simulate.making import Making
 from wlr_render.jobs.verify import procedure
-from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.photo_bench import (
+    PhotoBench,
+    PhotoBenchOptions,
+    design_photo_bench,
+    plan_photographs,
+)
 
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.dot_sights import Scene
+from wlr_render.simulation.simulate_session import Scene
 
 COUNT = 50
 

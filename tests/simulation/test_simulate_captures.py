@@ -7,8 +7,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.mappings import EyeMappings, Field, Panel
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 
 @pytest.fixture

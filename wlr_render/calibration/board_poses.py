@@ -1,22 +1,144 @@
-"""Poses of a board before a camera whose lens is known."""
+"""Poses of a board in photographs by a camera with a known lens: observed dots, their reprojection, and the fit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
-from wlr_render.calibration.board_views import FEWEST_DOTS, BoardPoses, BoardView
-from wlr_render.calibration.poses import small_motion
-from wlr_render.calibration.reprojection import Reprojection, reproject, robust_scale, without_strays
+from wlr_render.calibration.poses import Pose, small_motion
+from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
+FEWEST_DOTS = 8
+"""A pose has 6 unknowns; four dots are 8 readings, and twice that tells whether they are right."""
+
+STRAY = 6.0
+"""A dot this many robust sigmas from its place is no reading of the board."""
 MISFIT = 3.0
 """A photograph whose dots scatter this many times more than usual does not show a flat board, or shows it blurred."""
-
 _STEPS = 30  # of Gauss and Newton; five do
 _SETTLED = 1e-4  # of a sigma
+
+
+@dataclass(frozen=True, eq=False)
+class BoardView:
+    """Dots of a flat board in one photograph.
+
+    Attributes:
+        name: of the photograph, as messages should have it.
+        point: (n, 3) dots, board frame, metres.
+        pixel: (n, 2) where they are seen, from the outer corner of the top-left pixel.
+        sigma_px: (n,) standard deviation of `pixel` per axis; only their ratios matter to poses.
+    """
+
+    name: str
+    point: FloatArray
+    pixel: FloatArray
+    sigma_px: FloatArray
+
+    @classmethod
+    def of_sighting(cls, name: str, sighting: BoardSighting, board: DotBoard) -> "BoardView":
+        """What was found of a board in the photograph `name`."""
+        return cls(name, board.point_of(sighting.index), sighting.pixel, sighting.sigma_px)
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPoses:
+    """Where one camera saw the board, photograph by photograph.
+
+    Attributes:
+        camera: the lens that the poses were found with.
+        names: n photographs.
+        camera_from_board: (n, 4, 4).
+        covariance: (6 n, 6 n) of small motions in the camera's frame, of all photographs together: an error of the
+            camera's own values moves all poses at once.
+        rms_px: (n,) rms distance per axis of dots from where the pose has them.
+        set_aside: name -> reason, of photographs that gave no pose.
+    """
+
+    camera: LensCamera
+    names: tuple[str, ...]
+    camera_from_board: FloatArray
+    covariance: FloatArray
+    rms_px: FloatArray
+    set_aside: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __getitem__(self, name: str) -> Pose:
+        i = self.names.index(name)
+        return Pose(self.camera_from_board[i], self.covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6])
+
+    def only(self, names: Sequence[str]) -> "BoardPoses":
+        """The poses of some photographs, in the order of `names`."""
+        index = np.array([self.names.index(name) for name in names], dtype=np.int64)
+        rows = (6 * index[:, None] + np.arange(6)).ravel()
+        return BoardPoses(
+            self.camera,
+            tuple(names),
+            self.camera_from_board[index],
+            self.covariance[np.ix_(rows, rows)],
+            self.rms_px[index],
+            self.set_aside,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Reprojection:
+    """One photograph's share of a least-squares problem, all in units of the dots' sigmas.
+
+    Attributes:
+        residual: (2 n,) seen minus predicted.
+        by_motion: (2 n, 6) derivative of predicted by a small motion in the camera's frame (rad, m).
+        by_camera: (2 n, 9) derivative of predicted by fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        per_px: (2 n,) what one pixel counts.
+    """
+
+    residual: FloatArray
+    by_motion: FloatArray
+    by_camera: FloatArray
+    per_px: FloatArray
+
+    @property
+    def chi_square(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def rms_px(self) -> float:
+        """Rms distance of dots from their places per axis, pixels, weighted as the dots are."""
+        return float(np.sqrt(self.chi_square / np.sum(self.per_px**2)))
+
+
+def reproject(camera: LensCamera, camera_from_board: FloatArray, view: BoardView) -> Reprojection:
+    """Compare the dots of `view` with a camera at a pose (4, 4)."""
+    point_in_camera = transforms.apply(camera_from_board, view.point)
+    # At no rotation OpenCV's derivative by the rotation vector is the one by a small motion that follows the pose.
+    still = np.zeros(3)
+    seen, slope = cv2.projectPoints(point_in_camera, still, still, camera.opencv_matrix, camera.distortion)
+    per_px = np.repeat(1.0 / view.sigma_px, 2)
+    residual = (view.pixel - (seen[:, 0] - OPENCV_PIXEL_SHIFT)).ravel() * per_px
+    slope = slope * per_px[:, None]
+    return Reprojection(residual, slope[:, :6], slope[:, 6:15], per_px)
+
+
+def robust_scale(residual: FloatArray) -> float:
+    """Standard deviation of the bulk of residuals in units of sigma, whatever a few strays do."""
+    return float(1.4826 * np.median(np.abs(residual)))
+
+
+def without_strays(view: BoardView, residual: FloatArray) -> BoardView:
+    """The view without dots that lie far off by their residuals (2 n,)."""
+    apart = np.abs(residual).reshape(-1, 2).max(axis=1)
+    keep = apart <= STRAY * max(robust_scale(residual), 1e-9)
+    return BoardView(view.name, view.point[keep], view.pixel[keep], view.sigma_px[keep])
 
 
 def poses_of(camera: LensCamera, views: Sequence[BoardView]) -> BoardPoses:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.board_views import BoardView
+from wlr_render.calibration.board_poses import BoardView, Reprojection, reproject
 from wlr_render.calibration.poses import small_motion
-from wlr_render.calibration.reprojection import Reprojection, reproject
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray, IntArray
 

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wlr_render.calibration.board_poses import misfit, too_few_dots
-from wlr_render.calibration.board_views import BoardPoses, BoardView
+from wlr_render.calibration.board_poses import BoardPoses, BoardView, misfit, robust_scale, too_few_dots, without_strays
 from wlr_render.calibration.bundle_adjustment import Adjustment, UndeterminedError, adjusted
-from wlr_render.calibration.reprojection import robust_scale, without_strays
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.board_views import BoardPoses
+from wlr_render.calibration.board_poses import BoardPoses
 from wlr_render.calibration.poses import Pose, adjoint, mean_of_dependent
 from wlr_render.calibration.stage_fit import StageFit
 from wlr_render.errors import BadInputError

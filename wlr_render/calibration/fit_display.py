@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.angular import angular_metric, relative_sigma
 from wlr_render.calibration.coverage import shortage
 from wlr_render.calibration.fit_report import FitReport, Residuals
-from wlr_render.calibration.regression import Fitted, Regression, fit
+from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir

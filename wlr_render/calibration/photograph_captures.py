@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
-from wlr_render.captures.decoded_samples import DecodedSamples
-from wlr_render.captures.targets.board_sighting import BoardSighting
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.decoded import DecodedSamples
+from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir

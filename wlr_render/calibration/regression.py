@@ -1,4 +1,4 @@
-"""Polynomial regression with held-out degree choice: the linear algebra that all fits share.
+"""Weighted polynomial regression with cross-validated degree choice, shared by all fits.
 
 Rows are compressed fold by fold to the R of a QR decomposition, which keeps every sum of squares: any training set is
 then a few stacked triangles, and since terms are ordered by total degree, one pass over the data serves all lower
@@ -12,19 +12,34 @@ from functools import cache
 import numpy as np
 
 from wlr_render.calibration.fit_report import HeldOut
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError, Solution, solve
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, exponents, term_count
 
 HIGHEST_DEGREE = 7
 """Of the degrees tried when none is given; the shipped devices reach 0.04' there."""
-
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero; sound designs stay above 1e-5."""
-
 FOLDS = 10
 _BLOCK = 8_192  # samples per compression step
 _BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
+
+
+def angular_metric(tangents: FloatArray) -> FloatArray:
+    """Arcminutes per unit of tangent at tangents (n, 2): (n,).
+
+    With n^2 = 1 + tx^2 + ty^2 a small step of tangents is an angle of 1 / n^2 of it radially and 1 / n across; camera
+    noise is the same in both. Their geometric mean is taken (within 8 % of either at 30 degrees off axis), so that one
+    design serves both outputs.
+    """
+    square = 1.0 + np.sum(tangents**2, axis=-1)
+    return np.asarray(square**-0.75 / ARCMIN)
+
+
+def relative_sigma(sigma: FloatArray) -> FloatArray:
+    """Sigmas (n,) to weight by: as they are, or ones where the data are stated to be exact (all zero)."""
+    return sigma if np.any(sigma > 0) else np.ones_like(sigma)
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.calibration.board_views import BoardPoses, BoardView
+from wlr_render.calibration.board_poses import BoardPoses, BoardView
 from wlr_render.calibration.chains import Chains, chains_through, combined, tracked_targets
 from wlr_render.calibration.check import Change, Check
 from wlr_render.calibration.poses import Pose, adjoint, motion_between
-from wlr_render.calibration.stage_checks import STEP, stage_checks
 from wlr_render.calibration.stage_fit import StageFit, fit_stage
-from wlr_render.calibration.station_checks import chain_check, lens_check, set_aside_checks
+from wlr_render.calibration.station_checks import STEP, chain_check, lens_check, set_aside_checks, stage_checks
 from wlr_render.calibration.sweep_checks import RepeatedView, TargetChange, sweep_check
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms

@@ -1,13 +1,170 @@
-"""Whether the steps of a calibration agree with each other, so that the one that is off is named."""
+"""Checks of the stage, and of the calibration steps against each other, that name the step at fault."""
+
+from itertools import combinations
 
 import numpy as np
 
-from wlr_render.calibration.board_views import BoardPoses
+from wlr_render.calibration.board_poses import BoardPoses
 from wlr_render.calibration.chains import Chains
-from wlr_render.calibration.check import Change, Check
-from wlr_render.calibration.poses import mean_of_dependent, motion_between
+from wlr_render.calibration.check import (
+    NEGLIGIBLE_ARCMIN,
+    NEGLIGIBLE_MM,
+    REFUSED_ARCMIN,
+    REFUSED_MM,
+    REFUSED_SIGMAS,
+    WARNED_SIGMAS,
+    Change,
+    Check,
+)
+from wlr_render.calibration.poses import ARCMIN, mean_of_dependent, motion_between
+from wlr_render.calibration.stage_fit import StageFit, TargetMoved
+from wlr_render.numerics.arrays import FloatArray
+
+STEP = "photographs without the headset"
+
+_SCALE = 0.002  # 1 mm in the distance of a target at half a metre; good printers and stages do better
+_REFUSED_SCALE = 0.02  # 10 mm in the distance of a target at half a metre
+_SKEW_DEG = 1.0
+_UNIT = 0.1  # how far, in powers of ten, a factor may be from 1000 to be a mistaken unit
 
 _POOR_FIT_PX = 0.5
+
+
+def stage_checks(stage: StageFit) -> list[Check]:
+    """All that photographs at known readings say of a stage."""
+    return [*_moved_photographs(stage), *_straightness(stage), *_scales(stage), *_angles(stage)]
+
+
+def _moved_photographs(stage: StageFit) -> list[Check]:
+    """One failed check per photograph that was set aside."""
+    checks = []
+    for name, motion in stage.set_aside.items():
+        shift_mm, turn_arcmin = _size(motion)
+        sentence = (
+            f"the target or the camera moved at {name}, which lies {shift_mm:.3g} mm and {turn_arcmin:.2g}' from where "
+            "the other photographs have it; it was set aside: take it again, or correct its stage reading"
+        )
+        checks.append(Check(name, "shift, mm", shift_mm, 0.0, NEGLIGIBLE_MM, sentence, ok=False))
+    return checks
+
+
+def _straightness(stage: StageFit) -> list[Check]:
+    """Of the position and of the orientation of the camera, or of the target where that one moved."""
+    if stage.target_moved:
+        return [_moved_target(stage.target_moved)]
+    um, urad = 1e6 * stage.jitter.translation_m, 1e6 * stage.jitter.rotation_rad
+    shift_mm, turn_arcmin = np.sqrt(3) * 1e-3 * um, np.sqrt(3) * stage.jitter.rotation_rad / ARCMIN
+    relative_sigma = 1.0 / np.sqrt(12 * len(stage.names))
+    straight = shift_mm <= NEGLIGIBLE_MM
+    steady = turn_arcmin <= NEGLIGIBLE_ARCMIN
+    out_of_plane = f", {1e3 * stage.out_of_plane_m:.3g} mm of it out of its plane" if len(stage.moved) == 2 else ""
+    return [
+        Check(
+            STEP,
+            "departure from straight motion, mm",
+            shift_mm,
+            shift_mm * relative_sigma,
+            NEGLIGIBLE_MM,
+            f"the stage moves straight to {um:.2g} um per axis"
+            if straight
+            else f"the stage does not move in a straight line or plane: the camera departs by {shift_mm:.3g} mm rms "
+            f"({um:.3g} um per axis){out_of_plane}; use a smaller range, and check that stage, camera and target are "
+            "fixed",
+            ok=straight,
+            contradictory=shift_mm > REFUSED_MM,
+        ),
+        Check(
+            STEP,
+            "rotation of the camera between stage readings, arcmin",
+            turn_arcmin,
+            turn_arcmin * relative_sigma,
+            NEGLIGIBLE_ARCMIN,
+            f"the stage keeps the camera's orientation to {urad:.2g} microradians per axis"
+            if steady
+            else f"the stage rotates the camera by {turn_arcmin:.2g}' rms ({urad:.3g} microradians per axis) between "
+            "its readings; use a smaller range or a stage with less roll, pitch and yaw, and check that the camera is "
+            "clamped",
+            ok=steady,
+            contradictory=turn_arcmin > REFUSED_ARCMIN,
+        ),
+    ]
+
+
+def _moved_target(moved: TargetMoved) -> Check:
+    shift_mm, turn_arcmin = _size(moved.motion)
+    return Check(
+        STEP,
+        "shift of the target, mm",
+        shift_mm,
+        0.0,
+        NEGLIGIBLE_MM,
+        f"the target moved between {moved.before} and {moved.after}, in the eyeball camera's frame by "
+        f"{shift_mm:.3g} mm and {turn_arcmin:.2g}'; take the photographs without the headset again",
+        ok=False,
+        contradictory=shift_mm > REFUSED_MM or turn_arcmin > REFUSED_ARCMIN,
+    )
+
+
+def _size(motion: FloatArray) -> tuple[float, float]:
+    """Millimetres and arcminutes of a small motion (6,)."""
+    return 1e3 * float(np.linalg.norm(motion[3:])), float(np.linalg.norm(motion[:3])) / ARCMIN
+
+
+def _scales(stage: StageFit) -> list[Check]:
+    checks = []
+    for column, axis in enumerate(stage.moved):
+        vector = stage.axes[:, column]
+        length = float(np.linalg.norm(vector))
+        rows = slice(3 * column, 3 * column + 3)
+        sigma = float(np.sqrt(vector @ stage.covariance[rows, rows] @ vector)) / length
+        off = abs(length - 1.0)
+        ok = off <= max(_SCALE, WARNED_SIGMAS * sigma)
+        checks.append(
+            Check(
+                STEP,
+                f"travel along axis {'xyz'[axis]} by the board's pitch over the reading, less 1",
+                length - 1.0,
+                sigma,
+                _SCALE,
+                _scale_sentence("xyz"[axis], length, ok),
+                ok,
+                contradictory=off > max(_REFUSED_SCALE, REFUSED_SIGMAS * sigma),
+            )
+        )
+    return checks
+
+
+def _scale_sentence(axis: str, length: float, ok: bool) -> str:
+    if ok:
+        return f"the stage's axis {axis} and the board's pitch agree to {100 * (length - 1):+.2g} %"
+    if abs(abs(np.log10(length)) - 3) < _UNIT:
+        wrong = "small, as metres read as millimetres are" if length > 1 else "large, as millimetres read as metres are"
+        return (
+            f"the stage readings along axis {axis} are 1000 times too {wrong} (or the board's pitch is in another "
+            "unit); correct the unit in the session file"
+        )
+    return (
+        f"1 mm of the stage's axis {axis} is {length:.4g} mm by the board's printed pitch; measure the pitch over many "
+        "dots with a rule (printers scale to fit the page), or correct the scale of the stage"
+    )
+
+
+def _angles(stage: StageFit) -> list[Check]:
+    checks = []
+    for i, j in combinations(range(len(stage.moved)), 2):
+        first, second = stage.axes[:, i], stage.axes[:, j]
+        size = np.linalg.norm(first) * np.linalg.norm(second)
+        skew_deg = float(np.degrees(np.arcsin(first @ second / size)))
+        gradient = np.concatenate([second, first]) / size
+        rows = np.concatenate([3 * i + np.arange(3), 3 * j + np.arange(3)])
+        sigma_deg = float(np.degrees(np.sqrt(gradient @ stage.covariance[np.ix_(rows, rows)] @ gradient)))
+        ok = abs(skew_deg) <= max(_SKEW_DEG, WARNED_SIGMAS * sigma_deg)
+        pair = f"{'xyz'[stage.moved[i]]} and {'xyz'[stage.moved[j]]}"
+        sentence = f"the stage's axes {pair} are {90 - skew_deg:.2f} deg apart"
+        if not ok:
+            sentence += "; they should be at right angles: are readings of two axes mixed up, or is the stage loose?"
+        checks.append(Check(STEP, f"angle of axes {pair} less 90, deg", -skew_deg, sigma_deg, _SKEW_DEG, sentence, ok))
+    return checks
 
 
 def lens_check(step: str, poses: BoardPoses) -> Check:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.board_views import BoardView
+from wlr_render.calibration.board_poses import BoardView
 from wlr_render.calibration.check import NEGLIGIBLE_ARCMIN, REFUSED_ARCMIN, Change, Check
 from wlr_render.calibration.poses import ARCMIN
 from wlr_render.geometry import transforms

@@ -7,7 +7,8 @@ have thousands. The lists are in the order of taking.
 from dataclasses import dataclass
 from pathlib import Path
 
-from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern, pattern_keys
-from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.captures.targets.board_file import load_board

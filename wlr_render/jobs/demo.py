@@ -47,8 +47,7 @@ from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
 from wlr_render.simulation import viewpoints as stage
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 METHODS = ("naive", "static", "raster + warp", "ray traced")
 CAMERA_POSITIONS = 49

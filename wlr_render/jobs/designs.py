@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.capture_setup import CaptureSetup
+from wlr_render.simulation.simulate_captures import CaptureSetup
 
 
 def camera_positions(setup: CaptureSetup, kind: str, count: int) -> NDArray[np.float64]:

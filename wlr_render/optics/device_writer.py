@@ -20,9 +20,9 @@ from wlr_render.optics.device import (
     PlacedSurface,
     mirrored,
 )
+from wlr_render.optics.device_file import MM, offset_chain
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
-from wlr_render.optics.surface_file import MM, offset_chain
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 
 Content = dict[str, Any]

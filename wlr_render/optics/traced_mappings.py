@@ -14,18 +14,87 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
-from wlr_render.mappings import EyeMappings, Mapped, Panel, Status, StatusArray
-from wlr_render.numerics import newton
+from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status, StatusArray
+from wlr_render.numerics import least_squares, newton
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis
 from wlr_render.optics.device import Device, EyeOptics
-from wlr_render.optics.display_start import DisplayStart, fit_display_start
 from wlr_render.optics.tracer import trace
+
+PixelOfViewDir = Callable[[FloatArray, FloatArray], tuple[FloatArray, StatusArray]]
+"""(view_dir, viewpoint) -> pixel (..., 2), not cut off at the panel's edge, and status."""
+
+_DEGREE = 4
+_VIEWPOINTS = 60
+_SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents in which the panel is looked for: 63 degrees to each side
+_GRID = 15  # directions per axis and viewpoint
+_MARGIN = 0.1  # of the field, for it moves with the viewpoint
 
 _BLOCK = 65_536  # queries solved at a time: bounds the memory that a whole panel takes
 _TANGENT_STEP = 1e-7  # of the forward differences
 _PIXEL_TOLERANCE = 1e-9  # pixels
 _ANGLE_TOLERANCE = 1e-13  # radians
 _EDGE_PX = 1e-6  # by so much a pixel may lie outside the panel, so that its very edge survives rounding
+
+
+@dataclass(frozen=True)
+class DisplayStart:
+    """The fitted guess.
+
+    Attributes:
+        polynomial: (u, v, x, y, z) -> tangents.
+    """
+
+    polynomial: Polynomial
+
+    def __call__(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
+        box = self.polynomial.box
+        return self.polynomial(np.clip(np.concatenate([pixel, viewpoint], axis=-1), box.low, box.high))
+
+
+def fit_display_start(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye_box: EyeBox) -> DisplayStart:
+    """Trace a spread of directions from a spread of viewpoints and fit those that reach the panel.
+
+    Raises:
+        BadInputError: no direction from the nominal viewpoint reaches the panel.
+    """
+    search = np.stack(np.meshgrid(_SEARCH, _SEARCH), axis=-1).reshape(-1, 2)
+    found = search[_reaches(panel, *pixel_of_view_dir(dir_of_tangents(search), eye_box.centre))]
+    if len(found) == 0:
+        raise BadInputError("no ray from the middle of the eye box reaches the panel; check the paths and apertures.")
+    low, high = found.min(axis=0), found.max(axis=0)
+    margin = _MARGIN * (high - low) + (_SEARCH[1] - _SEARCH[0])
+    axes = np.linspace(low - margin, high + margin, _GRID)
+    tangents = np.stack(np.meshgrid(axes[:, 0], axes[:, 1]), axis=-1).reshape(-1, 2)
+    viewpoint = eye_box.at(_spread(_VIEWPOINTS))[:, None, :]
+    pixel, status = pixel_of_view_dir(dir_of_tangents(tangents), viewpoint)
+    kept = _reaches(panel, pixel, status)
+    inputs = np.concatenate([pixel, np.broadcast_to(viewpoint, (*pixel.shape[:-1], 3))], axis=-1)[kept]
+    half = 0.5 * eye_box.size
+    box = Box(np.r_[0.0, 0.0, eye_box.centre - half], np.r_[panel.size_px, eye_box.centre + half])
+    targets = np.broadcast_to(tangents, pixel.shape)[kept]
+    try:
+        solution = least_squares.solve(basis(inputs, _DEGREE, box), targets)
+    except least_squares.RankDeficientError as error:
+        raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.") from error
+    return DisplayStart(Polynomial(_DEGREE, box, solution.coefficients))
+
+
+def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
+    """Which rays end on the panel or just outside; those outside steady the fit at the panel's edge."""
+    inside = np.all(np.abs(pixel / panel.size_px - 0.5) <= 0.55, axis=-1)
+    return np.asarray(inside & (status == Status.OK))
+
+
+def _spread(count: int) -> FloatArray:
+    """Points spread evenly over -1..1 in three axes, (count, 3): multiples of the powers of a root, modulo 1.
+
+    The root solves g^4 = g + 1, the generalised golden ratio for three axes.
+    """
+    powers = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+    return np.asarray(2.0 * np.mod(0.5 + np.arange(count)[:, None] * powers, 1.0) - 1.0)
+
 
 Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
 """(tangents (k, m, 2), index (m,) into the queries) -> by how much the rays miss their targets, (k, m, 2)."""

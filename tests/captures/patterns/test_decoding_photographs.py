@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.decoded import DecodeOptions, Rejection
 from wlr_render.captures.patterns import PATTERNS
 from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.patterns.pattern import DecodeOptions
 from wlr_render.mappings import Panel
 
 PANEL = Panel(221, 175)

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.pattern import DecodeOptions
-from wlr_render.captures.patterns.photometry import NoiseMeter, read_light
-from wlr_render.captures.patterns.shots import Shots
+from wlr_render.captures.patterns.photometry import NoiseMeter, Shots, read_light
 
 AXIS = GrayAxis("u", 32)
 

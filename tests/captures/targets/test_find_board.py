@@ -8,7 +8,7 @@ import pytest
 from board_pictures import BARREL, BOARD, CAMERA, exposed, light_of, pose, truth
 
 from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_sighting import BoardNotFoundError
+from wlr_render.captures.targets.dot_board import BoardNotFoundError
 from wlr_render.captures.targets.find_board import find_board
 
 VIEW = pose(turn_deg=25, tilt_deg=20, distance_m=0.27)

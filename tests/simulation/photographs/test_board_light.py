@@ -7,7 +7,7 @@ from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, r
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs import exact
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
-from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.camera import Lens
 from wlr_render.simulation.photographs.sight import Sight
 
 CAMERA = LensCamera((320, 240), np.array([400.0, 400.0]), np.array([161.0, 118.0]), np.array([-0.1, 0.02, 1e-3, 0, 0]))

@@ -10,10 +10,10 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.photo_bench import (
     PhotoBenchOptions,
     design_photo_bench,
+    plan_photographs,
     stage_readings,
     target_at,
 )
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
 
 OPTIONS = PhotoBenchOptions(camera_px=(640, 512))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.photographs.sensor import Sensor
+from wlr_render.simulation.photographs.camera import Sensor
 
 NOISELESS = {"full_well_e": 1e18, "read_noise_e": 0.0}
 

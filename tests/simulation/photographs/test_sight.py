@@ -9,7 +9,7 @@ from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_a
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs import exact
-from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.camera import Lens
 from wlr_render.simulation.photographs.sight import Sight
 
 LOOKING_AHEAD = rigid(OPENXR_FROM_OPENCV, np.zeros(3))

@@ -7,12 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.axis_code import AxisCode, PanelCode
-from wlr_render.captures.patterns.phase_order import check_agreement
-from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, nearest, noise_gain, read_fringe
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
+from wlr_render.captures.patterns.phase_steps import (
+    FringeAxis,
+    check_agreement,
+    check_fringe,
+    nearest,
+    noise_gain,
+    read_fringe,
+)
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots
 from wlr_render.captures.patterns.settle import AxisReading
-from wlr_render.captures.patterns.shots import Shots
 
 _LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
 _RATIO = 6.0  # of two periods at most: the phase of the longer must tell the periods of the shorter apart

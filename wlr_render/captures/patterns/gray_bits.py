@@ -1,24 +1,40 @@
-"""Binary-reflected Gray code over the cells of one axis of a panel: its lines, and how photographs of them are read.
+"""Binary-reflected Gray code along one axis of a panel: its images, their decoding, order check and bit contrast.
 
 Between neighbouring cells exactly one bit changes, so that a pixel that sees the border of two cells reads one of the
 two whatever that bit says. At odd-numbered borders it is the finest bit that changes, at even-numbered ones a coarser.
+
+If a bit was exchanged with its inverse, or with another bit, each pair of photographs is still consistent, but the
+decoded picture is discontinuous. The order with the smallest squared differences between neighbours is the true one.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.patterns.gray_order import check_bits
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter, check_range
-from wlr_render.captures.patterns.shots import Grey, Shots
+from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.patterns.neighbours import neighbour_slices
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.patterns.photometry import Grey, Light, NoiseMeter, Shots, check_range, read_light
+from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 
 _UNMIXED = 0.8  # a stripe that fills the pixel this much adds up with its inverse to white + black at any gamma
 _AROUND = 7  # camera pixels
 _ODD_SUM = 0.8  # of the contrast: positive + inverse is off by one contrast where one of the two is another bit's
 _ODD_SHARE = 0.2  # of the lit pixels
+
+_LINES = 128  # of neighbours that are compared along each axis of the picture
+_STRONG = 0.35  # of full contrast
+_TORN = 0.9  # another order that leaves less of the sum of squared steps is the better one
+WEAK = 0.5
+"""A bit is weak if its median strength is below this part of full contrast."""
+_WELL_LIT = 0.25  # of the contrast that the brightest twentieth of the lit pixels exceeds
+_INVERSE = " inverse"
+_USUAL = DecodeOptions()
 
 
 @dataclass(frozen=True)
@@ -129,3 +145,139 @@ def _check_pair(steady: Grey, light: Light, shots: Shots) -> None:
             f"{shots.label(shots.taken - 2)} and {shots.label(shots.taken - 1)} do not add up to white + black in "
             f"{share:.0%} of the lit pixels: one of them is missing, out of order or of another exposure."
         )
+
+
+Codes = NDArray[np.int64]
+
+
+def check_bits(
+    cell: NDArray[np.int32], lit: NDArray[np.bool_], strengths: Sequence[float], cells: int, shots: Shots
+) -> None:
+    """See that no other order of the photographs gives a clearly smoother picture.
+
+    Args:
+        cell: (h, w) as read.
+        lit: (h, w) which pixels to ask.
+        strengths: mean of each bit, the finest first, as a part of full contrast; a weak bit is not accused, since blur
+            alone can turn the contrast of fine stripes around.
+        cells: how many there are.
+        shots: names the photographs; the last one taken is the finest bit's inverse.
+
+    Raises:
+        BadInputError: exchanging a bit with its inverse, or two bits, does.
+    """
+    pairs, count = _neighbouring_codes(cell ^ (cell >> 1), lit)
+    if not count.size:
+        return
+    as_read = _tearing(np.arange(1 << len(strengths)), pairs, count, cells)
+    others = [
+        (_tearing(codes, pairs, count, cells), which)
+        for codes, which in _other_orders(len(strengths))
+        if min(strengths[bit] for bit in which) > _STRONG
+    ]
+    tearing, which = min(others, default=(np.inf, ()))
+    if tearing < _TORN * as_read:
+        photographs = [shots.taken - 2 * (1 + bit) for bit in which]
+        exchanged = [photographs[0], photographs[0] + 1] if len(which) == 1 else photographs
+        both = "" if len(which) == 1 else ", each with its inverse,"
+        raise BadInputError(
+            f"{shots.label(exchanged[0])} and {shots.label(exchanged[1])}{both} seem to be exchanged: the decoded "
+            "picture is torn, and so it is whole."
+        )
+
+
+def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tuple[Codes, NDArray[np.int64]]:
+    """Different pairs of Gray codes of neighbours, (n, 2), and how often each was met, (n,)."""
+    found = []
+    for (dx, dy), length in (((1, 0), gray.shape[0]), ((0, 1), gray.shape[1])):
+        every = max(1, length // _LINES)
+        some = (slice(None, None, every), slice(None)) if dx else (slice(None), slice(None, None, every))
+        here, there = neighbour_slices(dx, dy)
+        both = lit[some][here] & lit[some][there]
+        found.append(np.stack([gray[some][here][both], gray[some][there][both]], axis=-1).astype(np.int64))
+    joined = np.concatenate(found)
+    packed, count = np.unique((joined[:, 0] << 32) | joined[:, 1], return_counts=True)
+    return np.stack([packed >> 32, packed & 0xFFFFFFFF], axis=-1), count
+
+
+def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
+    """What each Gray code as read would have been, were one bit inverted or two bits exchanged; and which."""
+    codes = np.arange(1 << bits)
+    for bit in range(bits):
+        yield codes ^ (1 << bit), (bit,)
+    for high, low in combinations(reversed(range(bits)), 2):
+        differ = ((codes >> high) ^ (codes >> low)) & 1
+        yield codes ^ (differ << high) ^ (differ << low), (high, low)
+
+
+def _tearing(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
+    """Sum of the squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
+
+    Args:
+        gray: (2**bits,) true Gray code of each that was read.
+        pairs: (n, 2) Gray codes as read.
+        count: (n,) how often.
+        cells: how many there are.
+    """
+    cell = gray.copy()
+    shift = 1
+    while shift < cell.size:
+        cell ^= cell >> shift
+        shift *= 2
+    sides = cell[pairs]
+    steps = (sides[:, 0] - sides[:, 1]) ** 2
+    return float(np.sum(count * np.where(np.any(sides >= cells, axis=-1), cells**2, steps)))
+
+
+@dataclass(frozen=True)
+class BitStrength:
+    """|picture - inverse| / (white - black) of one bit over well-lit camera pixels.
+
+    Even a faultless bit is faint in the pixels that see the border of its stripes: few of a coarse, many of a fine one.
+
+    Attributes:
+        name: as the pattern calls its picture, e.g. "u bit 3".
+        median, percentile_5, percentile_1: of the strength; 1 is full contrast.
+        unsure_share: of these pixels, where the strength is below the confidence that decoding asks for.
+    """
+
+    name: str
+    median: float
+    percentile_5: float
+    percentile_1: float
+    unsure_share: float
+
+    @property
+    def weak(self) -> bool:
+        """Whether the bit is blurred or dimmed where there is light enough."""
+        return self.median < WEAK
+
+
+def bit_strengths(
+    photographs: Iterable[Photograph], pattern: Pattern, options: DecodeOptions = _USUAL
+) -> tuple[BitStrength, ...]:
+    """Judge each bit that is shown with its inverse right after it; photographs as `pattern.decode` takes them.
+
+    Raises:
+        BadInputError: photographs are missing or left over, of different sizes, or under- or over-exposed.
+    """
+    names = pattern.names()
+    shots = Shots(photographs, names)
+    light = read_light(shots, options)
+    well_lit = light.lit & (light.contrast >= _WELL_LIT * np.percentile(light.contrast[light.lit], 95))
+    full = light.contrast[well_lit]
+    strengths = []
+    earlier = light.middle
+    for number, name in enumerate(names[2:], start=2):
+        image = shots.take()
+        if name == names[number - 1] + _INVERSE:
+            strength = np.abs(image - earlier)[well_lit] / full
+            strengths.append(_judged(names[number - 1], strength, options.min_confidence))
+        earlier = image
+    shots.finish()
+    return tuple(strengths)
+
+
+def _judged(name: str, strength: Grey, min_confidence: float) -> BitStrength:
+    first, fifth, median = (float(value) for value in np.percentile(strength, (1, 5, 50)))
+    return BitStrength(name, median, fifth, first, float(np.mean(strength < min_confidence)))

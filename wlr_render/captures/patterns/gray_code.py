@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.axis_code import AxisCode, PanelCode
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots
 from wlr_render.captures.patterns.settle import AxisReading
-from wlr_render.captures.patterns.shots import Shots
 
 
 @dataclass(frozen=True)

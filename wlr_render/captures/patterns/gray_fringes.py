@@ -6,13 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.axis_code import AxisCode, PanelCode
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.phase_order import check_agreement
-from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, nearest, noise_gain, read_fringe
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter
+from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
+from wlr_render.captures.patterns.phase_steps import (
+    FringeAxis,
+    check_agreement,
+    check_fringe,
+    nearest,
+    noise_gain,
+    read_fringe,
+)
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots
 from wlr_render.captures.patterns.settle import AxisReading
-from wlr_render.captures.patterns.shots import Shots
 from wlr_render.errors import BadInputError
 
 _FAR = 0.375  # of a period from the middle of its cell, half-way between the cell's end (1/4) and ambiguity (1/2)

@@ -1,34 +1,18 @@
-"""What a family of panel codes does: shown pictures in, photographs out, panel positions back."""
+"""Pattern protocol: images shown on a panel, and the decoding of their photographs; patterns coded axis by axis."""
 
-from collections.abc import Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded
+from wlr_render.captures.decoded import DEFAULT_OPTIONS, Decoded, DecodeOptions
+from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots, read_light
+from wlr_render.captures.patterns.settle import AxisReading, settle
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
-
-
-@dataclass(frozen=True)
-class DecodeOptions:
-    """When a camera pixel is believed.
-
-    Attributes:
-        full_scale: the largest value that the camera can give: 255, 1023, 4095, 65535.
-        min_contrast: of white over black, as a part of the full scale: below, a pixel is dark. It is also dark where
-            white over black is not well above the noise that the set itself shows.
-        min_confidence: of the weakest evidence needed, as a part of full contrast.
-    """
-
-    full_scale: int = 255
-    min_contrast: float = 0.02
-    min_confidence: float = 0.1
-
-
-DEFAULT_OPTIONS = DecodeOptions()
 
 
 class Pattern(Protocol):
@@ -53,3 +37,65 @@ class Pattern(Protocol):
             BadInputError: too few or too many photographs, sizes that differ, a set that is over- or under-exposed or
                 not in the order of showing; the sentence names the photograph's number and what it should show.
         """
+
+
+class AxisCode(Protocol):
+    """Pictures that vary along one axis only, and what their photographs say."""
+
+    def names(self) -> list[str]:
+        """Names of its pictures in the order of showing."""
+
+    def line(self, index: int) -> NDArray[np.uint8]:
+        """(length of the axis in panel pixels,) what picture `index` of `names` shows."""
+
+    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
+        """Take one photograph per picture; `noise` learns from them.
+
+        Raises:
+            BadInputError: a photograph is missing or not in the order of showing.
+        """
+
+
+@dataclass(frozen=True)
+class PanelCode(ABC):
+    """White, black, then the code of u, then that of v: a `Pattern` of which a family says only how one axis is coded.
+
+    Attributes:
+        panel: it is made for.
+    """
+
+    panel: Panel
+
+    @abstractmethod
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """The code of the axis "u" or "v" of so many panel pixels."""
+
+    def names(self) -> tuple[str, ...]:
+        """What the pictures show, in the order of showing: see `Pattern.names`."""
+        return "white", "black", *self._u.names(), *self._v.names()
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """(panel height, panel width) grey picture number `index`."""
+        size = self.panel.height_px, self.panel.width_px
+        if index < 2:
+            return np.full(size, 255 * (1 - index), dtype=np.uint8)
+        of_u = len(self._u.names())
+        line = self._u.line(index - 2) if index - 2 < of_u else self._v.line(index - 2 - of_u)[:, None]
+        return np.array(np.broadcast_to(line, size))
+
+    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
+        """Panel positions from one photograph per picture; see `Pattern.decode`."""
+        shots = Shots(photographs, self.names())
+        light = read_light(shots, options)
+        noise = NoiseMeter(light)
+        readings: Sequence[AxisReading] = [axis.read(shots, light, noise) for axis in (self._u, self._v)]
+        shots.finish()
+        return settle(readings, light, shots.peak, noise.variance(), options, self.panel)
+
+    @property
+    def _u(self) -> AxisCode:
+        return self.axis("u", self.panel.width_px)
+
+    @property
+    def _v(self) -> AxisCode:
+        return self.axis("v", self.panel.height_px)

@@ -4,12 +4,13 @@ Board frame: x right along the columns, y down along the rows, z into the board,
 (OpenCV's axes, as a camera sees a board that hangs upright before it). Metres.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 RealArray = NDArray[np.floating[Any]]
@@ -83,3 +84,34 @@ class DotBoard:
         white = np.where(np.asarray(softness_m) > 0, ramp, beyond_edge > 0)
         width, height = self.size_m
         return np.where((np.abs(x) <= 0.5 * width) & (np.abs(y) <= 0.5 * height), white, np.nan)
+
+
+class BoardNotFoundError(BadInputError):
+    """The photograph shows no board, or too little of it to tell which part; the sentence says which of the two."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoardSighting:
+    """Identified dots.
+
+    Attributes:
+        index: (n, 2) column and row of each dot on the board.
+        pixel: (n, 2) where the dot's *centre* is seen, camera pixels from the outer corner of the top-left pixel; the
+            bias of a perspective view of a disc is taken out.
+        sigma_px: (n,) estimated standard deviation of `pixel` per axis.
+        unidentified: number of dots that were seen but not told apart.
+        disagreeing: number of dots whose size is not what the board has there.
+    """
+
+    index: NDArray[np.int64]
+    pixel: NDArray[np.float64]
+    sigma_px: NDArray[np.float64]
+    unidentified: int = 0
+    disagreeing: int = 0
+
+    def only(self, rows: NDArray[np.bool_]) -> "BoardSighting":
+        """Some of the dots, by mask (n,)."""
+        return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows])
+
+    def __len__(self) -> int:
+        return len(self.index)

@@ -1,22 +1,93 @@
-"""From a photograph to identified dots."""
+"""Find a dot board in a photograph and identify its dots.
+
+The map from lattice coordinates to pixels is smooth around each dot. It predicts where the dot should be, how large a
+lattice cell is there, and the offset between the centre of a disc's picture and the picture of the disc's centre.
+"""
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from wlr_render.captures.photographs import Photograph
-from wlr_render.captures.targets.board_sighting import BoardNotFoundError, BoardSighting
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.targets.dot_board import BoardNotFoundError, BoardSighting, DotBoard
 from wlr_render.captures.targets.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.targets.dot_detection import find_dots
 from wlr_render.captures.targets.dot_identity import identify
 from wlr_render.captures.targets.dot_lattice import LEAST_DOTS, Lattice, link_lattices
-from wlr_render.captures.targets.lattice_shape import LatticeShape, lattice_shape
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_NEIGHBOURS = 24  # a 5 x 5 window without its middle
+_POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # of x and y: 1, x, y, x^2, x y, y^2, ...
+_STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to show them
+
+_LEAST_STIFFNESS = 1e-9  # of first orders: a row of dots alone has no slope across, and gets zero
 
 _TRIES = 3  # lattices, the largest first, that are compared with the board
 _OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
 _OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
 _LEAST_CELL = 0.05  # of the usual one; under a row of dots alone there are none
 _LARGE_ARE_DARKEST = 75  # percentile of contrasts nearby: about the middle one of the large dots, blurred least
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeShape:
+    """Third-order maps around n dots, each fitted to its neighbours without itself.
+
+    At the edge of a fragment all neighbours lie on one side; with second orders only, third ones would pass for them.
+
+    Attributes:
+        expected: (n, 2) pixel where the neighbours say that the dot is.
+        doubt: (n,) standard deviation per axis of the dot's distance from there, for dots of unit noise.
+        slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
+        curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
+        neighbour: (n, k) which dots were used.
+    """
+
+    expected: FloatArray
+    doubt: FloatArray
+    slope: FloatArray
+    curvature: FloatArray
+    neighbour: IntArray
+
+    @property
+    def cell_px2(self) -> FloatArray:
+        """(n,) area of a lattice cell in the picture."""
+        return np.asarray(np.abs(np.linalg.det(self.slope)))
+
+    def centroid_shift(self, radius: FloatArray) -> FloatArray:
+        """(n, 2) centre of area of a disc's picture less the picture of its centre, pixels.
+
+        With f the map, J its slope and the disc's second moments radius^2 / 4 per axis: the integral of f |J| over the
+        integral of |J|, to second order. For a plane seen in perspective it is what J. Heikkila, "Geometric camera
+        calibration using circular control points", PAMI 22 (2000) 1066, corrects; lenses and optics are in it too.
+
+        Args:
+            radius: (n,) of the discs, lattice units.
+        """
+        growth = np.einsum("nlc,nckl->nk", np.linalg.inv(self.slope), self.curvature)  # of ln |J|
+        mean_lift = 0.5 * np.einsum("nckk->nc", self.curvature)
+        return np.asarray(0.25 * radius[:, None] ** 2 * (mean_lift + np.einsum("nck,nk->nc", self.slope, growth)))
+
+
+def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
+    """Fit the maps.
+
+    Args:
+        index: (n, 2) lattice coordinates, n >= 2.
+        pixel: (n, 2) where they are seen.
+    """
+    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
+    x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
+    basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in _POWERS], axis=-1)
+    held = np.diag([(0.0, _LEAST_STIFFNESS, _STIFFNESS, _STIFFNESS)[i + j] for i, j in _POWERS])
+    transposed = np.swapaxes(basis, 1, 2)
+    covariance = np.linalg.inv(transposed @ basis + held)
+    term = covariance @ (transposed @ (pixel[near] - pixel[:, None, :]))
+    slope = np.stack([term[:, 1], term[:, 2]], axis=-1)
+    curvature = np.stack([np.stack([term[:, 3], term[:, 4]], -1), np.stack([term[:, 4], term[:, 5]], -1)], -1)
+    return LatticeShape(pixel + term[:, 0], np.sqrt(1.0 + covariance[:, 0, 0]), slope, curvature, near)
 
 
 def find_board(image: Photograph, board: DotBoard, name: str = "photograph") -> BoardSighting:

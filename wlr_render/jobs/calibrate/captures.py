@@ -21,10 +21,9 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.capture_setup import CaptureSetup
 from wlr_render.simulation.session_captures import captures_of
 from wlr_render.simulation.session_folder import load_session
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 _TESTS = (100, 60)  # random viewpoints, and random pixels seen from each
 _TEST_DEPTHS_M = (0.3, 5.0)

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.calibration.moved_captures import Moved, moved_display, moved_see_through
-from wlr_render.calibration.stray_dots import follow_their_photograph
+from wlr_render.calibration.capture_outliers import Moved, follow_their_photograph, moved_display, moved_see_through
 from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures, select
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession
 from wlr_render.errors import BadInputError

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from wlr_render.calibration.board_poses import poses_of
-from wlr_render.calibration.board_views import BoardPoses, BoardView
+from wlr_render.calibration.board_poses import BoardPoses, BoardView, poses_of
 from wlr_render.calibration.camera_calibration import CameraCalibration, calibrate_camera
 from wlr_render.calibration.check import refuse_contradictions
 from wlr_render.calibration.fit_eye import EyeFit, fit_eye
@@ -23,7 +22,7 @@ from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import load_photo_session
-from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardSighting
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.geometry.lens_camera import LensCamera

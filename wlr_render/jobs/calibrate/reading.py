@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
-from wlr_render.captures.targets.board_sighting import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardSighting
 from wlr_render.jobs.calibrate.reading_tasks import BoardTask, PanelReading, PanelTask, SetAside, Task, do_task
 from wlr_render.jobs.calibrate.store import Store
 from wlr_render.jobs.processes import as_finished, few_workers

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded, Rejection
-from wlr_render.captures.decoded_samples import DecodedSamples, sample
-from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photographs import (
     BadPhotographError,
     check_photograph,
@@ -17,8 +16,7 @@ from wlr_render.captures.photographs import (
     read_each,
     read_photograph,
 )
-from wlr_render.captures.targets.board_sighting import BoardSighting
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
 from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.calibrate.store import Store, fingerprint

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.captures.decoded import Decoded
+from wlr_render.captures.decoded import Decoded, DecodeOptions
 from wlr_render.captures.importers.procam_graycode import read_procam_graycode
-from wlr_render.captures.patterns.bit_strength import bit_strengths
+from wlr_render.captures.patterns.gray_bits import bit_strengths
 from wlr_render.captures.patterns.gray_code import GrayCode
-from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photographs import photographs_in, read_each, read_photograph
 from wlr_render.evaluation.code_quality import Lenses, PlaneSurvey, find_planes, fit_planes
 from wlr_render.evaluation.opencv_decoder import MISSING, has_opencv_decoder, opencv_codes

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded
-from wlr_render.captures.patterns.bit_strength import WEAK, BitStrength
+from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength
 from wlr_render.evaluation.code_quality import TOLERANCE_PX, Lenses, PlaneSurvey, distance_to_planes
 from wlr_render.evaluation.opencv_decoder import OpencvCodes
 from wlr_render.report.blocks import Cell, ReportTable

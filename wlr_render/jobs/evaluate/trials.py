@@ -21,8 +21,12 @@ from wlr_render.jobs.evaluate import world
 from wlr_render.mappings import DisplayMapping
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.report.blocks import Cell
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through, with_camera_noise
+from wlr_render.simulation.simulate_captures import (
+    CaptureSetup,
+    simulate_display,
+    simulate_see_through,
+    with_camera_noise,
+)
 
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.patterns.pattern import DecodeOptions, Pattern
+from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.captures.targets.board_file import save_board, write_board_svg
@@ -23,10 +24,8 @@ from wlr_render.jobs.simulate.making import Making
 from wlr_render.jobs.simulate.shots import BoardShot, PanelShots, Place, take
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
-from wlr_render.simulation.photographs.lens import Lens
-from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
-from wlr_render.simulation.photographs.sensor import Sensor
+from wlr_render.simulation.photographs.camera import Lens, Sensor
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoPlan, plan_photographs
 
 BOARD = "board.toml"
 _MOST_WORKERS = 4  # each takes up to 0.4 GB

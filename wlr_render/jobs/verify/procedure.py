@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.board_poses import poses_of
-from wlr_render.calibration.board_views import BoardView
+from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.station_file import SavedStation
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.captures.targets.find_board import find_board

@@ -1,4 +1,4 @@
-"""A bench that takes photographs, with everything true about it that calibration must find out."""
+"""A simulated photographic bench with known true values, and the photographs a session takes on it."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,8 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.photographs.lens import Lens
-from wlr_render.simulation.photographs.sensor import Sensor
+from wlr_render.simulation.photographs.camera import Lens, Sensor
+from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar
 
 _MARGIN = 1.08  # by how much the camera sees more than the display's field
@@ -24,6 +23,10 @@ _LARGEST_BOARD_M = (1.189, 0.841)  # A0, what a plotter prints
 _PITCH_PX = 24.0  # of the board at its farthest place, camera pixels
 _EXPOSURE = 0.85  # of a white panel: just below full scale
 _TRACKING_SNR = 60.0
+
+_CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+_TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
+_FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
 
 
 @dataclass(frozen=True)
@@ -123,9 +126,6 @@ class _Aim:
         return np.asarray(self.device_from_looking[:, 2])
 
 
-_CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-
-
 def _looking(forward: FloatArray) -> FloatArray:
     right = normalised(np.cross(forward, [0.0, 1.0, 0.0]))
     return np.stack([right, np.cross(forward, right), forward], axis=-1)
@@ -198,3 +198,50 @@ def _tracking_pose(aim: _Aim, eye: FloatArray) -> FloatArray:
 def _target_pose(aim: _Aim, eye: FloatArray, depth_m: float) -> FloatArray:
     tilt = _turned(7.0, -9.0, 1.5)
     return transforms.rigid(aim.device_from_looking @ tilt, eye + aim.forward * depth_m)
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoPlan:
+    """Places of the photographs of a session.
+
+    Attributes:
+        sweep: (m, 3) stage readings for the panel, and for the target through the optics.
+        bare: (n, 3) stage readings for the target without the headset, along all three axes.
+        bare_poses: the target's poses that are photographed without the headset: the first before it is mounted, the
+            last after it is taken off again, so that a target that moved in between is noticed.
+        eyeball_boards, tracking_boards: (k, 4, 4) camera_from_board, for the intrinsics of each camera.
+    """
+
+    sweep: FloatArray
+    bare: FloatArray
+    bare_poses: tuple[int, ...]
+    eyeball_boards: FloatArray
+    tracking_boards: FloatArray
+
+
+def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
+    """The whole procedure for a bench, with so many camera positions."""
+    sweep = stage_readings(bench, viewpoints)
+    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    reach = [*np.abs(sweep[:, :2]).max(axis=0), 0.5 * bench.optics.eye_box.size[2]]
+    poses = len(bench.device_from_target)
+    return PhotoPlan(
+        sweep,
+        np.round(steps * reach, 4),
+        tuple(dict.fromkeys((0, poses - 1))),
+        _boards_before(bench.eyeball.camera, bench.board.size_m),
+        _boards_before(bench.tracking.camera, bench.board.size_m),
+    )
+
+
+def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
+    """camera_from_board (k, 4, 4): the board tilted every way, filling the picture or more, also off its middle."""
+    poses = []
+    for number, tilt in enumerate(_TILTS_DEG):
+        for fill, side in zip(_FILL, (1, -1), strict=True):
+            depth = float(np.max(board_m / np.array(camera.size_px) * camera.focal_px)) / fill
+            aside = 0.12 * side * depth * np.array(camera.size_px) / camera.focal_px
+            turn = transforms.rotations_of_vectors(np.deg2rad([*tilt, 90.0 * (number % 4) + 11.0 * side]))
+            poses.append(transforms.rigid(turn, np.array([aside[0], aside[1] * (-1) ** number, depth])))
+    return np.stack(poses)

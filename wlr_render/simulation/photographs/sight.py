@@ -21,7 +21,7 @@ from wlr_render.mappings import Panel, Status
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.photographs.lens import Lens
+from wlr_render.simulation.photographs.camera import Lens
 from wlr_render.simulation.photographs.pixel_field import PixelField
 
 Radiance = Callable[[Float32Array], NDArray[np.floating]]

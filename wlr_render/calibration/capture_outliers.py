@@ -1,20 +1,25 @@
-"""Captures that were not taken where they are said to have been: exchanged, mislabelled, or after something moved.
+"""Outliers among captures: photographs taken elsewhere than stated, and dots measured beside their place.
 
-Each capture in turn is predicted by a model of low degree that is fitted to the others. What such a model cannot follow
-swings about over the field; a camera that stood elsewhere shifts all that it saw one way. So the mean error tells.
+Each capture in turn is predicted by a model of low degree fitted to the others. Model errors oscillate over the field;
+a camera that stood elsewhere shifts everything it saw in one direction. So the mean error is tested.
+
+Through the optics every dot is displaced from the straight line to it by an amount that varies smoothly over a
+photograph. A dot is an outlier if it does not follow that smooth field, or if its stated sigma is far above the
+others', as that of a dot cut by an aperture's edge is.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_display import display_of_degree
 from wlr_render.calibration.fit_see_through import see_through_of_degree
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
-from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
-from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import term_count
+from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, term_count
 
 _ROWS = 150  # of a capture that take part: a mean needs no more
 _SPARE = 2.0  # times as many places as the model has terms in them must be left
@@ -22,6 +27,14 @@ _TOP_DEGREE = 3
 _TIMES_USUAL, _LEAST_ARCMIN = 6.0, 2.0  # an error above both is not of the model's making
 _SUSPICIOUS = 3.0  # times the usual one
 _MOST = 0.2  # of the captures that may be off; where more are, it is the model that is
+
+_DOT_TOP_DEGREE = 4
+_DOTS_PER_TERM = 8
+_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3  # a stray is off by more than both
+_DOT_SIGMA_RATIO = 5.0  # times the median standard deviation of the photograph's dots
+_ROUNDS = 10  # strays bend the field that they are judged by: the worst go first
+_AT_ONCE = 3.0  # what is this much less off than the worst waits for the next round
+_MAD = 1.4826  # median absolute deviation to standard deviation
 
 
 @dataclass(frozen=True)
@@ -105,3 +118,36 @@ def _degree(places: int) -> int:
 
 def _spread(rows: IntArray) -> IntArray:
     return rows[:: max(1, len(rows) // _ROWS)]
+
+
+def follow_their_photograph(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
+    """(n,) which dots lie where their photograph's smooth field has them; (n,) `photograph` numbers each row's."""
+    straight = normalised(captures.point - captures.viewpoint)
+    seen = tangents_of_dir(captures.view_dir)
+    aside = (seen - tangents_of_dir(straight)) / ARCMIN
+    follows = np.ones(len(captures), dtype=bool)
+    for one in np.unique(photograph):
+        rows = np.flatnonzero(photograph == one)
+        sigma = captures.sigma_arcmin[rows]
+        sure = rows[sigma <= _DOT_SIGMA_RATIO * np.median(sigma)]
+        follows[rows] = False
+        follows[sure] = _smooth(seen[sure], aside[sure])
+    return follows
+
+
+def _smooth(place: FloatArray, aside: FloatArray) -> BoolArray:
+    """(n,) which of the values (n, 2) at places (n, 2) follow a polynomial through them."""
+    kept = np.ones(len(place), dtype=bool)
+    degree = next((n for n in range(_DOT_TOP_DEGREE, 0, -1) if term_count(2, n) * _DOTS_PER_TERM <= len(place)), 0)
+    if degree == 0:
+        return kept
+    design = basis(place, degree, Box.around(place))
+    for _ in range(_ROUNDS):
+        coefficients = np.linalg.lstsq(design[kept], aside[kept], rcond=None)[0]
+        off = np.linalg.norm(aside - design @ coefficients, axis=1)
+        limit = max(_DOT_SIGMAS * _MAD * float(np.median(off[kept])), _DOT_LEAST_ARCMIN)
+        worst = float(off[kept].max())
+        if worst <= limit:
+            break
+        kept = off <= max(limit, worst / _AT_ONCE)
+    return kept

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.calibration.stray_dots import follow_their_photograph
+from wlr_render.calibration.capture_outliers import follow_their_photograph
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_see_through
 
 
 def see_through(noise_arcmin=0.05):

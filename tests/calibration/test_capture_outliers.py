@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.calibration.moved_captures import moved_display, moved_see_through
+from wlr_render.calibration.capture_outliers import moved_display, moved_see_through
 from wlr_render.captures.correspondences import select
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.capture_setup import CaptureSetup
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 
 @pytest.fixture(scope="module", params=["freeform40", "northstar"])
