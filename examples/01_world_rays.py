@@ -5,7 +5,7 @@ import numpy as np
 from wlr_render.mappings import Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.ray_field import choose_plan, ray_field
+from wlr_render.rendering.ray_map import choose_plan, ray_field
 
 eye = traced_eye(load_device("northstar"), "right")  # or models.model_file.load_eye_model("model.json").mappings
 plan = choose_plan(eye)  # once per headset

@@ -10,8 +10,8 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import TracedPainter, WarpedPainter
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene
 
 eye = traced_eye(load_device("freeform40"))

@@ -1,4 +1,4 @@
-// Where a bent ray meets what the intermediate image shows: rendering/warped_image.py has the rule.
+// Where a bent ray meets what the intermediate image shows: rendering/warp.py has the rule.
 //
 // Needs STEP_PX, MAX_MARCH, MAX_STEPS, SETTLED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`,
 // `ranges` and what warp.vert gives. One loop with one texture read in each round, whether it marches or refines:

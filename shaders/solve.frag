@@ -1,5 +1,5 @@
 #version 430
-// The world ray of each point of a lattice on the panel under a planar bundle; rendering/gl_solve.py has the words, and generates
+// The world ray of each point of a lattice on the panel under a planar bundle; rendering/gl_ray_maps.py has the words, and generates
 // display_hold, display, display_contains, deviation and deviation_contains.
 
 uniform sampler2D last_view_tangents;

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wlr_render.rendering.osmesa import OsMesaContext
+from wlr_render.rendering.native_contexts import OsMesaContext
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
 WORDS_AND_FILES = {

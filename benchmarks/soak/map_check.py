@@ -13,7 +13,7 @@ from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_field import NEAREST_M, RayField
+from wlr_render.rendering.ray_map import NEAREST_M, RayField
 
 CHECKED = 5
 """So many frames with the farthest jumps are checked, and about as many without a jump."""

@@ -18,8 +18,8 @@ from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
-from wlr_render.rendering.ray_field import FieldPlan, choose_plan, ray_field
-from wlr_render.rendering.raytrace import SceneTracer
+from wlr_render.rendering.ray_intersections import SceneTracer
+from wlr_render.rendering.ray_map import FieldPlan, choose_plan, ray_field
 from wlr_render.rendering.scene import Scene
 
 SILHOUETTE_PX = 2

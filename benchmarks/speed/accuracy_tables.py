@@ -13,11 +13,11 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_lattice import TOLERANCE_ARCMIN, bend_error_arcmin
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import solve_pixels
+from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN, bend_error_arcmin
+from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.ray_map import solve_pixels
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.warp_grid import Lattice
 from wlr_render.report.blocks import Cell, ReportTable
 
 DEVICES = "northstar", "freeform40", "birdbath28"

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.scene import Mesh, Scene, world_positions
+from wlr_render.rendering.thread_pool import worker_count
 from wlr_render.rendering.view import View
-from wlr_render.rendering.workers import worker_count
 
 _VERTEX = """
 #version 430

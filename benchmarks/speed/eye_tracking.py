@@ -10,10 +10,9 @@ from benchmarks.speed.timing import in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.gl_nodes import GlNodes
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
+from wlr_render.rendering.ray_map import FieldPlan, choose_plan
+from wlr_render.rendering.warp_grid import Lattice
 from wlr_render.report.blocks import Cell, ReportTable
 
 SOLVES = "nodes", "pixels"

@@ -12,7 +12,7 @@ from benchmarks.speed.running import Running
 from benchmarks.speed.timing import Run, in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.ray_field import middle_axes
+from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.report.blocks import Cell, ReportTable
 
 OURS = "ours"

@@ -28,9 +28,9 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_lattice import choose_lattice
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import middle_axes, solve_pixels
+from wlr_render.rendering.choose_warp_grid import choose_lattice
+from wlr_render.rendering.ray_map import middle_axes, solve_pixels
+from wlr_render.rendering.warp_grid import Lattice
 from wlr_render.report.blocks import Cell, ReportTable
 
 Interpolation = Callable[[FloatArray, FloatArray], FloatArray]

@@ -10,11 +10,10 @@ from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import Workload, bench_model, bench_scene
 from wlr_render.mappings import EyeMappings, planar_parts
 from wlr_render.numerics.polynomial import term_count
-from wlr_render.rendering.gl_nodes import GlNodes
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.raster import GlRaster
-from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.rendering.gl_raster import GlRaster
+from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
+from wlr_render.rendering.ray_map import FieldPlan, choose_plan
+from wlr_render.rendering.warp_grid import Lattice
 from wlr_render.report.blocks import ReportTable
 
 

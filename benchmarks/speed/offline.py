@@ -18,9 +18,9 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, exact_field, ray_field
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, exact_field, ray_field
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
 from wlr_render.report.blocks import Cell
 

@@ -3,12 +3,11 @@
 from benchmarks.speed.running import Running, later_pose
 from benchmarks.speed.timing import Run, alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.rendering.gl_nodes import GlNodes
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.intermediate_view import PyrenderView
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.raster import GlRaster
-from wlr_render.rendering.ray_field import FieldPlan, choose_plan
+from wlr_render.rendering.gl_raster import GlRaster
+from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
+from wlr_render.rendering.pyrender_drawing import PyrenderView
+from wlr_render.rendering.ray_map import FieldPlan, choose_plan
+from wlr_render.rendering.warp_grid import Lattice
 from wlr_render.report.blocks import Cell, ReportTable
 
 LARGE_PX = 2048, 2048

@@ -18,7 +18,7 @@ from wlr_render.files import output_folder, write_text
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering import gl
-from wlr_render.rendering.workers import worker_count
+from wlr_render.rendering.thread_pool import worker_count
 from wlr_render.report.blocks import ReportTable, tables_as_json
 
 _NOTES = (

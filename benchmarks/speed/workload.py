@@ -14,7 +14,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.scene import Instance, Light, Scene
-from wlr_render.rendering.shapes.sculpture import sculpture
+from wlr_render.rendering.shapes.objects import sculpture
 
 HEAD_POSE = np.eye(4)
 DEVICE = "northstar"

@@ -14,11 +14,11 @@ from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
-from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
-from wlr_render.rendering.ray_field import RayField, middle_axes, solve_pixels
-from wlr_render.rendering.ray_render import RayRenderer
-from wlr_render.rendering.shapes import basic
+from wlr_render.rendering.ray_map import RayField, middle_axes, solve_pixels
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.shapes import construction
+from wlr_render.rendering.warp_grid import Lattice
 
 CONTEXTS = [pytest.param("egl", marks=pytest.mark.gl), pytest.param("osmesa", marks=pytest.mark.gl), "cpu"]
 HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transforms.rotation_about("x", -0.1))
@@ -28,7 +28,7 @@ SMALL = 72, 60
 def scene(wall=True):
     """Boxes at 0.7 and 1.2 m before a wall that fills the field at 2 m, around where the head looks."""
     turn = transforms.rotation_about("y", 0.5)
-    behind = ((basic.plane(9, 9, (0.2, 0.5, 0.3)), HEAD @ gl_scenes.at(0, 0, -2)),)
+    behind = ((construction.plane(9, 9, (0.2, 0.5, 0.3)), HEAD @ gl_scenes.at(0, 0, -2)),)
     return gl_scenes.lit(
         (gl_scenes.cube(0.15), HEAD @ gl_scenes.at(0.06, -0.03, -0.7, turn)),
         (gl_scenes.cube(0.3), HEAD @ gl_scenes.at(-0.2, 0.02, -1.2)),

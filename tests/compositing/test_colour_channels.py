@@ -8,7 +8,7 @@ from composing import CONTEXTS, HEAD, clear_of_edges, draw, planar, scene, trace
 
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.ray_tracing import RayRenderer
 
 
 @pytest.mark.parametrize("context", CONTEXTS)

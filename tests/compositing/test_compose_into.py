@@ -10,7 +10,7 @@ from composing import HEAD, SMALL, draw, scene, viewpoint
 
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError
-from wlr_render.rendering.osmesa import OsMesaContext
+from wlr_render.rendering.native_contexts import OsMesaContext
 
 pytestmark = pytest.mark.gl
 

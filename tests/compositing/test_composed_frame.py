@@ -7,7 +7,7 @@ from gl_scenes import at
 
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.ray_tracing import RayRenderer
 
 LATE = HEAD @ at(
     0.004,

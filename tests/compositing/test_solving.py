@@ -9,10 +9,9 @@ from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.mappings import Mapped, Status
-from wlr_render.rendering.cpu_solve import CpuNodes, CpuSolve
-from wlr_render.rendering.gl_nodes import GlNodes
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.ray_field import RayField
+from wlr_render.rendering.cpu_ray_maps import CpuNodes, CpuSolve
+from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
+from wlr_render.rendering.ray_map import RayField
 
 KINDS = [("planar", "pixels"), ("planar", "nodes"), ("flat image", "nodes")]
 

@@ -10,7 +10,7 @@ from gl_scenes import at
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.raster import GlRaster
+from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.stored_picture import DepthKind, Rows, StoredDepth
 
 INVERSE = StoredDepth(DepthKind.INVERSE)

@@ -3,8 +3,8 @@ from gl_scenes import at, quad, unlit
 
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.geometry import transforms
-from wlr_render.rendering.ray_field import RayField
-from wlr_render.rendering.raytrace import SceneTracer
+from wlr_render.rendering.ray_intersections import SceneTracer
+from wlr_render.rendering.ray_map import RayField
 
 HEAD = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6, -0.2]))
 EYE = np.array([0.03, 0.0, -0.02])

@@ -10,7 +10,7 @@ from wlr_render.jobs.headset import open_channels
 from wlr_render.jobs.render import Options
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.painters import WarpedPainter
-from wlr_render.rendering.rasteriser import open_rasteriser
+from wlr_render.rendering.raster_backends import open_rasteriser
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.srgb import decode_srgb
 

@@ -3,9 +3,9 @@ import pytest
 from gl_scenes import OFF_CENTRE, at, cube, lit, quad, unlit, view
 
 from wlr_render.geometry import directions, transforms
-from wlr_render.rendering.cpu_raster import CpuRaster
-from wlr_render.rendering.raster import GlRaster
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.gl_raster import GlRaster
+from wlr_render.rendering.raster_backends import CpuRaster
+from wlr_render.rendering.ray_tracing import RayRenderer
 
 
 def test_a_rectangle_lands_on_its_analytic_pixels_right_way_up():

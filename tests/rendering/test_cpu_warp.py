@@ -5,13 +5,13 @@ from gl_scenes import at, cube, lit, quad, unlit, view
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering import cpu_warp
-from wlr_render.rendering.cpu_raster import CpuRaster
 from wlr_render.rendering.cpu_warp import inverse_depth_at, warp_on_cpu
+from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.raster import GlRaster
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import CpuRaster
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warped_image import WarpStatus
+from wlr_render.rendering.warp import WarpStatus
 
 CAMERA = Pinhole(200, 160, np.array([-0.55, -0.4]), np.array([0.45, 0.4]))
 TEXTURE = np.random.default_rng(2).integers(0, 256, (16, 16, 3)).astype(np.uint8)

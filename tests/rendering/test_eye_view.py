@@ -12,10 +12,9 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Mapped, Panel, Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.eye_view import EyeView, eye_view
 from wlr_render.rendering.painters import TracedPainter
-from wlr_render.rendering.ray_render import RayRenderer
-from wlr_render.rendering.shapes import basic
+from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
+from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import decode_srgb
 
 HEAD_POSE = at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3))
@@ -40,11 +39,11 @@ def headset(request, flat_image_headset, tmp_path):
 
 
 def ball_and_board():
-    board = basic.dot_board(columns=9, rows=7, pitch_m=0.04, diameter_m=0.02)
-    wall = basic.plane(9, 9, (0.2, 0.25, 0.3))
+    board = construction.dot_board(columns=9, rows=7, pitch_m=0.04, diameter_m=0.02)
+    wall = construction.plane(9, 9, (0.2, 0.25, 0.3))
     return lit(
         (board, HEAD_POSE @ at(-0.02, 0.01, -0.9)),
-        (basic.ball(0.05), HEAD_POSE @ at(0.04, -0.02, -0.6)),
+        (construction.ball(0.05), HEAD_POSE @ at(0.04, -0.02, -0.6)),
         (wall, HEAD_POSE @ at(0, 0, -2)),
     )
 
@@ -123,7 +122,7 @@ def test_beside_the_panel_there_is_only_the_world():
 def test_where_the_eye_sees_no_world_it_is_dark(toy_headset):
     blocked = replace(toy_headset.see_through, offset_m=np.nan)
     headset = replace(toy_headset, see_through=blocked, display=_Unseen())
-    scene = unlit((basic.plane(9, 9), at(0, 0, -1)))
+    scene = unlit((construction.plane(9, 9), at(0, 0, -1)))
     camera = Pinhole(3, 2, -np.ones(2), np.ones(2))
     seen = eye_view(headset, RayRenderer(scene), headset.eye_box.centre, np.eye(4), camera)
     assert (seen.real == 0).all()

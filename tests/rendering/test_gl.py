@@ -7,7 +7,7 @@ import pytest
 
 from wlr_render.errors import MissingGlError
 from wlr_render.rendering import gl
-from wlr_render.rendering.osmesa import OsMesaContext
+from wlr_render.rendering.native_contexts import OsMesaContext
 
 LOST_LIBRARIES = {"GLCONTEXT_LINUX_LIBEGL": "libNowhereEGL.so", "GLCONTEXT_LINUX_LIBGL": "libNowhereGL.so"}
 
@@ -55,10 +55,10 @@ OSMESA_PICTURE = """
     import numpy as np
     sys.path[:0] = [{tests!r}]
     import gl_scenes
-    from wlr_render.rendering import gl, raster
+    from wlr_render.rendering import gl, gl_raster
     scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
     with gl.open_context("osmesa") as context:
-        image = raster.GlRaster(context, scene).draw(gl_scenes.view(), ("position",))
+        image = gl_raster.GlRaster(context, scene).draw(gl_scenes.view(), ("position",))
     np.savez({out!r}, colour=image.colour, inverse_depth=image.inverse_depth)
 """
 
@@ -67,7 +67,7 @@ OSMESA_PICTURE = """
 def test_osmesa_draws_what_egl_draws(gl_context, tmp_path):
     import gl_scenes
 
-    from wlr_render.rendering import raster
+    from wlr_render.rendering import gl_raster
 
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is nothing to compare OSMesa with.")
@@ -81,7 +81,7 @@ def test_osmesa_draws_what_egl_draws(gl_context, tmp_path):
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
     osmesa = np.load(out)
     scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
-    egl = raster.GlRaster(gl_context, scene).draw(gl_scenes.view())
+    egl = gl_raster.GlRaster(gl_context, scene).draw(gl_scenes.view())
     assert np.abs(egl.colour.astype(int) - osmesa["colour"]).max() <= 1
     np.testing.assert_allclose(egl.inverse_depth, osmesa["inverse_depth"], rtol=1e-6)
 

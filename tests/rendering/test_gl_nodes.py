@@ -4,10 +4,9 @@ from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Status
-from wlr_render.rendering.gl_nodes import GlNodes
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import FieldPlan, choose_plan, exact_field, middle_axes
+from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
+from wlr_render.rendering.ray_map import FieldPlan, choose_plan, exact_field, middle_axes
+from wlr_render.rendering.warp_grid import Lattice
 
 pytestmark = pytest.mark.gl
 

@@ -9,11 +9,11 @@ from gl_caller import assert_same, run
 
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.gl_raster import GlRaster
+from wlr_render.rendering.gl_ray_maps import GlSolve
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.osmesa import OsMesaContext
-from wlr_render.rendering.raster import GlRaster
+from wlr_render.rendering.native_contexts import OsMesaContext
+from wlr_render.rendering.warp_grid import Lattice
 
 pytestmark = pytest.mark.gl
 
@@ -180,8 +180,8 @@ def test_inside_a_plain_pyrender_program(gl_context):
     script = """
         import gl_scenes, numpy as np, pyrender, trimesh
         from wlr_render.rendering import gl
-        from wlr_render.rendering.intermediate_view import PyrenderDrawing
-        from wlr_render.rendering.raster import GlRaster
+        from wlr_render.rendering.pyrender_drawing import PyrenderDrawing
+        from wlr_render.rendering.gl_raster import GlRaster
         scene = pyrender.Scene(ambient_light=[0.1] * 3)
         pose = np.eye(4)
         pose[:3, 3] = 0.1, 0.0, -1.0
@@ -211,8 +211,8 @@ def test_a_software_context_of_somebody_else_is_adopted():
     script = """
         import gl_scenes
         from wlr_render.rendering import gl
-        from wlr_render.rendering.osmesa import OsMesaContext
-        from wlr_render.rendering.raster import GlRaster
+        from wlr_render.rendering.native_contexts import OsMesaContext
+        from wlr_render.rendering.gl_raster import GlRaster
         theirs = OsMesaContext()
         with gl.adopt_context() as context:
             scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))

@@ -5,9 +5,9 @@ from gl_scenes import at, cube, lit, quad, unlit, view
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.cpu_warp import warp_on_cpu
+from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.raster import GlRaster
-from wlr_render.rendering.warped_image import WarpStatus
+from wlr_render.rendering.warp import WarpStatus
 
 pytestmark = pytest.mark.gl
 

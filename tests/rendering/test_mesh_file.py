@@ -11,7 +11,7 @@ import pytest
 from wlr_render.errors import BadInputError
 from wlr_render.rendering.mesh_file import load_meshes, save_glb
 from wlr_render.rendering.scene import Instance, Light, Mesh, Scene, world_positions
-from wlr_render.rendering.shapes import basic, furniture
+from wlr_render.rendering.shapes import construction, objects
 from wlr_render.rendering.shapes.construction import turn
 
 CORNERS = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8).reshape(2, 2, 3)
@@ -92,7 +92,7 @@ def nearest_texel(mesh: Mesh, vertex_position) -> list[int]:
 
 @pytest.fixture
 def scene():
-    board = replace(basic.plane(0.4, 0.3, colour=(0.2, 0.4, 0.6)), name="board", texture=CORNERS)
+    board = replace(construction.plane(0.4, 0.3, colour=(0.2, 0.4, 0.6)), name="board", texture=CORNERS)
     matrix = np.eye(4)
     matrix[:3, :3] = turn(0.3, 0.5, -0.2) * [1.0, 2.0, 0.5]
     matrix[:3, 3] = [0.1, -0.2, -1]
@@ -100,7 +100,7 @@ def scene():
     shifted[:3, 3] = [1, 2, 3]
     return Scene(
         "test",
-        (board, furniture.mug()),
+        (board, objects.mug()),
         (Instance("one", 0, np.eye(4)), Instance("two", 0, matrix), Instance("cup", 1, shifted)),
         (
             Light("point", np.array([0.1, 0.5, -0.3]), np.array([2.0, 1.0, 0.5], np.float32)),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from wlr_render.geometry import transforms
-from wlr_render.rendering.moved_rays import seen_from
+from wlr_render.rendering.view import seen_from
 
 RAYS = np.random.default_rng(4).uniform(-0.5, 0.5, (4, 3, 5)) * np.array([1, 1, 0.02, 0.02])[:, None, None]
 

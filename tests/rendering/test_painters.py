@@ -18,14 +18,14 @@ from wlr_render.rendering.painters import (
     position_of_source,
     source_of_position,
 )
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_field import NEAREST_M, choose_plan, ray_field
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_field
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Light
-from wlr_render.rendering.shapes import basic
+from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.rendering.view import View
-from wlr_render.rendering.warped_image import WarpStatus
+from wlr_render.rendering.warp import WarpStatus
 
 OFF_CENTRE = np.array([0.7, -0.9, 0.8])
 HEAD_POSE = at(0.1, 1.5, 0.3, transforms.rotation_about("y", 0.5) @ transforms.rotation_about("x", -0.1))
@@ -34,8 +34,8 @@ GREEN = (0.0, 1.0, 0.0)
 
 def ball_before_wall(world_from_scene=HEAD_POSE):
     """A beach ball 0.8 m and a wall 3 m before the device that fill its whole field."""
-    wall = basic.plane(9, 7, (0.3, 0.4, 0.5))
-    return lit((wall, world_from_scene @ at(0, 0, -3)), (basic.ball(0.12), world_from_scene @ at(0.05, 0, -0.8)))
+    wall = construction.plane(9, 7, (0.3, 0.4, 0.5))
+    return lit((wall, world_from_scene @ at(0, 0, -3)), (construction.ball(0.12), world_from_scene @ at(0.05, 0, -0.8)))
 
 
 def painter_of(way, headset, scene):

@@ -9,7 +9,7 @@ from wlr_render.geometry import transforms
 from wlr_render.rendering.mesh_file import save_glb
 from wlr_render.rendering.scene import Instance, Light, Scene, world_positions
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.shapes import basic
+from wlr_render.rendering.shapes import construction
 
 HEADER = 'format = "wlr-scene"\nversion = 1\nframe = "openxr"\n'
 BOX = '[[object]]\nshape = "box"\n'
@@ -28,7 +28,7 @@ def box_glb(tmp_path):
     shifted = transforms.rigid(np.eye(3), np.array([5.0, 0, 0]))
     lamp = Light("point", np.array([5.0, 0.5, 0]), np.ones(3, np.float32))
     sun = Light("directional", np.array([0.0, -1, 0]), np.ones(3, np.float32))
-    scene = Scene("box", (basic.box(),), (Instance("box", 0, shifted),), (lamp, sun))
+    scene = Scene("box", (construction.box(),), (Instance("box", 0, shifted),), (lamp, sun))
     return save_glb(scene, tmp_path / "box.glb")
 
 

@@ -3,11 +3,10 @@ import pytest
 from gl_scenes import at, cube, quad, unlit
 
 from wlr_render.geometry import transforms
-from wlr_render.rendering.raytrace import SceneTracer
+from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.scene import Instance, Light, Mesh, Scene, world_positions
-from wlr_render.rendering.shading import shade
+from wlr_render.rendering.shading import Surfaces, shade
 from wlr_render.rendering.srgb import decode_srgb
-from wlr_render.rendering.surfaces import Surfaces
 
 FORWARDS = (0.0, 0.0, -1.0)
 WALL = (quad((-9, -9), (9, 9)), at(0, 0, -2))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering.shapes import basic, construction, furniture, sculpture
-from wlr_render.rendering.shapes.catalogue import SHAPES
+from wlr_render.rendering.shapes import construction, objects
+from wlr_render.rendering.shapes.objects import SHAPES
 
 SOLID = ("ball", "box", "sphere", "plinth", "sculpture", "tabletop", "monitor", "book", "lamp")
 
@@ -64,12 +64,12 @@ def test_every_argument_has_a_default_that_a_scene_file_can_state(shape):
 
 
 def test_box_and_sphere_have_their_volumes():
-    assert signed_volume(basic.box((0.1, 0.2, 0.3))) == pytest.approx(0.006, rel=1e-6)
-    assert signed_volume(basic.sphere(0.1, segments=256)) == pytest.approx(4 / 3 * np.pi * 1e-3, rel=1e-3)
+    assert signed_volume(construction.box((0.1, 0.2, 0.3))) == pytest.approx(0.006, rel=1e-6)
+    assert signed_volume(construction.sphere(0.1, segments=256)) == pytest.approx(4 / 3 * np.pi * 1e-3, rel=1e-3)
 
 
 def test_a_box_stands_on_its_origin_with_upright_textures():
-    box = basic.box((0.1, 0.2, 0.3))
+    box = construction.box((0.1, 0.2, 0.3))
     np.testing.assert_allclose(box.position.min(axis=0), [-0.05, 0, -0.15], atol=1e-7)
     np.testing.assert_allclose(box.position.max(axis=0), [0.05, 0.2, 0.15], atol=1e-7)
     for outward, right in (([0, 0, 1], [1, 0, 0]), ([1, 0, 0], [0, 0, -1]), ([0, 0, -1], [-1, 0, 0])):
@@ -87,7 +87,7 @@ def test_a_revolved_profile_and_a_tube_have_the_expected_volumes():
 
 
 def test_the_sculpture_is_fine_closed_and_stands_on_its_origin():
-    mesh = sculpture.sculpture(height_m=0.25)
+    mesh = objects.sculpture(height_m=0.25)
     assert len(mesh.triangles) >= 100_000
     low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
     np.testing.assert_allclose([low[1], high[1]], [0, 0.25], atol=1e-6)
@@ -102,7 +102,7 @@ def test_the_sculpture_is_fine_closed_and_stands_on_its_origin():
 
 def test_the_skin_of_the_sculpture_joins_at_its_seams():
     around, along = 8, 16
-    mesh = sculpture.sculpture(around=around, along=along)
+    mesh = objects.sculpture(around=around, along=along)
     uv = mesh.uv.reshape(around + 1, along + 1, 2)
     for jump in (uv[:, -1] - uv[:, 0], uv[-1] - uv[0]):
         np.testing.assert_allclose(jump, np.round(jump), atol=1e-5)
@@ -111,14 +111,14 @@ def test_the_skin_of_the_sculpture_joins_at_its_seams():
 
 def test_dots_are_painted_where_their_centres_are_said_to_be():
     columns, rows, pitch = 7, 5, 0.02
-    board = basic.dot_board(columns, rows, pitch, diameter_m=0.009, marker_diameter_m=0.013)
+    board = construction.dot_board(columns, rows, pitch, diameter_m=0.009, marker_diameter_m=0.013)
     darkness = 1 - board.texture[..., 0] / 255.0
     height, width = darkness.shape
     extent = np.ptp(board.position, axis=0)[:2]
     x = ((np.arange(width) + 0.5) / width - 0.5) * extent[0]
     y = (0.5 - (np.arange(height) + 0.5) / height) * extent[1]
     texel_area = np.prod(extent) / darkness.size
-    centres = basic.dot_centres(columns, rows, pitch)
+    centres = construction.dot_centres(columns, rows, pitch)
     assert centres.shape == (rows, columns, 3)
     for row, column in ((0, 0), (rows // 2, columns // 2), (rows - 1, columns - 1)):
         centre = centres[row, column]
@@ -131,9 +131,9 @@ def test_dots_are_painted_where_their_centres_are_said_to_be():
 
 
 def test_the_first_dot_is_up_and_left_and_the_markers_point_up_and_right():
-    centres = basic.dot_centres(7, 5, 0.02)
+    centres = construction.dot_centres(7, 5, 0.02)
     np.testing.assert_allclose(centres[0, 0], [-0.06, 0.04, 0], atol=1e-15)
-    plain, marked = basic.dot_board(7, 5), basic.dot_board(7, 5, marker_diameter_m=0.013)
+    plain, marked = construction.dot_board(7, 5), construction.dot_board(7, 5, marker_diameter_m=0.013)
     rows, columns = np.nonzero((plain.texture != marked.texture).any(axis=-1))
     height, width = plain.texture.shape[:2]
     assert rows.mean() < height / 2
@@ -142,11 +142,11 @@ def test_the_first_dot_is_up_and_left_and_the_markers_point_up_and_right():
 
 def test_a_board_too_small_for_markers_is_refused():
     with pytest.raises(BadInputError, match="no room for markers"):
-        basic.dot_board(3, 3, marker_diameter_m=0.013)
+        construction.dot_board(3, 3, marker_diameter_m=0.013)
 
 
 def test_the_parts_of_a_mug_keep_their_colours():
-    mug = furniture.mug(colour=(0.1, 0.2, 0.3))
+    mug = objects.mug(colour=(0.1, 0.2, 0.3))
     colours = np.unique(mug.vertex_colour, axis=0)
     assert len(colours) == 3
     assert np.isclose(colours, [0.1, 0.2, 0.3]).all(axis=1).any()

@@ -9,9 +9,9 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
 from wlr_render.rendering.gl_warp import GlWarp, WarpTarget
-from wlr_render.rendering.lattice import Lattice
 from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warped_image import WarpStatus
+from wlr_render.rendering.warp import WarpStatus
+from wlr_render.rendering.warp_grid import Lattice
 
 pytestmark = pytest.mark.gl
 

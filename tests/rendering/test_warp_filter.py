@@ -6,7 +6,7 @@ from warping import BACKENDS, uploaded, uploaded_field, warped
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.map_shrink import taps_for
+from wlr_render.rendering.raster_camera import taps_for
 from wlr_render.rendering.view import GeometryImage
 
 pytestmark = pytest.mark.gl

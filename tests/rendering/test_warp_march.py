@@ -6,7 +6,7 @@ from warping import BACKENDS, warped
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warped_image import WarpStatus
+from wlr_render.rendering.warp import WarpStatus
 
 pytestmark = [pytest.mark.gl, pytest.mark.parametrize("backend", BACKENDS)]
 

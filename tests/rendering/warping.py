@@ -4,10 +4,10 @@ import numpy as np
 
 from wlr_render.mappings import Panel
 from wlr_render.rendering.cpu_warp import warp_on_cpu
+from wlr_render.rendering.gl_ray_maps import GpuField
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.gpu_field import GpuField
 from wlr_render.rendering.gpu_image import GpuImage
-from wlr_render.rendering.lattice import Lattice
+from wlr_render.rendering.warp_grid import Lattice
 
 BACKENDS = ("cpu", "gl")
 

@@ -7,7 +7,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EYE_BOX_MARGIN, Channels, EyeBox, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.pixel_solve import checked_viewpoint
+from wlr_render.rendering.cpu_ray_maps import checked_viewpoint
 
 REACH = 0.5
 """How far outside the eye box a viewpoint may lie, as a share of the box's size on each axis. Polynomials fitted inside

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering.ray_field import RayField
-from wlr_render.rendering.warped_image import WarpedImage
+from wlr_render.rendering.ray_map import RayField
+from wlr_render.rendering.warp import WarpedImage
 
 
 class ComposedEye(Protocol):

@@ -22,8 +22,7 @@ from wlr_render.compositing.checks import (
     nearest_in_reach,
 )
 from wlr_render.compositing.composed_frame import ComposedFrame
-from wlr_render.compositing.eye_camera import EyeCamera
-from wlr_render.compositing.eye_plan import EyePlan
+from wlr_render.compositing.eye_plan import EyeCamera, EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings

@@ -7,19 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.compositing.backend import SteadyFields
 from wlr_render.compositing.eye_plan import EyePlan
-from wlr_render.compositing.steady_fields import SteadyFields
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import count_unsolved
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.cpu_solve import CpuNodes, CpuSolve
+from wlr_render.rendering.cpu_ray_maps import CpuNodes, CpuSolve, PixelSolve
 from wlr_render.rendering.cpu_warp import warp_on_cpu
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.pixel_solve import PixelSolve
-from wlr_render.rendering.ray_field import FieldPlan, RayField, choose_plan
+from wlr_render.rendering.ray_map import FieldPlan, RayField, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth, picture_of_arrays
 from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warped_image import WarpedImage
+from wlr_render.rendering.warp import WarpedImage
+from wlr_render.rendering.warp_grid import Lattice
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,18 +1,96 @@
-"""What is decided once for an eye: its axes, the camera of its intermediate image, how finely its field is known."""
+"""What is fixed for all frames of one eye (camera, axes, warp grid), and the camera that the engine draws with."""
 
 import functools
 from dataclasses import dataclass
 
-from wlr_render.compositing.eye_camera import EyeCamera
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Channels
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_lattice import ChosenLattice, choose_lattice
-from wlr_render.rendering.covering import covering_camera
-from wlr_render.rendering.map_shrink import shrink_over_eye_box, taps_for
-from wlr_render.rendering.raster_eye import RasterEye
-from wlr_render.rendering.ray_field import middle_axes
+from wlr_render.rendering.choose_warp_grid import ChosenLattice, choose_lattice
+from wlr_render.rendering.raster_camera import RasterEye, covering_camera, shrink_over_eye_box, taps_for
+from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.view import View
+
+
+@dataclass(frozen=True, eq=False)
+class EyeCamera:
+    """The camera of one eye's intermediate image in one frame: OpenGL's, looking along -z, x right, y up.
+
+    It does not stand at the pupil but where the rays that reach the pupil come from after the combiner has bent them
+    (`rendering/raster_camera.py`): what hides what is then nearly as the eye sees it.
+
+    Attributes:
+        eye: "left" or "right".
+        view: the same in the words of our own renderers.
+    """
+
+    eye: str
+    view: View
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) of the picture to draw."""
+        return self.view.camera.width_px, self.view.camera.height_px
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """(fx, fy) in pixels, as in an OpenCV or pyrender intrinsics camera."""
+        fx, fy = self.view.camera.focal_px
+        return float(fx), float(fy)
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """(cx, cy): the pixel that looks along -z, from the outer corner of the top left pixel; v runs down."""
+        cx, cy = self.view.camera.centre_px
+        return float(cx), float(cy)
+
+    @property
+    def world_from_camera(self) -> FloatArray:
+        """(4, 4) pose in the world, as of a glTF or pyrender camera node; read-only."""
+        return self.view.world_from_camera
+
+    @property
+    def camera_from_world(self) -> FloatArray:
+        """(4, 4), OpenGL's view matrix."""
+        return transforms.inverse(self.world_from_camera)
+
+    @property
+    def fov_rad(self) -> tuple[float, float, float, float]:
+        """Angles of the left, right, upper and lower border from straight ahead, as OpenXR's XrFovf has them."""
+        (left, down), (right, up) = np.arctan([self.view.camera.tangent_min, self.view.camera.tangent_max])
+        return float(left), float(right), float(up), float(down)
+
+    def projection(self, near_m: float, far_m: float = np.inf, zero_to_one: bool = False) -> FloatArray:
+        """(4, 4) clip space from the camera frame; OpenGL takes its transpose.
+
+        An off-axis frustum (OpenGL 4.6, compatibility profile, 12.1.3 "glFrustum"), or its limit for a plane that is
+        infinitely far. A depth buffer then is `StoredDepth(DepthKind.WINDOW, near_m, far_m)`.
+
+        Args:
+            near_m: distance that the depth buffer stores as 0.
+            far_m: that it stores as 1; nearer than `near_m` for a reversed buffer.
+            zero_to_one: whether clip space has depths from 0 to 1, as after glClipControl, in Vulkan and in Direct3D;
+                else from -1 to 1.
+
+        Raises:
+            BadInputError: the distances are not two different positive ones.
+        """
+        if not (near_m > 0 and far_m > 0 and near_m != far_m):
+            raise BadInputError(f"near_m = {near_m} and far_m = {far_m} are not two different positive distances.")
+        (left, bottom), (right, top) = self.view.camera.tangent_min, self.view.camera.tangent_max
+        matrix = np.zeros((4, 4))
+        matrix[0, 0], matrix[0, 2] = 2 / (right - left), (right + left) / (right - left)
+        matrix[1, 1], matrix[1, 2] = 2 / (top - bottom), (top + bottom) / (top - bottom)
+        scale = 1 / (1 / far_m - 1 / near_m)
+        matrix[2, 2:] = scale / near_m, scale
+        if not zero_to_one:
+            matrix[2, 2:] = 2 * matrix[2, 2] + 1, 2 * matrix[2, 3]
+        matrix[3, 2] = -1
+        return matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,24 +8,22 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.compositing.backend import SteadyFields
 from wlr_render.compositing.eye_plan import EyePlan
-from wlr_render.compositing.steady_fields import SteadyFields
 from wlr_render.compositing.targets import CallersFramebuffers
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_nodes import GlNodes
-from wlr_render.rendering.gl_solve import GlSolve
+from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve, GpuSolve, SolvedGpuField
 from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
-from wlr_render.rendering.gpu_field import GpuSolve, SolvedGpuField
 from wlr_render.rendering.gpu_image import GpuImage
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import FieldPlan, RayField, choose_plan
+from wlr_render.rendering.picture_import import PictureImport
+from wlr_render.rendering.ray_map import FieldPlan, RayField, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
-from wlr_render.rendering.submitted import PictureImport
-from wlr_render.rendering.warped_image import WarpedImage
+from wlr_render.rendering.warp import WarpedImage
+from wlr_render.rendering.warp_grid import Lattice
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Our own rasteriser as the engine that feeds a compositor."""
 
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.eye_camera import EyeCamera
+from wlr_render.compositing.eye_plan import EyeCamera
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 from wlr_render.rendering.view import GeometryImage, View
@@ -14,11 +14,11 @@ class SceneSource:
         """Upload the scene."""
         self._compositor = compositor
         if compositor.context is None:
-            from wlr_render.rendering.cpu_raster import CpuRaster
+            from wlr_render.rendering.raster_backends import CpuRaster
 
             self._on_cpu: CpuRaster | None = CpuRaster(scene)
             return
-        from wlr_render.rendering.raster import GlRaster
+        from wlr_render.rendering.gl_raster import GlRaster
 
         self._on_cpu, self._on_gpu = None, GlRaster(compositor.context, scene)
 

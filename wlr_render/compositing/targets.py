@@ -8,7 +8,7 @@ from typing import Any
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import gl
-from wlr_render.rendering.framebuffer_queries import COLOUR, DRAW, FramebufferQueries
+from wlr_render.rendering.framebuffers import COLOUR, DRAW, FramebufferQueries
 from wlr_render.rendering.gl_warp import WarpTarget
 
 _DRAW_BUFFERS = range(0x8825, 0x8825 + 8)  # GL_DRAW_BUFFER0 and on

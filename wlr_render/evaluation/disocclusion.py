@@ -8,8 +8,8 @@ paper notes this error; here it is measured.
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.rendering.ray_field import RayField
-from wlr_render.rendering.raytrace import SceneTracer
+from wlr_render.rendering.ray_intersections import SceneTracer
+from wlr_render.rendering.ray_map import RayField
 
 SAME_POINT = 0.01
 """What lies nearer to a point than this share of its distance does not hide it: it is the surface it belongs to."""

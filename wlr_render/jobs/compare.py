@@ -16,9 +16,9 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_render import RayRenderer
-from wlr_render.rendering.raytrace import SceneTracer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_intersections import SceneTracer
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
 

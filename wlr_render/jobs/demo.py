@@ -38,11 +38,10 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT, Progress
-from wlr_render.rendering.eye_view import EyeView, eye_view
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.rasteriser import Rasteriser, open_rasteriser
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import Rasteriser, open_rasteriser
+from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Cell, ReportTable, tables_as_json

@@ -20,12 +20,12 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter, colour_by_colour
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_field import WarmStart
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_map import WarmStart
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.view_file import write_view
+from wlr_render.rendering.view import write_view
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory

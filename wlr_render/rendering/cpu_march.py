@@ -1,4 +1,4 @@
-"""Where bent rays meet what an intermediate image shows, without a GPU; the rule is in `warped_image.py`."""
+"""Where bent rays meet what an intermediate image shows, without a GPU; the rule is in `warp.py`."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import BoolArray, Float32Array
 from wlr_render.rendering import sampling
-from wlr_render.rendering.warped_image import (
+from wlr_render.rendering.warp import (
     MAX_MARCH,
     MAX_STEPS,
     SETTLED_PX,

@@ -1,4 +1,4 @@
-"""Warping an intermediate image along bent rays, without a GPU; the rule is in `warped_image.py`."""
+"""Warping an intermediate image along bent rays, without a GPU; the rule is in `warp.py`."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,9 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import sampling
 from wlr_render.rendering.cpu_march import InverseDepths, Lines, follow
-from wlr_render.rendering.moved_rays import seen_from
-from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warped_image import WarpedImage, WarpStatus
-from wlr_render.rendering.workers import for_blocks
+from wlr_render.rendering.thread_pool import for_blocks
+from wlr_render.rendering.view import GeometryImage, seen_from
+from wlr_render.rendering.warp import WarpedImage, WarpStatus
 
 _PIXELS_PER_BLOCK = 1 << 15
 

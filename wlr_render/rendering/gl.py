@@ -18,10 +18,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from wlr_render import files
 from wlr_render.errors import MissingGlError
-from wlr_render.rendering.current_context import CurrentContext, EglBinding, NoCurrentContextError
-from wlr_render.rendering.gl_host import Foreign, Host, Own
+from wlr_render.rendering.context_ownership import Foreign, Host, Own
 from wlr_render.rendering.gl_state import UNITS, GlState
-from wlr_render.rendering.osmesa import OsMesaContext
+from wlr_render.rendering.native_contexts import CurrentContext, EglBinding, NoCurrentContextError, OsMesaContext
 
 Texture = moderngl.Texture
 Context = moderngl.Context

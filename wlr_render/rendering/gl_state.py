@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from wlr_render.rendering.current_context import CurrentContext
+from wlr_render.rendering.native_contexts import CurrentContext
 
 UNITS = 8
 """Texture units that are kept; a block must use no others."""

@@ -1,4 +1,4 @@
-"""Warping an intermediate image along bent rays, on the GPU; the rule is in `warped_image.py`."""
+"""Warping an intermediate image along bent rays, on the GPU; the rule is in `warp.py`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,11 +12,9 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_depth_ranges import GlDepthRanges
-from wlr_render.rendering.gpu_field import GpuField
-from wlr_render.rendering.gpu_image import GpuImage, rgb_of_rgba
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.warped_image import (
+from wlr_render.rendering.gl_ray_maps import GpuField
+from wlr_render.rendering.gpu_image import GlDepthRanges, GpuImage, rgb_of_rgba
+from wlr_render.rendering.warp import (
     MAX_MARCH,
     MAX_STEPS,
     SETTLED_PX,
@@ -26,6 +24,7 @@ from wlr_render.rendering.warped_image import (
     WarpedImage,
     WarpStatus,
 )
+from wlr_render.rendering.warp_grid import Lattice
 
 _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "STEP_PX": STEP_PX,

@@ -1,4 +1,7 @@
-"""Meshes, their placements and lights from GLB, glTF, OBJ and PLY files: the only door to trimesh.
+"""Meshes, their placements and lights from GLB, glTF, OBJ and PLY files: the only module that imports trimesh.
+
+A glTF light shines along its node's -z axis. glTF's matt surface reflects 1/pi of the light, ours all of it, so an
+intensity is divided by pi.
 
 Colours become linear: material factors and glTF's vertex colours are so already, vertex colours of OBJ and PLY are
 sRGB. trimesh keeps glTF's factors in 8 bits. Opacity is ignored, and metallic materials are drawn as matt ones.
@@ -16,15 +19,65 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import normalised
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering import gltf_lights
 from wlr_render.rendering.scene import Instance, Light, Mesh, Scene
 from wlr_render.rendering.srgb import decode_srgb
 
+EXTENSION = "KHR_lights_punctual"
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 _GLTF = (".glb", ".gltf")
 _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
-_UNDERSTOOD = {gltf_lights.EXTENSION, "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_texture_webp"}
+_UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_texture_webp"}
+
+
+def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[Light, ...]:
+    """The lights of a scene graph that trimesh has read, world frame.
+
+    Raises:
+        BadInputError: a light that is neither directional nor a point.
+    """
+    listed = metadata.get("gltf_extensions", {}).get(EXTENSION, {}).get("lights", [])
+    lights = []
+    for (_, node), edge in graph.transforms.edge_data.items():
+        used = (edge.get("metadata") or {}).get("gltf_extensions", {}).get(EXTENSION)
+        if used is None:
+            continue
+        stated = listed[used["light"]]
+        kind = stated["type"]
+        if kind not in ("directional", "point"):
+            raise BadInputError(f"{path}: light '{node}' is of kind '{kind}'; make it a point or directional light.")
+        matrix = np.array(graph.get(node)[0], dtype=np.float64)
+        vector = matrix[:3, 3] if kind == "point" else normalised(-matrix[:3, 2])
+        colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
+        lights.append(Light(kind, vector, colour.astype(np.float32)))
+    return tuple(lights)
+
+
+def scene_extension(lights: tuple[Light, ...]) -> dict[str, Any]:
+    """The scene's extensions: the list of lights that nodes refer to."""
+    return {EXTENSION: {"lights": [_stated(light) for light in lights]}}
+
+
+def node_extension(index: int) -> dict[str, Any]:
+    """The metadata by which trimesh makes a node carry light number `index`."""
+    return {"gltf_extensions": {EXTENSION: {"light": index}}}
+
+
+def _stated(light: Light) -> dict[str, Any]:
+    """Colours are 0..1 in glTF; what is beyond goes into the intensity."""
+    peak = max(float(light.colour.max()), 1e-9)
+    return {"type": light.kind, "color": (light.colour / peak).tolist(), "intensity": peak * np.pi}
+
+
+def world_from_light(light: Light) -> NDArray[np.float64]:
+    """(4, 4) of a node that carries the light."""
+    if light.kind == "point":
+        return transforms.rigid(np.eye(3), light.vector)
+    back = -light.vector
+    right = normalised(np.cross(np.eye(3)[np.argmin(np.abs(back))], back))
+    return transforms.rigid(np.stack([right, np.cross(back, right), back], axis=-1), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +120,7 @@ def load_meshes(path: str | Path) -> MeshFile:
         for node, matrix, name in placed
         if name in names
     )
-    return MeshFile(meshes, instances, gltf_lights.lights_of_graph(path, source.metadata, source.graph))
+    return MeshFile(meshes, instances, lights_of_graph(path, source.metadata, source.graph))
 
 
 def _require_understood(path: Path) -> None:
@@ -204,10 +257,10 @@ def save_glb(scene: Scene, path: str | Path) -> Path:
         node = f"{index} {instance.name}"
         target.graph.update(node, geometry=keys[instance.mesh], matrix=instance.world_from_mesh)
     if scene.lights:
-        target.metadata["gltf_extensions"] = gltf_lights.scene_extension(scene.lights)
+        target.metadata["gltf_extensions"] = scene_extension(scene.lights)
     for index, light in enumerate(scene.lights):
-        extension = gltf_lights.node_extension(index)
-        target.graph.update(f"light {index}", matrix=gltf_lights.world_from_light(light), metadata=extension)
+        extension = node_extension(index)
+        target.graph.update(f"light {index}", matrix=world_from_light(light), metadata=extension)
     return write_bytes(path, target.export(file_type="glb", include_normals=True))
 
 

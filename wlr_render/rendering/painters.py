@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.covering import covering_camera
-from wlr_render.rendering.map_shrink import shrink_over_eye_box, taps_for
-from wlr_render.rendering.raster_eye import RasterEye
-from wlr_render.rendering.rasteriser import Rasteriser
-from wlr_render.rendering.ray_field import FieldPlan, RayField, WarmStart, choose_plan, middle_axes, ray_field
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import Rasteriser
+from wlr_render.rendering.raster_camera import RasterEye, covering_camera, shrink_over_eye_box, taps_for
+from wlr_render.rendering.ray_map import FieldPlan, RayField, WarmStart, choose_plan, middle_axes, ray_field
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.view import GeometryImage, View
@@ -144,7 +142,7 @@ class WarpedPainter:
             rasteriser: of the scene.
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
             at_viewpoint: draw the intermediate image from the viewpoint itself, as the paper does, and not from where
-                the bent rays come (`raster_eye.py`), from where less is hidden.
+                the bent rays come (`raster_camera.py`), from where less is hidden.
             colours: red, green and blue of the eye, if `mappings` are one of them: their painters then draw the same
                 intermediate image, whose jagged edges must not fall differently in each colour.
         """

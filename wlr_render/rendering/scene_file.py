@@ -14,8 +14,8 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.rendering.mesh_file import SUFFIXES, load_meshes
 from wlr_render.rendering.scene import Instance, Light, Mesh, Scene
-from wlr_render.rendering.shapes.catalogue import SHAPES
 from wlr_render.rendering.shapes.construction import turn
+from wlr_render.rendering.shapes.objects import SHAPES
 
 FORMAT, VERSION, FRAME = "wlr-scene", 1, "openxr"
 _PLACEMENT = ("name", "mesh", "shape", "position_m", "rotation_deg", "quaternion_xyzw", "scale", "scale_xyz")

@@ -1,13 +1,17 @@
-"""From where a picture is drawn, and the picture with its geometry."""
+"""The camera pose and intrinsics that a picture is drawn with, its file, and rays in another camera's frame."""
 
 import functools
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.files import write_text
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,3 +93,44 @@ class GeometryImage:
     normal: NDArray[np.float32] | None = None
     instance: NDArray[np.int32] | None = None
     triangle: NDArray[np.int32] | None = None
+
+
+def write_view(path: str | Path, view: View) -> Path:
+    """Write a view as JSON, format `wlr-view` 1: a pinhole's size, focal lengths and centre in pixels, and its pose."""
+    camera = view.camera
+    record = {
+        "format": "wlr-view",
+        "version": 1,
+        "frame": "openxr",
+        "size_px": [camera.width_px, camera.height_px],
+        "focal_px": camera.focal_px.tolist(),
+        "centre_px": camera.centre_px.tolist(),
+        "position_in_device_m": view.viewpoint_in_device.tolist(),
+        "world_from_camera": view.world_from_camera.tolist(),
+    }
+    return write_text(path, json.dumps(record, indent=1) + "\n")
+
+
+def seen_from(bend: Float32Array, image_from_field: FloatArray) -> Float32Array:
+    """The same rays in the frame of another camera.
+
+    With X = O + l D, O = (c, d, 0) and D = (a, b, -1), the transform gives O' = R O + t and D' = R D; D' is scaled to
+    D'_z = -1 and O' slid along it to z = 0.
+
+    Args:
+        bend: (4, rows, columns), as `RayField.bend`.
+        image_from_field: rigid, from the camera frame of `bend` to the other, (4, 4), or (rows, 4, 4) with one for
+            each row.
+
+    Returns:
+        (4, rows, columns) of the type of `bend`; NaN where a ray does not lead forwards in the other frame.
+    """
+    entries = np.moveaxis(np.asarray(image_from_field, bend.dtype), (-2, -1), (0, 1))[..., None]
+    a, b, c, d = bend
+    direction = [row[0] * a + row[1] * b - row[2] for row in entries[:3]]
+    origin = [row[0] * c + row[1] * d + row[3] for row in entries[:3]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(direction[2] < 0, -direction[2], np.nan)
+        tangents = [direction[0] / depth, direction[1] / depth]
+    offset = [origin[axis] + origin[2] * tangents[axis] for axis in range(2)]
+    return np.asarray(np.stack([*tangents, *offset]), bend.dtype)

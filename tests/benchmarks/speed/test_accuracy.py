@@ -8,11 +8,11 @@ from benchmarks.speed.accuracy import Moment, disoccluded_at_pupil, landing, sub
 from benchmarks.speed.workload import bench_model
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Panel
-from wlr_render.rendering.choose_lattice import lattice_error_arcmin
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import middle_axes
+from wlr_render.rendering.choose_warp_grid import lattice_error_arcmin
+from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.warp_grid import Lattice
 
 PLACE = np.array([0.6, -0.5, 0.4])
 TURN = transforms.rigid(transforms.rotation_about("y", np.deg2rad(0.5)), np.zeros(3))

@@ -8,11 +8,11 @@ from benchmarks.speed.baselines import bare_gl_frame, raw_embree
 from benchmarks.speed.workload import HEAD_POSE, bench_scene
 from wlr_render.errors import MissingGlError
 from wlr_render.rendering import gl
+from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.painters import WarpedPainter
-from wlr_render.rendering.raster import GlRaster
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_field import choose_plan, ray_field
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_map import choose_plan, ray_field
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.view import View
 
 

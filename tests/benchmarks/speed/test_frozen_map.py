@@ -19,7 +19,7 @@ from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.headset import open_eye
 from wlr_render.mappings import Mapped, Status
-from wlr_render.rendering.ray_field import middle_axes, solve_pixels
+from wlr_render.rendering.ray_map import middle_axes, solve_pixels
 
 PANEL_DEPTH_M = 0.5
 RNG = np.random.default_rng(2)

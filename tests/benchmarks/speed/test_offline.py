@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import offline
-from wlr_render.rendering.ray_field import NEAREST_M, ray_field
+from wlr_render.rendering.ray_map import NEAREST_M, ray_field
 
 
 def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model):

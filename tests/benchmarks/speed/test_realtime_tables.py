@@ -9,9 +9,9 @@ from speed_work import ROUNDS, TRIANGLES, needs_gl, small_work
 
 from benchmarks.speed import eye_tracking, fixed_maps, growth, stages
 from wlr_render.mappings import planar_parts
-from wlr_render.rendering.gl_solve import GlSolve
-from wlr_render.rendering.lattice import Lattice
-from wlr_render.rendering.ray_field import middle_axes
+from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.ray_map import middle_axes
+from wlr_render.rendering.warp_grid import Lattice
 
 pytestmark = pytest.mark.gl
 

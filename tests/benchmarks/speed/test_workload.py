@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.speed.workload import HEAD_POSE, bench_model, bench_scene
 from wlr_render.mappings import Panel
 from wlr_render.rendering.painters import TracedPainter
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.ray_tracing import RayRenderer
 
 
 def test_the_workload_is_a_hundred_thousand_triangles_large_in_the_field(small_panel_model):

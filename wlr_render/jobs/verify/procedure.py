@@ -26,8 +26,8 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import Progress
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.rasteriser import open_rasteriser
-from wlr_render.rendering.ray_render import RayRenderer
+from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
 
 METHODS = ("raster + warp", "ray traced")

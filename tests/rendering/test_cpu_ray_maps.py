@@ -1,0 +1,88 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from fitted_eyes import fitted_eye
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import Mapped, Status
+from wlr_render.rendering import ray_map
+from wlr_render.rendering.cpu_ray_maps import CpuNodes, CpuSolve
+from wlr_render.rendering.warp_grid import Lattice
+
+
+def small_picture(eye):
+    return Lattice.of_pixels(eye.display.panel, (18, 20))
+
+
+def test_one_pixel_each_is_the_exact_field(toy_headset_with_hole):
+    panel, axes = toy_headset_with_hole.display.panel, ray_map.middle_axes(toy_headset_with_hole)
+    viewpoint = toy_headset_with_hole.eye_box.at(np.array([0.4, -0.2, 0.9]))
+    solve = CpuSolve(toy_headset_with_hole, Lattice.of_pixels(panel), axes)
+    exact = ray_map.exact_field(toy_headset_with_hole, viewpoint, axes)
+    field = solve.solve(viewpoint).read()
+    np.testing.assert_array_equal(field.bend, exact.bend)
+    np.testing.assert_array_equal(field.status, exact.status)
+
+
+def solve_each(eye, lattice):
+    return CpuSolve(eye, lattice, np.eye(3))
+
+
+def solve_nodes(eye, lattice):
+    return CpuNodes(eye, ray_map.FieldPlan.to_lattice(lattice, 7, np.eye(3)))
+
+
+@pytest.mark.parametrize("prepare", [solve_each, solve_nodes])
+def test_a_warm_start_changes_nothing(prepare):
+    eye = fitted_eye("northstar", 3)
+    solve, viewpoint = prepare(eye, small_picture(eye)), eye.eye_box.at(np.array([0.4, -0.2, 0.9]))
+    cold = solve.solve(viewpoint).read()
+    solve.solve(viewpoint + [1e-3, 0, 0])
+    warm = solve.solve(viewpoint).read()
+    np.testing.assert_allclose(warm.bend, cold.bend, atol=1e-9)
+    solve.forget()
+    np.testing.assert_array_equal(solve.solve(viewpoint).read().bend, cold.bend)
+
+
+def test_a_pixel_whose_solve_fails_says_so(toy_headset):
+    class Unsolved:
+        panel = toy_headset.display.panel
+
+        def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+            return Mapped(np.full((*pixel.shape[:-1], 3), np.nan), np.full(pixel.shape[:-1], 2, np.uint8))
+
+    eye = dataclasses.replace(toy_headset, display=Unsolved())
+    field = CpuSolve(eye, small_picture(eye), np.eye(3)).solve(eye.eye_box.centre).read()
+    assert (field.status == Status.NOT_CONVERGED).all()
+    assert np.isnan(field.bend).all()
+
+
+@pytest.mark.parametrize("prepare", [solve_each, solve_nodes])
+def test_a_viewpoint_that_is_none_is_refused(prepare, toy_headset):
+    with pytest.raises(BadInputError, match="not three finite numbers"):
+        prepare(toy_headset, small_picture(toy_headset)).solve(np.full(3, np.nan))
+
+
+def test_nodes_are_asked_with_the_last_solution_and_give_the_field_of_their_plan(toy_headset):
+    starts = []
+
+    class Recorded:
+        panel = toy_headset.display.panel
+
+        def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+            starts.append(warm_start)
+            mapped = toy_headset.display.view_dir_of_pixel(pixel, viewpoint)
+            return dataclasses.replace(mapped, warm_start=mapped.value)
+
+    eye = dataclasses.replace(toy_headset, display=Recorded())
+    plan = ray_map.FieldPlan.to_lattice(small_picture(eye), 7, np.eye(3))
+    nodes, viewpoint = CpuNodes(eye, plan), eye.eye_box.centre
+    first = nodes.solve(viewpoint).read()
+    nodes.solve(viewpoint)
+    nodes.forget()
+    nodes.solve(viewpoint)
+    assert starts[0] is None
+    assert starts[2] is None
+    np.testing.assert_array_equal(starts[1], eye.display.view_dir_of_pixel(plan.node_pixel, viewpoint).value)
+    np.testing.assert_array_equal(first.bend, ray_map.ray_field(toy_headset, viewpoint, plan).bend)

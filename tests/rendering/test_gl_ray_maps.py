@@ -1,0 +1,211 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from fitted_eyes import DEGREES, fitted_eye, fitted_polynomial
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import Status
+from wlr_render.numerics.polynomial import Box
+from wlr_render.rendering.cpu_ray_maps import CpuSolve
+from wlr_render.rendering.gl_ray_maps import MAX_ITERATIONS, GlSolve
+from wlr_render.rendering.ray_map import NEAREST_M, middle_axes
+from wlr_render.rendering.warp_grid import Lattice
+
+pytestmark = pytest.mark.gl
+
+SIZE = 90, 100
+DEVICES = "northstar", "freeform40", "birdbath28"
+PLACES = [0, 0, 0], [1, 1, 1], [-1, 0.6, -1], [0.3, -1, 0.9]
+
+
+def picture(eye):
+    """The lattice of a picture of SIZE that covers the panel."""
+    return Lattice.of_pixels(eye.display.panel, SIZE)
+
+
+def gl_solve(context, eye):
+    return GlSolve(context, eye, picture(eye), middle_axes(eye))
+
+
+def float64_field(eye, viewpoint, lattice=None):
+    return CpuSolve(eye, lattice or picture(eye), middle_axes(eye)).solve(viewpoint).read()
+
+
+def at(eye, unit):
+    return eye.eye_box.at(np.array(unit, dtype=float))
+
+
+def worst_arcmin(field, exact):
+    """Largest angle between rays, and by their offsets at the nearest depth, where both fields are OK."""
+    both = (field.status == Status.OK) & (exact.status == Status.OK)
+    ours, theirs = (np.moveaxis(f.bend.astype(float), 0, -1)[both] for f in (field, exact))
+    angle = arcmin_between(dir_of_tangents(ours[:, :2]), dir_of_tangents(theirs[:, :2])).max()
+    return angle + np.linalg.norm(ours[:, 2:] - theirs[:, 2:], axis=1).max() / NEAREST_M / ARCMIN
+
+
+def assert_same(field, expected):
+    """Equal but for the rounding of a solution that was found from elsewhere."""
+    np.testing.assert_array_equal(field.status, expected.status)
+    assert worst_arcmin(field, expected) < 0.003
+
+
+def with_planes_apart(eye):
+    """The same display with a see-through whose base plane lies elsewhere: another mapping, not a better one."""
+    plane = BasePlane(eye.see_through.base_plane.z - 0.001)
+    return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, base_plane=plane))
+
+
+def narrowed(polynomial, low, high):
+    """The same polynomial over a part of its box, given in box coordinates -1..1 (4,)."""
+    centre, half = 0.5 * (polynomial.box.low + polynomial.box.high), 0.5 * (polynomial.box.high - polynomial.box.low)
+    return fitted_polynomial(polynomial, Box(centre + low * half, centre + high * half), polynomial.degree)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+@pytest.mark.parametrize("device", DEVICES)
+def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
+    eye = fitted_eye(device, degree)
+    for case in (eye, with_planes_apart(eye)):
+        solve = gl_solve(gl_context, case)
+        for unit in PLACES:
+            field, exact = solve.solve(at(case, unit)).read(), float64_field(case, at(case, unit))
+            assert (exact.status == Status.OK).mean() > 0.7
+            np.testing.assert_array_equal(field.status, exact.status)
+            assert worst_arcmin(field, exact) < 0.01
+
+
+@pytest.mark.parametrize("make", [Lattice.edge_to_edge, lambda panel, *size: Lattice.of_pixels(panel, size)])
+def test_the_points_are_those_of_the_lattice(gl_context, make):
+    eye = fitted_eye("freeform40", 5)
+    lattice, viewpoint = make(eye.display.panel, 23, 31), at(eye, [0.4, -0.6, 0.8])
+    solved = GlSolve(gl_context, eye, lattice, middle_axes(eye)).solve(viewpoint)
+    exact = float64_field(eye, viewpoint, lattice)
+    np.testing.assert_array_equal(solved.read_status(), exact.status)
+    assert np.isfinite(exact.bend).all()
+    assert solved.lattice is lattice
+    np.testing.assert_allclose(solved.read_bend(), exact.bend, atol=2e-6)
+
+
+def test_view_tangents_are_those_of_the_display(gl_context):
+    eye = fitted_eye("northstar", 3)
+    viewpoint = at(eye, [0.5, -0.7, 1])
+    solved = gl_solve(gl_context, eye).solve(viewpoint)
+    seen = eye.display.view_dir_of_pixel(picture(eye).panel_pixel(), viewpoint)
+    assert arcmin_between(dir_of_tangents(solved.read_view_tangents().astype(float)), seen.value).max() < 0.01
+
+
+@pytest.mark.parametrize("which", ["display", "see_through", "eye_box"])
+def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, which):
+    eye = fitted_eye("birdbath28", 3)
+    share = np.array([-0.61, -1, -1, -0.83]), np.array([1, 0.57, 1, 0.71])
+    display, see_through = eye.display, eye.see_through
+    if which == "display":
+        display = dataclasses.replace(display, forward=narrowed(display.forward, *share))
+    if which == "see_through":
+        see_through = dataclasses.replace(see_through, deviation=narrowed(see_through.deviation, *share))
+    eye = dataclasses.replace(eye, display=display, see_through=see_through)
+    viewpoint = at(eye, [1.3, 0, 0] if which == "eye_box" else [0.4, 0.2, 0.8])
+    field, exact = gl_solve(gl_context, eye).solve(viewpoint).read(), float64_field(eye, viewpoint)
+    np.testing.assert_array_equal(field.status, exact.status)
+    outside = (field.status == Status.OUTSIDE_FIT).mean()
+    assert outside == 1 if which == "eye_box" else 0.1 < outside < 0.9
+    assert np.isfinite(field.bend).all()
+
+
+@pytest.mark.parametrize("moved", [(1e-4, 0, 0), (-6e-4, 5e-4, -6e-4)], ids=["0.1 mm", "1 mm"])
+@pytest.mark.parametrize("device", DEVICES)
+def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, device, moved):
+    eye = fitted_eye(device, 5)
+    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
+    cold = solve.solve(viewpoint + moved)
+    cold_field, cold_count = cold.read(), cold.read_iterations().mean()
+    solve.forget()
+    solve.solve(viewpoint)
+    warm = solve.solve(viewpoint + moved)
+    print(f"{device}: {cold_count:.2f} iterations from cold, {warm.read_iterations().mean():.2f} after a step")
+    assert warm.read_iterations().mean() <= 0.55 * cold_count
+    assert_same(warm.read(), cold_field)
+
+
+def test_a_jump_of_the_viewpoint_is_recovered_in_one_solve(gl_context):
+    eye = fitted_eye("northstar", 5)
+    solve, half = gl_solve(gl_context, eye), np.array([2.5e-3, 0, 0])
+    before = at(eye, [0, 0.2, 0.9])
+    solve.solve(before - half)
+    after = solve.solve(before + half)
+    exact = float64_field(eye, before + half)
+    np.testing.assert_array_equal(after.read().status, exact.status)
+    assert worst_arcmin(after.read(), exact) < 0.01
+    assert after.read_iterations().max() <= 2
+
+
+def test_forgetting_makes_the_next_solve_the_first(gl_context):
+    eye = fitted_eye("freeform40", 3)
+    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
+    first = solve.solve(viewpoint)
+    bend, iterations = first.read().bend, first.read_iterations()
+    assert (solve.solve(viewpoint).read_iterations() == 1).all()
+    solve.forget()
+    again = solve.solve(viewpoint)
+    np.testing.assert_array_equal(again.read().bend, bend)
+    np.testing.assert_array_equal(again.read_iterations(), iterations)
+
+
+@pytest.mark.parametrize("spoilt", [1e6, np.inf, np.nan])
+def test_a_start_that_leads_nowhere_is_followed_by_the_cold_one(gl_context, spoilt):
+    eye = fitted_eye("northstar", 5)
+    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
+    cold = solve.solve(viewpoint)
+    expected, iterations = cold.read(), cold.read_iterations()
+    tangents = cold.read_view_tangents()
+    every_other = np.s_[20:60:2, 31:70:2]  # what a pixel needs must not touch its neighbours
+    tangents[every_other] = spoilt
+    cold.view_tangents.write(tangents)
+    again = solve.solve(viewpoint)
+    expected_count = np.ones_like(iterations)
+    expected_count[every_other] = iterations[every_other] + (MAX_ITERATIONS if np.isfinite(spoilt) else 0)
+    np.testing.assert_array_equal(again.read_iterations(), expected_count)
+    assert_same(again.read(), expected)
+
+
+@pytest.mark.parametrize("away", [[0, 0, 0.3], [0.5, -0.2, 0.1], [0, 1e4, 1e6]])
+def test_a_viewpoint_far_away_gives_statuses_and_spoils_nothing(gl_context, away):
+    eye = fitted_eye("northstar", 5)
+    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
+    expected = solve.solve(viewpoint).read()
+    far = solve.solve(viewpoint + away).read()
+    assert (far.status != Status.OK).all()
+    np.testing.assert_array_equal(np.isfinite(far.bend).all(axis=0), far.status == Status.OUTSIDE_FIT)
+    np.testing.assert_array_equal(np.isnan(far.bend).any(axis=0), far.status > Status.OUTSIDE_FIT)
+    assert_same(solve.solve(viewpoint).read(), expected)
+
+
+@pytest.mark.parametrize("viewpoint", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
+def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_warm(gl_context, viewpoint):
+    eye = fitted_eye("freeform40", 3)
+    solve = gl_solve(gl_context, eye)
+    expected = solve.solve(at(eye, [0.6, 0.3, 0.9])).read()
+    with pytest.raises(BadInputError, match="not three finite numbers; give"):
+        solve.solve(np.array(viewpoint))
+    again = solve.solve(at(eye, [0.6, 0.3, 0.9]))
+    assert_same(again.read(), expected)
+    assert (again.read_iterations() == 1).all()
+
+
+def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):
+    eyes = [fitted_eye(device, 3) for device in DEVICES[:2]]
+    solves = [gl_solve(gl_context, eye) for eye in eyes]
+    alone = [solve.solve(at(eye, [0, 0, 1])).read() for solve, eye in zip(solves, eyes, strict=True)]
+    together = [solve.solve(at(eye, [0, 0, 1])) for solve, eye in zip(solves, eyes, strict=True)]
+    with gl_context.drawing() as ctx:
+        ctx.enable_only(ctx.BLEND)
+    for solved, expected in zip(together, alone, strict=True):
+        assert_same(solved.read(), expected)
+
+
+def test_mappings_without_a_formula_are_refused(gl_context, toy_headset):
+    with pytest.raises(BadInputError, match="toy: only planar models can be solved in a shader; use the node grid"):
+        GlSolve(gl_context, toy_headset, picture(toy_headset), np.eye(3))

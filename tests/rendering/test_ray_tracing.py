@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+from gl_scenes import at, cube, lit, quad, unlit
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import directions, transforms
+from wlr_render.rendering import ray_tracing
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.scene import world_normals
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+
+BUFFERS = ("position", "normal", "ids")
+TEXTURE = np.random.default_rng(4).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+SCENE = lit(
+    (cube(), at(0.3, 0.2, -2.0, transforms.rotation_about("x", 0.5))),
+    (quad((-2, -2), (2, 2), texture=TEXTURE), at(0, 0, -4)),
+)
+
+
+def pinhole_rays(height=24, width=32):
+    tx, ty = np.meshgrid(np.linspace(-0.7, 0.7, width), np.linspace(0.6, -0.6, height))
+    direction = directions.dir_of_tangents(np.stack([tx, ty], axis=-1)).astype(np.float32)
+    origin = np.zeros_like(direction) + np.linspace(0, 0.02, width, dtype=np.float32)[:, None] * [1, 0, 0]
+    return origin.astype(np.float32), direction
+
+
+def slow_pixel(scene, tracer, origin, direction, shadows):
+    """The shading model of docs/conventions.md for one ray, in plain float64; None on a miss."""
+    hit = tracer.intersect(origin, direction)
+    if hit.instance < 0:
+        return None
+    instance = scene.instances[int(hit.instance)]
+    mesh = scene.mesh_of(instance)
+    corners = mesh.triangles[int(hit.triangle)]
+    weights = np.array([1 - hit.barycentric_u - hit.barycentric_v, hit.barycentric_u, hit.barycentric_v])
+    position = tracer.hit_positions(hit, origin, direction)
+    normal = directions.normalised(weights @ world_normals(mesh, instance)[corners])
+    normal = -normal if normal @ direction > 0 else normal
+    light_sum = scene.ambient.astype(float)
+    for light in scene.lights:
+        is_point = light.kind == "point"
+        to_light = light.vector - position if is_point else -light.vector
+        reach = np.linalg.norm(to_light)
+        start = position + 1e-3 * normal
+        hidden = shadows and tracer.occluded(start, to_light / reach, reach if is_point else np.inf)
+        falloff = 1 / reach**2 if is_point else 1.0
+        light_sum += 0 if hidden else light.colour * falloff * max(0.0, normal @ to_light / reach)
+    colour = mesh.base_colour * light_sum
+    if mesh.vertex_colour is not None:
+        colour = colour * (weights @ mesh.vertex_colour[corners])
+    if mesh.texture is not None:
+        size = np.array(mesh.texture.shape[1::-1])
+        place = weights @ mesh.uv[corners] * size - 0.5
+        corner = np.floor(place).astype(int)
+        right, down = place - corner
+        x, y = np.array([corner[0], corner[0] + 1]) % size[0], np.array([corner[1], corner[1] + 1]) % size[1]
+        texels = decode_srgb(mesh.texture[np.ix_(y, x)])
+        colour = colour * np.einsum("i,j,ijc->c", [1 - down, down], [1 - right, right], texels)
+    return position, normal, colour
+
+
+@pytest.mark.parametrize("shadows", [False, True])
+def test_frames_are_those_of_the_slow_plain_renderer(shadows):
+    renderer = RayRenderer(SCENE)
+    origin, direction = pinhole_rays()
+    image = renderer.render_rays(origin, direction, BUFFERS, shadows)
+    missed = 0
+    for pixel in np.ndindex(image.distance.shape):
+        expected = slow_pixel(SCENE, renderer.tracer, origin[pixel], direction[pixel], shadows)
+        if expected is None:
+            missed += 1
+            assert image.instance[pixel] == image.triangle[pixel] == -1
+            assert np.isnan(image.position[pixel]).all()
+            assert np.isnan(image.normal[pixel]).all()
+            assert np.isinf(image.distance[pixel])
+            continue
+        position, normal, colour = expected
+        np.testing.assert_allclose(image.position[pixel], position, atol=3e-6)
+        np.testing.assert_allclose(image.normal[pixel], normal, atol=1e-6)
+        code = 255 * np.where(colour < 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
+        np.testing.assert_allclose(image.colour[pixel], np.clip(code, 0, 255), atol=0.6)
+    assert 20 < missed < image.distance.size / 2
+
+
+def test_blocks_and_threads_change_no_bit(monkeypatch):
+    renderer = RayRenderer(SCENE)
+    origin, direction = pinhole_rays()
+    whole = renderer.render_rays(origin, direction, BUFFERS, shadows=True)
+    monkeypatch.setattr(ray_tracing, "_RAYS_PER_BLOCK", 32)
+    cut = renderer.render_rays(origin, direction, BUFFERS, shadows=True)
+    for name in ("colour", "distance", "position", "normal", "instance", "triangle"):
+        np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name), err_msg=name)
+
+
+def test_rays_that_are_missing_show_the_background():
+    renderer = RayRenderer(unlit((quad((-9, -9), (9, 9)), at(0, 0, -2)), background=(0.0, 0.25, 1.0)))
+    _, direction = pinhole_rays()
+    direction[5:9, 3:20] = np.nan
+    image = renderer.render_rays(np.zeros(3), direction, BUFFERS)
+    assert (image.colour[5:9, 3:20] == encode_srgb(np.float32([0, 0.25, 1]))).all()
+    assert (image.instance[5:9, 3:20] == -1).all()
+    assert (image.colour[:5] == 255).all()
+    assert (image.instance[9:] == 0).all()
+
+
+def test_buffers_are_given_on_request_only():
+    renderer = RayRenderer(SCENE)
+    image = renderer.render_rays(*pinhole_rays())
+    assert image.position is image.normal is image.instance is image.triangle is None
+    with pytest.raises(BadInputError, match="no buffer 'depth'"):
+        renderer.render_rays(*pinhole_rays(), buffers=("depth",))
+
+
+def test_rays_are_asked_for_row_by_row():
+    renderer = RayRenderer(SCENE)
+    origin, direction = pinhole_rays()
+
+    def rays_of_rows(rows):
+        return origin[rows].reshape(-1, 3), direction[rows].reshape(-1, 3)
+
+    asked = renderer.render_blocks(direction.shape[:2], rays_of_rows)
+    np.testing.assert_array_equal(asked.colour, renderer.render_rays(origin, direction).colour)
+
+
+def test_supersampling_is_the_mean_in_linear_light():
+    white = quad((-9, -9), (0, 9), base_colour=np.ones(3, np.float32))
+    renderer = RayRenderer(unlit((white, at(0, 0, -2)), background=(0.1, 0.2, 0.4)))
+    left, right = np.float32([[-0.3, 0.0, -1.0]]), np.float32([[0.3, 0.0, -1.0]])
+    origin = np.zeros(3, np.float32)
+    samples = ((lambda rows, d=d: (origin, d)) for d in (left, right, right, right))
+    colour = renderer.render_supersampled((1, 1), samples)
+    mean = 0.25 * np.ones(3) + 0.75 * np.array([0.1, 0.2, 0.4])
+    np.testing.assert_array_equal(colour[0, 0], encode_srgb(mean.astype(np.float32)))
+    assert (renderer.render_supersampled((1, 1), [lambda rows: (origin, left)]) == 255).all()
+    with pytest.raises(BadInputError, match="at least one"):
+        renderer.render_supersampled((1, 1), [])

@@ -1,0 +1,105 @@
+"""Ray maps for one viewpoint after the other on the CPU, in float64, and the protocol that every solver follows."""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.ray_map import FieldPlan, RayField, WarmStart, ray_field, solve_pixels
+from wlr_render.rendering.warp_grid import Lattice
+
+
+class SolvedField(Protocol):
+    """World rays of all points at one viewpoint, wherever they lie."""
+
+    def read(self) -> RayField:
+        """As numpy arrays; without a warm start, which the solver keeps."""
+
+
+class PixelSolve(Protocol):
+    """Solves every point of a lattice for one viewpoint after the other, each from the last one's solution."""
+
+    def solve(self, viewpoint: FloatArray) -> SolvedField:
+        """The field at a viewpoint (3,), device frame, metres.
+
+        Raises:
+            BadInputError: the viewpoint is not three finite numbers; the last solution is kept.
+        """
+
+    def forget(self) -> None:
+        """Start the next solve cold."""
+
+
+def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
+    """The viewpoint as (3,) float64.
+
+    Raises:
+        BadInputError: it is not three finite numbers.
+    """
+    try:
+        checked = np.asarray(viewpoint, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise BadInputError(f"the viewpoint {viewpoint!r} is not three finite numbers.") from error
+    if checked.shape != (3,) or not np.isfinite(checked).all():
+        raise BadInputError(
+            f"the viewpoint {checked.tolist()} is not three finite numbers; give the eye's place in the device frame in"
+            " metres, and hold the last good one while the eye is not seen."
+        )
+    return checked
+
+
+@dataclass(frozen=True, eq=False)
+class CpuSolvedField:
+    """A field that already is in numpy arrays."""
+
+    field: RayField
+
+    def read(self) -> RayField:
+        """The field."""
+        return self.field
+
+
+class CpuSolve:
+    """`PixelSolve` for any mappings, planar or not: every point is asked."""
+
+    def __init__(self, mappings: EyeMappings, lattice: Lattice, device_from_camera: FloatArray) -> None:
+        """Prepare for the points of a lattice on the mappings' panel, and for tangents in these axes (3, 3)."""
+        self._mappings = mappings
+        self._device_from_camera = device_from_camera
+        self._pixel = lattice.panel_pixel()
+        self._last: WarmStart | None = None
+
+    def solve(self, viewpoint: FloatArray) -> CpuSolvedField:
+        """See `PixelSolve.solve`."""
+        viewpoint = checked_viewpoint(viewpoint)
+        axes = self._device_from_camera
+        solved = solve_pixels(self._mappings, axes, self._pixel, viewpoint, self._last)
+        self._last = solved.warm_start
+        bend = np.ascontiguousarray(np.moveaxis(solved.bend, -1, 0), dtype=np.float32)
+        return CpuSolvedField(RayField(viewpoint, axes, bend, solved.status))
+
+    def forget(self) -> None:
+        """Start the next solve cold."""
+        self._last = None
+
+
+class CpuNodes:
+    """`PixelSolve` for any mappings by the nodes of a plan: `ray_field` that keeps its own warm start."""
+
+    def __init__(self, mappings: EyeMappings, plan: FieldPlan) -> None:
+        """Prepare for the plan's lattice and axes; the plan is of the mappings' panel."""
+        self._mappings, self._plan = mappings, plan
+        self._last: WarmStart | None = None
+
+    def solve(self, viewpoint: FloatArray) -> CpuSolvedField:
+        """See `PixelSolve.solve`."""
+        field = ray_field(self._mappings, checked_viewpoint(viewpoint), self._plan, self._last)
+        self._last = field.warm_start
+        return CpuSolvedField(replace(field, warm_start=None))
+
+    def forget(self) -> None:
+        """Start the next solve cold."""
+        self._last = None

@@ -1,0 +1,247 @@
+"""Ray maps on the GPU: planar models solved in a shader, any others spread from Chebyshev nodes solved on the CPU.
+
+Each point, be it a display pixel or coarser, finds the tangents t under which the viewpoint sees it from
+p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t, carried to
+the new viewpoint along its derivative, (1 - dz T)^-1 T (d viewpoint_xy + t d dz) with T the slope of t(pixel, p~) in
+p~: that misses the new t by second differences alone, so that one evaluation mostly does even after a saccade.
+Deviation and ray are a closed form of the solution.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, Status, StatusArray, planar_parts
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering import gl
+from wlr_render.rendering.cpu_ray_maps import CpuNodes, checked_viewpoint
+from wlr_render.rendering.ray_map import FieldPlan, RayField
+from wlr_render.rendering.shader_polynomial import held_source, value_source
+from wlr_render.rendering.warp_grid import Lattice
+
+
+@dataclass(frozen=True, eq=False)
+class GpuField:
+    """World rays at the points of a lattice, as a texture that its maker's next field overwrites.
+
+    Attributes:
+        context: whose texture it is.
+        viewpoint_in_device: (3,) metres.
+        device_from_camera: (3, 3) axes of `bend`.
+        lattice: the points.
+        bend: RGBA32F of the lattice's size, (a, b, c, d) as `RayField.bend`, NaN where there is no ray; read with
+            linear filtering between the points.
+    """
+
+    context: gl.GlContext
+    viewpoint_in_device: FloatArray
+    device_from_camera: FloatArray
+    lattice: Lattice
+    bend: gl.Texture
+
+    def read_bend(self) -> Float32Array:
+        """Fetch (4, rows, columns)."""
+        with self.context.drawing():
+            return np.ascontiguousarray(np.moveaxis(gl.read(self.bend, np.float32), -1, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedGpuField(GpuField, ABC):
+    """A field whose maker can say what became of each point."""
+
+    @abstractmethod
+    def read_status(self) -> StatusArray:
+        """(rows, columns), one `mappings.Status` each."""
+
+    def read(self) -> RayField:
+        """Fetch rays and status."""
+        return RayField(self.viewpoint_in_device, self.device_from_camera, self.read_bend(), self.read_status())
+
+
+class GpuSolve(Protocol):
+    """As `pixel_solve.PixelSolve`, with the field on the GPU."""
+
+    def solve(self, viewpoint: FloatArray) -> SolvedGpuField:
+        """See `PixelSolve.solve`; the field is overwritten by the next."""
+
+    def forget(self) -> None:
+        """Start the next solve cold."""
+
+
+MAX_ITERATIONS = 12
+"""From either start; a regular solve takes two from cold."""
+LAST_STEP_M = 3e-6
+"""A Newton step in the base plane that ends the solve: t follows its slope over it to 1e-4 arcmin, for slopes that
+change by less than 6 rad/m in a millimetre; and a thousand times what float32 leaves of a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """View tangents, and their slopes by the viewpoint's xy, with what they are drawn into."""
+
+    tangents: gl.Texture
+    slopes: gl.Texture
+    framebuffer: gl.Framebuffer
+
+
+@dataclass(frozen=True, eq=False)
+class GlSolvedField(SolvedGpuField):
+    """A field with what else the shader found; the solver's next solves overwrite all of it.
+
+    Attributes:
+        view_tangents: RG32F, (tx, ty) of the view direction in the device frame; NaN where there is none.
+        status_and_iterations: RG8UI: `mappings.Status`, and iterations.
+    """
+
+    view_tangents: gl.Texture
+    status_and_iterations: gl.Texture
+
+    def read_status(self) -> StatusArray:
+        """See `SolvedGpuField`."""
+        return np.ascontiguousarray(self._read(self.status_and_iterations, np.uint8)[..., 0])
+
+    def read_view_tangents(self) -> NDArray[np.float32]:
+        """Fetch the view tangents, (rows, columns, 2)."""
+        return self._read(self.view_tangents, np.float32)
+
+    def read_iterations(self) -> NDArray[np.uint8]:
+        """Fetch the iterations, (rows, columns)."""
+        return np.asarray(self._read(self.status_and_iterations, np.uint8)[..., 1])
+
+    def _read(self, texture: gl.Texture, dtype: Any) -> NDArray[Any]:
+        with self.context.drawing():
+            return gl.read(texture, dtype)
+
+
+class GlSolve:
+    """`GpuSolve` of one eye in a shader compiled for its models."""
+
+    def __init__(
+        self,
+        context: gl.GlContext,
+        mappings: EyeMappings,
+        lattice: Lattice,
+        device_from_camera: FloatArray,
+    ) -> None:
+        """Prepare for the points of a lattice on the mappings' panel, and for tangents in these axes (3, 3).
+
+        Raises:
+            BadInputError: the mappings are not planar models.
+        """
+        self._display, self._see_through = planar_parts(mappings)
+        self._context, self._lattice, self._device_from_camera = context, lattice, device_from_camera
+        functions = held_source("display", self._display.forward) + value_source(
+            "deviation", self._see_through.deviation
+        )
+        constants: dict[str, float] = {status.name: int(status) for status in Status}
+        constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
+        with context.drawing():
+            self._solve = context.full_screen("solve.frag", "full_screen.vert", functions, **constants)
+            self._bend = context.target(lattice.size, 4, "f4")
+            gl.read_between_texels(self._bend)
+            self._status_and_iterations = context.target(lattice.size, 2, "u1")
+            # The shader reads one while it writes the other.
+            self._new, self._last = (self._solution() for _ in range(2))
+        self._last_viewpoint: FloatArray | None = None
+
+    def _solution(self) -> _Solution:
+        tangents = self._context.target(self._lattice.size, 2, "f4")
+        slopes = self._context.target(self._lattice.size, 4, "f2")  # only a start comes of them
+        textures = [self._bend, tangents, self._status_and_iterations, slopes]
+        return _Solution(tangents, slopes, self._context.framebuffer(textures))
+
+    def solve(self, viewpoint: FloatArray) -> GlSolvedField:
+        """See `PixelSolve.solve`."""
+        viewpoint = checked_viewpoint(viewpoint)
+        inside = all(
+            box.contains(viewpoint, EYE_BOX_MARGIN) for box in (self._display.eye_box, self._see_through.eye_box)
+        )
+        self._new, self._last = self._last, self._new
+        started_from, self._last_viewpoint = self._last_viewpoint, None  # after a failure there is no start
+        with self._context.drawing():
+            self._new.framebuffer.use()
+            last = {"last_view_tangents": self._last.tangents, "last_slopes": self._last.slopes}
+            gl.bind_textures(self._solve.program, **last)
+            self._set_uniforms(viewpoint, started_from, inside)
+            self._solve.render(vertices=3)
+        # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
+        self._last_viewpoint = viewpoint if inside else None
+        return GlSolvedField(
+            self._context,
+            viewpoint,
+            self._device_from_camera,
+            self._lattice,
+            self._bend,
+            self._new.tangents,
+            self._status_and_iterations,
+        )
+
+    def _set_uniforms(self, viewpoint: FloatArray, started_from: FloatArray | None, inside: bool) -> None:
+        display, see_through, program = self._display, self._see_through, self._solve.program
+        gl.set_uniforms(
+            program,
+            has_last=started_from is not None,
+            moved=(0.0, 0.0, 0.0) if started_from is None else tuple(viewpoint - started_from),
+            first_px=tuple(self._lattice.first_px),
+            step_px=tuple(self._lattice.step_px),
+            viewpoint=tuple(viewpoint),
+            behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
+            behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),
+            viewpoint_inside=inside,
+        )
+        gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)
+
+    def forget(self) -> None:
+        """Start the next solve cold."""
+        self._last_viewpoint = None
+
+
+@dataclass(frozen=True, eq=False)
+class GlNodesField(SolvedGpuField):
+    """A field that was solved on the CPU.
+
+    Attributes:
+        status: (rows, columns) uint8.
+    """
+
+    status: StatusArray
+
+    def read_status(self) -> StatusArray:
+        """See `SolvedGpuField`."""
+        return self.status
+
+
+class GlNodes:
+    """`GpuSolve` for any mappings by the nodes of a plan, which has the lattice and the axes too."""
+
+    def __init__(self, context: gl.GlContext, mappings: EyeMappings, plan: FieldPlan) -> None:
+        self._context, self._plan = context, plan
+        self._nodes = CpuNodes(mappings, plan)
+        columns, rows = plan.lattice.size
+        self._interleaved = np.empty((rows, columns, 4), np.float32)
+        with context.drawing():
+            self._bend = context.target(plan.lattice.size, 4, "f4")
+            gl.read_between_texels(self._bend)
+
+    def solve(self, viewpoint: FloatArray) -> GlNodesField:
+        """See `GpuSolve`."""
+        field = self._nodes.solve(viewpoint).field
+        # One texture of four components costs a shader much less to read than four textures.
+        with self._context.drawing():
+            self._bend.write(cv2.merge(list(field.bend), self._interleaved))
+        return GlNodesField(
+            self._context,
+            field.viewpoint_in_device,
+            field.device_from_camera,
+            self._plan.lattice,
+            self._bend,
+            field.status,
+        )
+
+    def forget(self) -> None:
+        """Start the next solve cold."""
+        self._nodes.forget()

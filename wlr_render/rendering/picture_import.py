@@ -1,0 +1,156 @@
+"""Pictures drawn by somebody else, brought to the GPU images that the warp reads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.rendering import gl
+from wlr_render.rendering.framebuffers import FramebufferCopy
+from wlr_render.rendering.gpu_image import GpuImage
+from wlr_render.rendering.stored_picture import DepthKind, Rows, StoredDepth, check_arrays
+
+
+@dataclass(frozen=True, eq=False)
+class _Targets:
+    framebuffer: gl.Framebuffer
+    colour: gl.Texture
+    inverse_depth: gl.Texture
+
+
+class PictureImport:
+    """Makes GPU images of other programs' pictures; its textures are kept, and each picture overwrites the last."""
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context = context
+        self._copy = FramebufferCopy(context)
+        self._targets: _Targets | None = None
+        self._uploads: dict[int, tuple[gl.Texture, gl.Texture]] = {}
+        with context.drawing():
+            self._import = context.full_screen("import_picture.frag")
+            self._sampler = context.plain_sampler()
+
+    def from_arrays(
+        self,
+        camera: Pinhole,
+        colour: NDArray[np.uint8],
+        depth: NDArray[np.float32],
+        stored: StoredDepth,
+        rows: Rows = Rows.TOP_FIRST,
+    ) -> GpuImage:
+        """A picture in memory; arguments and faults are those of `stored_picture.picture_of_arrays`."""
+        size = camera.width_px, camera.height_px
+        check_arrays(colour, depth, size)
+        with self._context.drawing():
+            textures = self._uploads_for(size, colour.shape[2])
+            for texture, pixels in zip(textures, (colour, depth), strict=True):
+                texture.write(np.ascontiguousarray(pixels), alignment=1)
+            return self._take(camera, *textures, stored, rows)
+
+    def from_textures(
+        self,
+        camera: Pinhole,
+        colour: gl.Texture,
+        depth: gl.Texture,
+        stored: StoredDepth,
+        rows: Rows = Rows.BOTTOM_FIRST,
+    ) -> GpuImage:
+        """A picture in textures of the image's context: colours as sRGB bytes, depth in the first channel.
+
+        Raises:
+            BadInputError: a texture of another context or size, of other numbers, or of several samples.
+        """
+        size = camera.width_px, camera.height_px
+        for name, texture, least_components in (("colour", colour, 3), ("depth", depth, 1)):
+            _check_texture(self._context, name, texture, size, least_components)
+        with self._context.drawing():
+            return self._take(camera, colour, depth, stored, rows)
+
+    def from_framebuffer(
+        self,
+        camera: Pinhole,
+        framebuffer: gl.Framebuffer | int,
+        stored: StoredDepth,
+        rows: Rows = Rows.BOTTOM_FIRST,
+    ) -> GpuImage:
+        """A picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
+
+        It is copied, on the GPU. Of several samples per pixel OpenGL takes one for the depth, which need not lie at the
+        pixel's centre.
+
+        Raises:
+            BadInputError: a framebuffer of another context or size, or whose colour or depth is missing or of a kind
+                that cannot be copied.
+        """
+        if isinstance(framebuffer, int):
+            number = framebuffer
+        else:
+            _check_context(self._context, "framebuffer", framebuffer)
+            number = int(framebuffer.glo)
+        with self._context.drawing():
+            colour, depth = self._copy.copy(number, (camera.width_px, camera.height_px))
+            return self._take(camera, colour, depth, stored, rows)
+
+    def _take(
+        self, camera: Pinhole, colour: gl.Texture, depth: gl.Texture, stored: StoredDepth, rows: Rows
+    ) -> GpuImage:
+        targets = self._targets_for((camera.width_px, camera.height_px))
+        targets.framebuffer.use()
+        program = self._import.program
+        gl.bind_textures(program, stored_colour=colour, stored_depth=depth)
+        gl.set_uniforms(
+            program,
+            bottom_first=rows is Rows.BOTTOM_FIRST,
+            in_metres=stored.kind is DepthKind.METRES,
+            inverse_depth_of_0_and_1=stored.inverse_of_0_and_1,
+        )
+        for unit in range(2):
+            self._sampler.use(unit)
+        self._import.render(vertices=3)
+        for unit in range(2):
+            self._sampler.clear(unit)
+        return GpuImage(self._context, camera, targets.colour, targets.inverse_depth)
+
+    def _targets_for(self, size: tuple[int, int]) -> _Targets:
+        if self._targets is None or self._targets.colour.size != size:
+            colour, inverse_depth = self._context.target(size, 4, "f1"), self._context.target(size, 1, "f4")
+            self._targets = _Targets(self._context.framebuffer([colour, inverse_depth]), colour, inverse_depth)
+        return self._targets
+
+    def _uploads_for(self, size: tuple[int, int], components: int) -> tuple[gl.Texture, gl.Texture]:
+        old = self._uploads.get(components)
+        if old is None or old[0].size != size:
+            self._uploads[components] = (
+                self._context.target(size, components, "f1"),
+                self._context.target(size, 1, "f4"),
+            )
+        return self._uploads[components]
+
+
+def _check_context(context: gl.GlContext, name: str, thing: gl.Texture | gl.Framebuffer) -> None:
+    if gl.is_released(thing):
+        raise BadInputError(f"The {name} has been released: submit a picture before you release it.")
+    if not context.has(thing):
+        raise BadInputError(
+            f"The {name} belongs to another ModernGL context: adopt that one, or hand the picture over as arrays."
+        )
+
+
+def _check_texture(
+    context: gl.GlContext, name: str, texture: gl.Texture, size: tuple[int, int], least_components: int
+) -> None:
+    _check_context(context, f"{name} texture", texture)
+    if texture.size != size:
+        raise BadInputError(
+            f"The {name} texture has {texture.size[0]}x{texture.size[1]} pixels, the camera {size[0]}x{size[1]}: draw "
+            "with that camera."
+        )
+    if texture.dtype[0] != "f" or texture.components < least_components:
+        raise BadInputError(
+            f"The {name} texture has {texture.components} components of '{texture.dtype}': it needs {least_components} "
+            "that are read as fractions ('f1', 'f2' or 'f4')."
+        )
+    if texture.samples:
+        raise BadInputError(f"The {name} texture has {texture.samples} samples: hand over the framebuffer instead.")

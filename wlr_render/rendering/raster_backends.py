@@ -1,0 +1,162 @@
+"""Drawing an intermediate image and warping it, by whichever backend works here.
+
+All backends give the same picture: within 3 codes of 255 in every channel, but for silhouettes, where a pixel's
+centre may fall on either side (tests/rendering/test_rasteriser.py holds them to it).
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.numerics.arrays import Float32Array
+from wlr_render.rendering.ray_map import RayField
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.scene import Scene
+from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.view import GeometryImage, View, image_from_field
+from wlr_render.rendering.warp import WarpedImage
+
+BACKENDS = ("auto", "egl", "osmesa", "cpu")
+MATERIALS = ("own", "gltf")
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """A warped picture and, when asked for, the intermediate image that it was made of."""
+
+    image: WarpedImage
+    intermediate: GeometryImage | None
+
+
+class Rasteriser(Protocol):
+    """Draws one scene from any view and pulls the picture into display pixels."""
+
+    @property
+    def backend(self) -> str:
+        """ "egl", "osmesa" or "cpu"."""
+
+    def draw(self, view: View) -> GeometryImage:
+        """Draw `view` and fetch colour and inverse depth."""
+
+    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
+        """Draw `view` and warp it along the bent rays of a field, whose viewpoint need not be that of the view.
+
+        `taps` samples per pixel along each axis, see `map_shrink.taps_for`; `with_geometry` also gives the pull map and
+        the intermediate image.
+        """
+
+
+def open_rasteriser(scene: Scene, backend: str = "auto", materials: str = "own") -> Rasteriser:
+    """A rasteriser for one scene.
+
+    Args:
+        scene: what to draw.
+        backend: "egl", "osmesa", "cpu", or "auto" for the first that works, in that order.
+        materials: "own" for the shading model of docs/conventions.md, "gltf" for pyrender's physically based one,
+            which needs OpenGL.
+
+    Raises:
+        MissingGlError: OpenGL was asked for by name, or for "gltf" materials, and does not open.
+    """
+    if backend not in BACKENDS or materials not in MATERIALS:
+        raise BadInputError(f"'{backend}' with '{materials}' materials: choose from {BACKENDS} and {MATERIALS}.")
+    if backend == "cpu" and materials == "gltf":
+        raise BadInputError("glTF materials need OpenGL: choose the backend egl or osmesa, or our own materials.")
+    if backend != "cpu":
+        try:
+            return _GlRasteriser(scene, backend, materials)
+        except MissingGlError:
+            if backend != "auto" or materials == "gltf":
+                raise
+    return _CpuRasteriser(scene)
+
+
+class _GlRasteriser:
+    def __init__(self, scene: Scene, backend: str, materials: str) -> None:
+        from wlr_render.rendering.gl import open_context
+        from wlr_render.rendering.gl_warp import GlWarp
+
+        self._context = open_context(backend)
+        self.backend = self._context.backend
+        self._background = _background_code(scene)
+        self._warp = GlWarp(self._context)
+        if materials == "gltf":
+            from wlr_render.rendering.pyrender_drawing import PyrenderView
+
+            self._draw_on_gpu = PyrenderView(self._context, scene).draw_on_gpu
+        else:
+            from wlr_render.rendering.gl_raster import GlRaster
+
+            self._draw_on_gpu = GlRaster(self._context, scene).draw_on_gpu
+
+    def draw(self, view: View) -> GeometryImage:
+        return self._draw_on_gpu(view).read()
+
+    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
+        image = self._draw_on_gpu(view)
+        moved = _image_from_field(view, field)
+        warped = self._warp.warp(image, field.bend, moved, self._background, taps, with_source=with_geometry)
+        return Warped(warped, image.read() if with_geometry else None)
+
+
+class _CpuRasteriser:
+    backend = "cpu"
+
+    def __init__(self, scene: Scene) -> None:
+        from wlr_render.rendering.raster_backends import CpuRaster
+
+        self._background = _background_code(scene)
+        self._raster = CpuRaster(scene)
+
+    def draw(self, view: View) -> GeometryImage:
+        return self._raster.draw(view)
+
+    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
+        from wlr_render.rendering.cpu_warp import warp_on_cpu
+
+        image = self._raster.draw(view)
+        moved = _image_from_field(view, field)
+        warped = warp_on_cpu(image, view.camera, [field.bend], moved, self._background, taps)
+        return Warped(warped, image if with_geometry else None)
+
+
+def _image_from_field(view: View, field: RayField) -> NDArray[np.float64]:
+    return image_from_field(view, field.viewpoint_in_device, field.device_from_camera, view.world_from_device)
+
+
+def _background_code(scene: Scene) -> tuple[int, int, int]:
+    red, green, blue = (int(x) for x in encode_srgb(scene.background))
+    return red, green, blue
+
+
+class CpuRaster:
+    """Draws one scene from any view, as `raster.GlRaster` does."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._renderer = RayRenderer(scene)
+
+    def draw(self, view: View, buffers: Collection[str] = ()) -> GeometryImage:
+        """Colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
+        height, width = view.camera.height_px, view.camera.width_px
+        traced = self._renderer.render_blocks((height, width), lambda rows: _rays(view, rows), buffers)
+        # The directions reach one metre along -z, so that the distance along them is the depth.
+        inverse_depth = np.reciprocal(traced.distance)
+        return GeometryImage(
+            traced.colour, inverse_depth, traced.position, traced.normal, traced.instance, traced.triangle
+        )
+
+
+def _rays(view: View, rows: slice) -> tuple[Float32Array, Float32Array]:
+    """Rays through some rows' pixel centres: origin (3,), directions (n, 3) with unit depth, world frame."""
+    camera = view.camera
+    u, v = np.arange(camera.width_px) + 0.5, np.arange(rows.start, rows.stop) + 0.5
+    tx = camera.tangents_of_pixel(np.stack([u, np.zeros_like(u)], axis=-1))[:, 0]
+    ty = camera.tangents_of_pixel(np.stack([np.zeros_like(v), v], axis=-1))[:, 1]
+    rightwards, upwards, backwards = view.world_from_camera[:3, :3].T
+    across = tx[:, None] * rightwards - backwards
+    direction = across + (ty[:, None] * upwards)[:, None, :]
+    return view.viewpoint_in_world.astype(np.float32), direction.reshape(-1, 3).astype(np.float32)

@@ -1,0 +1,157 @@
+"""The camera of the intermediate image: its intrinsics, its position, and how far the warp minifies its picture.
+
+A raster camera at the viewpoint does not see along the bent rays, which pass beside it by up to millimetres; behind an
+edge it misses what they meet. Most of that offset is common to all rays: a thick see-through element makes the eye
+appear elsewhere, and a camera at that place sees almost along the rays.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from wlr_render.geometry import transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis
+from wlr_render.rendering.ray_map import asked_tangents, solve_pixels
+from wlr_render.rendering.warp_grid import Lattice
+
+
+def covering_camera(
+    channels: Sequence[EyeMappings],
+    device_from_camera: FloatArray,
+    resolution: float = 1.0,
+    size_px: tuple[int, int] | None = None,
+    margin: float = 0.0,
+) -> Pinhole:
+    """The raster field for all viewpoints in the eye box, found from the mappings at its corners.
+
+    Args:
+        channels: one pair, or one per colour channel.
+        device_from_camera: (3, 3) axes of the camera.
+        resolution: it has `resolution`^2 times as many pixels as the display, square in tangents.
+        size_px: (width, height) of the display; the panel's own if None.
+        margin: tangents added on every side, for a head that turns between drawing and scan-out. They get pixels of
+            their own: the resolution stays.
+    """
+    box, panel = channels[0].eye_box, channels[0].display.panel
+    width, height = (panel.width_px, panel.height_px) if size_px is None else size_px
+    corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+    tangents = np.concatenate(
+        [
+            asked_tangents(mappings, device_from_camera, box.at(unit))
+            for mappings in channels
+            for unit in [np.zeros(3), *corners]
+        ]
+    )
+    low, high = np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0)
+    pixels_per_tangent = resolution * float(np.sqrt(width * height / np.prod(high - low)))
+    return Pinhole.covering(np.stack([low - margin, high + margin]), pixels_per_tangent)
+
+
+_GRID = 7
+_DEGREE = 2
+
+
+def nearest_point_to_rays(bend: FloatArray) -> FloatArray:
+    """The point (3,) that minimises the squares of the rays' offsets from it, in the rays' camera frame.
+
+    A ray is at (c - a z, d - b z, z); its offset from (x, y, z) is measured across the viewing axis, so that the
+    point is a regression of (c, d) on (a, b): (c, d) = (x, y) + z (a, b).
+
+    Args:
+        bend: (4, ...), (a, b, c, d) as `RayField.bend`; rays with a NaN do not count.
+
+    Returns:
+        The point; the origin where no ray counts, and z = 0 where all are parallel.
+    """
+    rays = np.asarray(bend, dtype=np.float64).reshape(4, -1)
+    rays = rays[:, np.isfinite(rays).all(axis=0)]
+    if rays.shape[1] == 0:
+        return np.zeros(3)
+    mean = rays.mean(axis=1)
+    tangents, offset = np.split(rays - mean[:, None], 2)
+    spread = np.sum(tangents * tangents)
+    z = np.sum(tangents * offset) / spread if spread > 0 else 0.0
+    return np.array([*(mean[2:] - z * mean[:2]), z])
+
+
+class RasterEye:
+    """The best place of a raster camera for any viewpoint: a polynomial fitted to some of them over the eye box."""
+
+    def __init__(self, mappings: EyeMappings, device_from_camera: FloatArray) -> None:
+        """Fit; best for a camera with these axes (3, 3), across whose viewing axis offsets are measured."""
+        eye_box, pixel = mappings.eye_box, mappings.display.panel.grid(_GRID, _GRID)
+        half = 0.5 * np.maximum(eye_box.size, 1e-6)
+        self._box = Box(eye_box.centre - half, eye_box.centre + half)
+        viewpoints = eye_box.centre + half * np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
+        shift_in_camera = [
+            nearest_point_to_rays(np.moveaxis(solve_pixels(mappings, device_from_camera, pixel, each).bend, -1, 0))
+            for each in viewpoints
+        ]
+        shift = transforms.rotate(device_from_camera, np.array(shift_in_camera))
+        coefficients, *_ = np.linalg.lstsq(basis(viewpoints, _DEGREE, self._box), shift)
+        self._shift = Polynomial(_DEGREE, self._box, coefficients.astype(np.float64))
+
+    def at(self, viewpoint: FloatArray) -> FloatArray:
+        """The place (..., 3) for viewpoints (..., 3), both in the device frame.
+
+        Outside the eye box the shift is that of the box's nearest point, so that it neither jumps nor grows.
+        """
+        return np.asarray(viewpoint + self._shift(np.clip(viewpoint, self._box.low, self._box.high)))
+
+
+SPACING_PX = 1.25
+"""Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""
+MAX_TAPS = 4
+_POINTS = 33
+
+
+def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_px: tuple[int, int]) -> float:
+    """Image pixels that one pixel of the display picture covers, in the direction and at the place where it is most.
+
+    The largest singular value of the map's derivative for points at infinity, by differences between lattice points; 0
+    if no ray is known.
+
+    Args:
+        bend: (4, rows, columns) in the image's camera frame, at the points of `lattice`; at least 2 x 2.
+        lattice: where.
+        camera: of the image.
+        size_px: (width, height) of the display picture, which covers the panel.
+    """
+    points_per_pixel = lattice.panel.size_px / size_px / lattice.step_px
+    at_infinity = camera.pixel_of_tangents(np.moveaxis(bend[:2].astype(np.float64), 0, -1))
+    down, across = np.gradient(at_infinity, axis=(0, 1))
+    across, down = across * points_per_pixel[0], down * points_per_pixel[1]
+    squares = (across**2 + down**2).sum(axis=-1)
+    area = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
+    largest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4 * area**2, 0.0)))
+    return float(np.sqrt(np.max(largest_squared, initial=0.0, where=np.isfinite(largest_squared))))
+
+
+def shrink_over_eye_box(
+    mappings: EyeMappings, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
+) -> float:
+    """`largest_shrink` of an eye's field at the centre of the eye box and at its nearest and farthest corners.
+
+    Args:
+        mappings: any pair.
+        device_from_camera: (3, 3) axes of the camera.
+        camera: of the image.
+        size_px: (width, height) of the display picture.
+    """
+    lattice = Lattice.edge_to_edge(mappings.display.panel, _POINTS, _POINTS)
+    box, pixel = mappings.eye_box, lattice.panel_pixel()
+    bends = [
+        solve_pixels(mappings, device_from_camera, pixel, box.at(unit)).bend
+        for unit in np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1]])
+    ]
+    return max(largest_shrink(np.moveaxis(bend, -1, 0).astype(np.float32), lattice, camera, size_px) for bend in bends)
+
+
+def taps_for(shrink: float) -> int:
+    """Samples per display pixel along each axis, 1 to MAX_TAPS, for `largest_shrink`."""
+    return min(max(math.ceil(shrink / SPACING_PX), 1), MAX_TAPS)

@@ -1,0 +1,179 @@
+"""Rays against a scene, by Embree: the only door to embreex.
+
+World frame. The tree is built once per scene with one geometry per instance, so that Embree's ids are ours. Embree
+works in float32; `SceneTracer.hit_positions` meets the hit triangle again in float64, for references.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering.scene import Scene, world_positions
+from wlr_render.rendering.thread_pool import for_blocks
+
+_RAYS_PER_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What some rays meet first; the arrays share one shape (...).
+
+    Attributes:
+        distance: float32, along the ray in lengths of its direction (metres for unit directions); inf on a miss.
+        instance: int32 index into `Scene.instances`, -1 on a miss.
+        triangle: int32 index into the instance's mesh, -1 on a miss.
+        barycentric_u, barycentric_v: float32 weights of the triangle's second and third corner; 0 on a miss.
+    """
+
+    distance: Float32Array
+    instance: NDArray[np.int32]
+    triangle: NDArray[np.int32]
+    barycentric_u: Float32Array
+    barycentric_v: Float32Array
+
+    @classmethod
+    def misses(cls, shape: tuple[int, ...]) -> "Hits":
+        """Rays that meet nothing, to be filled in."""
+        return cls(
+            np.full(shape, np.inf, np.float32),
+            np.full(shape, -1, np.int32),
+            np.full(shape, -1, np.int32),
+            np.zeros(shape, np.float32),
+            np.zeros(shape, np.float32),
+        )
+
+    @property
+    def flat(self) -> "Hits":
+        """Views of shape (n,)."""
+        return Hits(
+            self.distance.reshape(-1),
+            self.instance.reshape(-1),
+            self.triangle.reshape(-1),
+            self.barycentric_u.reshape(-1),
+            self.barycentric_v.reshape(-1),
+        )
+
+    def fill(self, where: slice | NDArray[np.intp], hits: "Hits") -> None:
+        """Write `hits` into some places."""
+        self.distance[where] = hits.distance
+        self.instance[where] = hits.instance
+        self.triangle[where] = hits.triangle
+        self.barycentric_u[where] = hits.barycentric_u
+        self.barycentric_v[where] = hits.barycentric_v
+
+
+class SceneTracer:
+    """Finds what rays meet in one scene."""
+
+    def __init__(self, scene: Scene) -> None:
+        # Here, because the command line must start without it.
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        self.scene = scene
+        # Otherwise rays aimed at an edge may slip through between its two triangles; it costs a few per cent.
+        self._embree = EmbreeScene(robust=True)
+        for instance in scene.instances:
+            mesh = scene.mesh_of(instance)
+            position = world_positions(mesh, instance).astype(np.float32)
+            TriangleMesh(self._embree, position, mesh.triangles.astype(np.int32))
+        # The first query builds the tree; it must not happen in several threads at once.
+        self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+
+    def intersect(self, origin: ArrayLike, direction: ArrayLike) -> Hits:
+        """What each ray meets first, on all processors.
+
+        Args:
+            origin: (..., 3) world frame, metres; broadcasts against `direction`. float32 is not copied.
+            direction: (..., 3) world frame, of any length.
+
+        Returns:
+            Hits of shape (...); a ray with a NaN or an infinity is a miss.
+        """
+        origin, direction, shape = _flat(origin, direction)
+        hits = Hits.misses(shape)
+        flat = hits.flat
+
+        def trace(block: slice) -> None:
+            finite = _finite_rays(origin[block], direction[block])
+            if finite is None:
+                flat.fill(block, self._run(origin[block], direction[block]))
+            else:
+                chosen = finite + block.start
+                flat.fill(chosen, self._run(origin[chosen], direction[chosen]))
+
+        for_blocks(trace, len(direction), _RAYS_PER_BLOCK)
+        return hits
+
+    def _run(self, origin: Float32Array, direction: Float32Array) -> Hits:
+        distance = np.full(len(direction), np.inf, np.float32)
+        # Embree shortens the reach it is given to the hit, in place.
+        found = self._embree.run(origin, direction, dists=distance, output=True)
+        return Hits(distance, found["geomID"], found["primID"], found["u"], found["v"])
+
+    def occluded(self, origin: ArrayLike, direction: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
+        """Whether anything lies on the rays nearer than `distance`, on all processors.
+
+        Args:
+            origin, direction: as for `intersect`.
+            distance: (...) in lengths of the direction; may be inf.
+
+        Returns:
+            (...) bool; False for a ray with a NaN or an infinity.
+        """
+        origin, direction, shape = _flat(origin, direction)
+        reach = np.broadcast_to(np.asarray(distance, np.float32), shape).reshape(-1)
+        result = np.zeros(len(direction), np.bool_)
+
+        def trace(block: slice) -> None:
+            finite = _finite_rays(origin[block], direction[block])
+            chosen = block if finite is None else finite + block.start
+            found = self._embree.run(origin[chosen], direction[chosen], dists=np.array(reach[chosen]), query="OCCLUDED")
+            result[chosen] = found != -1
+
+        for_blocks(trace, len(direction), _RAYS_PER_BLOCK)
+        return result.reshape(shape)
+
+    def hit_positions(self, hits: Hits, origin: ArrayLike, direction: ArrayLike) -> FloatArray:
+        """Where the rays meet the planes of the triangles they hit, in float64.
+
+        Args:
+            hits: of shape (...), from `intersect` of these rays.
+            origin, direction: (..., 3) the rays, in float64 for a float64 answer.
+
+        Returns:
+            (..., 3) world frame, metres; NaN on a miss.
+        """
+        shape = (*hits.distance.shape, 3)
+        origin = np.broadcast_to(np.asarray(origin, np.float64), shape)
+        direction = np.broadcast_to(np.asarray(direction, np.float64), shape)
+        position = np.full(shape, np.nan)
+        for number, instance in enumerate(self.scene.instances):
+            chosen = hits.instance == number
+            if not chosen.any():
+                continue
+            mesh = self.scene.mesh_of(instance)
+            corners = world_positions(mesh, instance)[mesh.triangles[hits.triangle[chosen]]]
+            position[chosen] = _meet_planes(corners, origin[chosen], direction[chosen])
+        return position
+
+
+def _meet_planes(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:
+    """Rays (n, 3) against the planes of triangles (n, 3 corners, 3): (n, 3)."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    along = np.sum((corners[:, 0] - origin) * normal, axis=1) / np.sum(direction * normal, axis=1)
+    return np.asarray(origin + along[:, None] * direction)
+
+
+def _flat(origin: ArrayLike, direction: ArrayLike) -> tuple[Float32Array, Float32Array, tuple[int, ...]]:
+    origin, direction = np.broadcast_arrays(np.asarray(origin, np.float32), np.asarray(direction, np.float32))
+    return origin.reshape(-1, 3), direction.reshape(-1, 3), direction.shape[:-1]
+
+
+def _finite_rays(origin: Float32Array, direction: Float32Array) -> NDArray[np.intp] | None:
+    """Indices of the rays without NaN or infinity; None for all of them, the usual case."""
+    if np.isfinite(direction).all() and np.isfinite(origin).all():
+        return None
+    return np.flatnonzero(np.isfinite(origin).all(axis=1) & np.isfinite(direction).all(axis=1))
