@@ -1,7 +1,7 @@
 """Drawing an intermediate image and warping it, by whichever backend works here.
 
 All backends give the same picture: within 3 codes of 255 in every channel, but for silhouettes, where a pixel's
-centre may fall on either side (tests/rendering/test_rasteriser.py holds them to it).
+centre may fall on either side (tests/rendering/test_raster_backends.py holds them to it).
 """
 
 from collections.abc import Collection

@@ -33,8 +33,8 @@ asked for, at a path's near end, is the nearest texel. The background has w = 0 
 
 Colour is bilinear in the 8-bit sRGB values, as cv2.remap does, by four texel reads: the hardware's own filter has 8-bit
 weights. Where the map shrinks, `taps` > 1 takes the mean of taps x taps such samples, spread evenly over what the
-display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of a display pixel in the image
-are differences of s(0) in blocks of 2 x 2 pixels, as GPUs take them; next to a hole they count as 0.
+display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of a display pixel in the
+image are differences of s(0) in blocks of 2 x 2 pixels, as GPUs take them; next to a hole they count as 0.
 
 With one field per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
 three (the largest), the source that of green.
