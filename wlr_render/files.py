@@ -39,7 +39,7 @@ _FILE_MODE = 0o666 & ~_umask()
 
 
 def resource(folder: str, name: str = "") -> Path:
-    """Path of a shipped file: `folder` is "devices", "scenes" or "shaders".
+    """Path of a shipped file: `folder` is "devices", "docs", "scenes" or "shaders".
 
     In a wheel these folders lie inside the package, in a checkout beside it.
     """

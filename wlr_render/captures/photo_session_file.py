@@ -13,7 +13,7 @@ from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSes
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.captures.targets.board_file import load_board
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, write_toml
+from wlr_render.files import Table, read_toml, resource, write_toml
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid
 from wlr_render.mappings import EyeBox, Panel
@@ -41,7 +41,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     """
     root = Path(folder)
     if not (root / FILE).is_file():
-        raise BadInputError(f"{root}: has no {FILE}, so it is no photographic session; docs/photo-session.md says how.")
+        raise BadInputError(f"{root}: has no {FILE}, so it is not a photographic session; {resource('docs', 'photo-session.md')} has the format.")
     file = read_toml(root / FILE)
     file.check_head(FORMAT, VERSION, "a session")
     axes = _AXES[file.text("frame", choices=sorted(_AXES))]
