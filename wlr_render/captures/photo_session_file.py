@@ -41,9 +41,8 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     """
     root = Path(folder)
     if not (root / FILE).is_file():
-        raise BadInputError(
-            f"{root}: has no {FILE}, so it is not a photographic session; {resource('docs', 'photo-session.md')} has the format."
-        )
+        manual = resource("docs", "photo-session.md")
+        raise BadInputError(f"{root}: has no {FILE}, so it is not a photographic session; {manual} has the format.")
     file = read_toml(root / FILE)
     file.check_head(FORMAT, VERSION, "a session")
     axes = _AXES[file.text("frame", choices=sorted(_AXES))]
