@@ -8,7 +8,7 @@ from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.evaluation.mapping_error import display_error, sightings_of_pixels
 from wlr_render.evaluation.metrics import summary
-from wlr_render.models.model_file import load_eye_model, save_eye_model
+from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
@@ -24,7 +24,7 @@ captures = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_thr
 fit = fit_eye(captures, "planar", display_degree=5, see_through_degree=3)
 print(f"display residual {fit.display.residual_arcmin.rms:.3f} arcmin rms, degree {fit.display.degree}")
 
-path = save_eye_model(Path("birdbath28.model.json"), fit.model())
+path = save_eye_models(Path("birdbath28.model.json"), [fit.model()])
 model = load_eye_model(path).mappings
 anywhere = viewpoints.random_in_eye_box(truth.eye_box, 50, rng)[:, None]
 pixels = rng.uniform(0, truth.display.panel.size_px, (50, 40, 2))

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.speed.workload import bench_model
 from wlr_render.files import resource
 from wlr_render.mappings import Panel
-from wlr_render.models.model_file import EyeModel, save_eye_model
+from wlr_render.models.model_file import EyeModel, save_eye_models
 
 SCENE = """
 format = "wlr-scene"
@@ -70,7 +70,7 @@ def small_panel_model():
 def model_file(tmp_path_factory, small_panel_model):
     """Path of the same as a model file."""
     path = tmp_path_factory.mktemp("model") / "model.json"
-    return str(save_eye_model(path, EyeModel(replace(small_panel_model, name="fitted"), "northstar")))
+    return str(save_eye_models(path, [EyeModel(replace(small_panel_model, name="fitted"), "northstar")]))
 
 
 @pytest.fixture(scope="session")

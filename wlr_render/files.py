@@ -292,6 +292,13 @@ class Table:
             raise self.fail(f"'{key}' must be an array of tables, written [[{key}]].")
         return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
 
+    def free(self, key: str) -> dict[str, Any]:
+        """A sub-table whose content is not checked; empty if it is absent."""
+        value = self._get(key) if self.has(key) else {}
+        if not isinstance(value, dict):
+            raise self.fail(f"'{key}' must be an object.")
+        return value
+
     def keys(self) -> list[str]:
         """All keys present, in file order."""
         return list(self._content)

@@ -8,7 +8,7 @@ from toy_device import display_captures, positions_in_plane, see_through_capture
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
-from wlr_render.models.model_file import load_eye_model, save_eye_model
+from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.models.static import StaticSeeThrough
 
 CAPTURES = EyeCaptures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))
@@ -17,7 +17,7 @@ CAPTURES = EyeCaptures(display_captures(positions_in_plane(12)), see_through_cap
 def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path):
     eye = fit_eye(CAPTURES, "planar", 2, 1)
     assert eye.mappings.name == "toy (planar N=2, see-through N=1)"
-    path = save_eye_model(tmp_path / "right.json", eye.model())
+    path = save_eye_models(tmp_path / "right.json", [eye.model()])
     loaded = load_eye_model(path)
     assert loaded.device == "toy"
     assert loaded.report["display"]["residual_px"]["rms"] == eye.display.residual_px.rms

@@ -33,10 +33,10 @@ def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path
     text = Path(model_file).read_text(encoding="utf-8")
     short, newer = tmp_path / "short.json", tmp_path / "newer.json"
     short.write_text(text[: len(text) // 2], encoding="utf-8")
-    newer.write_text(json.dumps(json.loads(text) | {"version": 2}), encoding="utf-8")
+    newer.write_text(json.dumps(json.loads(text) | {"version": 3}), encoding="utf-8")
     with pytest.raises(BadInputError, match=r"short\.json: is not a model file, or is cut short"):
         open_eye(short)
-    with pytest.raises(BadInputError, match=r"newer\.json: has version 2; this program reads version 1"):
+    with pytest.raises(BadInputError, match=r"newer\.json: has version 3; this program reads version 1 or 2"):
         open_eye(newer)
 
 
@@ -70,17 +70,19 @@ def test_three_models_are_three_colours(model_file, tmp_path):
     record = json.loads(Path(model_file).read_text(encoding="utf-8"))
     files = [tmp_path / f"{name}.json" for name in ("red", "green", "blue")]
     for path in files:
-        path.write_text(json.dumps(record | {"name": path.stem}), encoding="utf-8")
+        record["eyes"][0]["name"] = path.stem
+        path.write_text(json.dumps(record), encoding="utf-8")
     assert [each.name for each in open_channels(files)] == ["red", "green", "blue"]
 
 
 @pytest.mark.parametrize("part", ["panel", "eye box"])
 def test_colours_of_different_headsets_are_refused(model_file, tmp_path, part):
     record = json.loads(Path(model_file).read_text(encoding="utf-8"))
+    (eye,) = record["eyes"]
     if part == "panel":
-        record["display"]["panel"]["width_px"] += 1
+        eye["display"]["panel"]["width_px"] += 1
     else:
-        record["eye_box"]["size_m"][0] *= 1.1
+        eye["eye_box"]["size_m"][0] *= 1.1
     other = tmp_path / "other.json"
     other.write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(BadInputError, match=r"other\.json: has another panel or eye box than the green model"):

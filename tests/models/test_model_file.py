@@ -7,7 +7,7 @@ from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_s
 
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeMappings
-from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_model
+from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
 from wlr_render.numerics.polynomial import Polynomial
 
 
@@ -34,13 +34,14 @@ def assert_same(first, second):
 @pytest.mark.parametrize("see_through", SEE_THROUGHS)
 def test_every_kind_comes_back_bit_for_bit(tmp_path, display, see_through):
     written = model(DISPLAYS[display](), SEE_THROUGHS[see_through]())
-    read = load_eye_model(save_eye_model(tmp_path / "eye.json", written))
+    read = load_eye_model(save_eye_models(tmp_path / "eye.json", [written]))
     assert_same(written, read)
 
 
 def test_terms_written_are_the_polynomial(tmp_path):
     """A reader with nothing but the file's own description gets the same value."""
-    record = json.loads(save_eye_model(tmp_path / "eye.json", model()).read_text())["display"]["forward"]
+    (eye,) = json.loads(save_eye_models(tmp_path / "eye.json", [model()]).read_text())["eyes"]
+    record = eye["display"]["forward"]
     inputs = np.array([120.0, 640.0, 0.031, -0.002])
     low, high = np.array(record["low"]), np.array(record["high"])
     scaled = (2 * inputs - low - high) / (high - low)
@@ -52,11 +53,19 @@ def test_terms_written_are_the_polynomial(tmp_path):
 
 
 def edited(tmp_path, edit):
-    path = save_eye_model(tmp_path / "eye.json", model())
+    path = save_eye_models(tmp_path / "eye.json", [model()])
     record = json.loads(path.read_text())
     edit(record)
     path.write_text(json.dumps(record))
     return path
+
+
+def first(record):
+    return record["eyes"][0]
+
+
+def forward(record):
+    return first(record)["display"]["forward"]
 
 
 @pytest.mark.parametrize(
@@ -64,19 +73,34 @@ def edited(tmp_path, edit):
     [
         (lambda r: r.update(format="other"), "not a model file: its format is not 'wlr-eye-model'"),
         (lambda r: r.pop("format"), "not a model file"),
-        (lambda r: r.update(version=2), "has version 2; this program reads version 1"),
+        (lambda r: r.update(version=3), "has version 3; this program reads version 1 or 2"),
         (lambda r: r.update(frame="opencv"), "'frame' is 'opencv'; it must be one of openxr"),
-        (lambda r: r["display"].pop("base_plane"), r"\[display\]: key 'base_plane' is missing"),
-        (lambda r: r.pop("eye_box"), "key 'eye_box' is missing"),
-        (lambda r: r["display"].update(kind="magic"), "'kind' is 'magic'; it must be one of planar"),
-        (lambda r: r["display"]["forward"].update(degree=3), "degree 3 in 4 variables has 35 terms, but .* has 15"),
-        (lambda r: r["display"]["forward"]["terms"].reverse(), "must be all those of total degree up to 2"),
-        (lambda r: r["display"]["forward"]["terms"][0].update(values=[1.0]), "'values' must be a list of 2 numbers"),
-        (lambda r: r["display"]["forward"]["terms"][0].update(values=[1.0, np.nan]), "'values' must be finite"),
-        (lambda r: r["display"]["forward"].update(low=r["display"]["forward"]["high"]), "'low' must be less than"),
-        (lambda r: r["display"]["panel"].update(width_px=10.5), "'width_px' must be a whole number"),
+        (
+            lambda r: first(r)["display"].pop("base_plane"),
+            r"\[\[eyes\]\] number 1 \[display\]: key 'base_plane' is missing",
+        ),
+        (lambda r: first(r).pop("eye_box"), "key 'eye_box' is missing"),
+        (lambda r: first(r)["display"].update(kind="magic"), "'kind' is 'magic'; it must be one of planar"),
+        (
+            lambda r: forward(r).update(degree=3),
+            "degree 3 in 4 variables has 35 terms, but .* has 15",
+        ),
+        (lambda r: forward(r)["terms"].reverse(), "must be all those of total degree up to 2"),
+        (
+            lambda r: forward(r)["terms"][0].update(values=[1.0]),
+            "'values' must be a list of 2 numbers",
+        ),
+        (lambda r: forward(r)["terms"][0].update(values=[1.0, np.nan]), "'values' must be finite"),
+        (
+            lambda r: forward(r).update(low=forward(r)["high"]),
+            "'low' must be less than",
+        ),
+        (lambda r: first(r)["display"]["panel"].update(width_px=10.5), "'width_px' must be a whole number"),
         (lambda r: r.update(colour="red"), "unknown key 'colour'"),
-        (lambda r: r.update(report=[1]), "'report' must be an object"),
+        (lambda r: first(r).update(colour="red"), r"\[\[eyes\]\] number 1: unknown key 'colour'"),
+        (lambda r: first(r).update(report=[1]), "'report' must be an object"),
+        (lambda r: r["eyes"].clear(), "'eyes' must hold one model, or one of each eye"),
+        (lambda r: r["eyes"].append(first(r)), "'eyes' must hold one model, or one of each eye"),
     ],
 )
 def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentence):
@@ -91,7 +115,7 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentenc
     [(None, "cut short"), (b"", "cut short"), (b"\x93NUMPY\xff", "is not a model file"), (b"[1, 2]", "not an object")],
 )
 def test_files_that_are_cut_short_or_something_else(tmp_path, content, sentence):
-    path = save_eye_model(tmp_path / "eye.json", model())
+    path = save_eye_models(tmp_path / "eye.json", [model()])
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)
     with pytest.raises(BadInputError, match=sentence):
         load_eye_model(path)
@@ -102,5 +126,66 @@ def test_missing_files_and_foreign_mappings_are_refused(tmp_path):
         load_eye_model(tmp_path / "none.json")
     foreign = dataclasses.replace(model().mappings, display=Polynomial)
     with pytest.raises(BadInputError, match="cannot be written to a model file"):
-        save_eye_model(tmp_path / "eye.json", dataclasses.replace(model(), mappings=foreign))
+        save_eye_models(tmp_path / "eye.json", [dataclasses.replace(model(), mappings=foreign)])
     assert list(tmp_path.iterdir()) == []
+
+
+def of_eye(eye, device="toy"):
+    return dataclasses.replace(
+        model(), mappings=dataclasses.replace(model().mappings, eye=eye, name=f"{device} {eye}"), device=device
+    )
+
+
+def test_both_eyes_of_a_headset_are_one_file(tmp_path):
+    left, right = of_eye("left"), of_eye("right")
+    path = save_eye_models(tmp_path / "both.json", [right, left])
+    read = load_eye_models(path)
+    assert list(read) == ["left", "right"]
+    assert_same(read["left"], left)
+    assert_same(load_eye_model(path, "right"), right)
+    with pytest.raises(BadInputError, match="holds models of both eyes; say which one is meant"):
+        load_eye_model(path)
+
+
+def test_an_eye_that_is_not_there_is_refused_with_the_remedy(tmp_path):
+    path = save_eye_models(tmp_path / "left.json", [of_eye("left")])
+    assert load_eye_model(path, "left").mappings.eye == load_eye_model(path).mappings.eye == "left"
+    with pytest.raises(BadInputError, match="is a model of the left eye; the right eye was asked for: calibrate it"):
+        load_eye_model(path, "right")
+
+
+def test_two_models_of_one_eye_or_of_two_devices_are_refused(tmp_path):
+    for models in ([of_eye("left")] * 2, [of_eye("left"), of_eye("right", "other")], []):
+        with pytest.raises(BadInputError, match="holds one model of each eye of one device"):
+            save_eye_models(tmp_path / "eye.json", models)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_path):
+    path = tmp_path / "model.json"
+    assert add_eye_models(path, [of_eye("right")]) == ()
+    assert add_eye_models(path, [of_eye("left")]) == ("right",)
+    again = dataclasses.replace(of_eye("left"), report={"again": True})
+    assert add_eye_models(path, [again]) == ("right",)
+    read = load_eye_models(path)
+    assert list(read) == ["left", "right"]
+    assert_same(read["left"], again)
+    # Models of another device do not stay beside it, nor does a file that cannot be read.
+    assert add_eye_models(path, [of_eye("left", "other")]) == ()
+    assert list(load_eye_models(path)) == ["left"]
+    path.write_text("{")
+    assert add_eye_models(path, [of_eye("right")]) == ()
+    assert list(load_eye_models(path)) == ["right"]
+
+
+def test_files_of_version_1_are_still_read(tmp_path):
+    """They hold one eye, whose keys stand beside those of the header."""
+    written = model()
+    record = json.loads(save_eye_models(tmp_path / "eye.json", [written]).read_text())
+    (eye,) = record.pop("eyes")
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(record | eye | {"version": 1}))
+    assert_same(load_eye_model(path), written)
+    path.write_text(json.dumps(record | eye | {"version": 1, "colour": "red"}))
+    with pytest.raises(BadInputError, match="unknown key 'colour'"):
+        load_eye_models(path)

@@ -25,7 +25,7 @@ class EyeFit:
     see_through: FitReport
 
     def model(self) -> EyeModel:
-        """As `models.model_file.save_eye_model` takes it."""
+        """As `models.model_file.save_eye_models` takes it."""
         report: dict[str, Any] = {"display": self.display.record(), "see_through": self.see_through.record()}
         return EyeModel(self.mappings, self.device, report)
 

@@ -31,10 +31,7 @@ def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
     """
     if Path(spec).suffix != ".json":
         return traced_eye(load_device(spec), eye)
-    mappings = load_eye_model(spec).mappings
-    if mappings.eye != eye:
-        raise BadInputError(f"{spec}: is a model of the {mappings.eye} eye; the {eye} eye was asked for.")
-    return mappings
+    return load_eye_model(spec, eye).mappings
 
 
 def open_channels(specs: Sequence[str | Path], eye: str = "right") -> Channels:

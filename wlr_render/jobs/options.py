@@ -119,3 +119,11 @@ Degree = Range(at_least=1, at_most=12)
 def eyes_of(eye: Eyes) -> tuple[Eye, ...]:
     """The eyes that an `--eye` option names."""
     return ("left", "right") if eye == "both" else (eye,)
+
+
+def seed_of(seed: int, eye: str, stream: int = 0) -> list[int]:
+    """Seed of the random numbers of one eye and purpose, so that both eyes do not get mirrored noise.
+
+    numpy ignores zeros at the end of a seed: the right eye's numbers of stream 0 are those of `default_rng(seed)`.
+    """
+    return [seed, stream, ("right", "left").index(eye)]

@@ -1,11 +1,16 @@
-"""Eye models as files: one JSON text per eye, readable without this package.
+"""Model files: the fitted models of one or both eyes of a headset as one JSON text, readable without this package.
 
-    format "wlr-eye-model", version 1, package_version, frame "openxr", name, device, eye
-    units        {length "m", direction "tangent", pixel "px"}
-    eye_box      {centre_m, size_m}
-    display      {kind, panel {width_px, height_px}, base_plane {z_m} (planar only), and its polynomials}
-    see_through  {kind, base_plane {z_m} (planar only), and its polynomials}
-    report       what the calibration said about its errors, in free form
+    format "wlr-eye-model", version 2, package_version, frame "openxr", device
+    units              {length "m", direction "tangent", pixel "px"}
+    eyes               one or two of
+        eye            "left" or "right"
+        name           of the model
+        eye_box        {centre_m, size_m}
+        display        {kind, panel {width_px, height_px}, base_plane {z_m} (planar only), and its polynomials}
+        see_through    {kind, base_plane {z_m} (planar only), and its polynomials}
+        report         what the calibration said about its errors, in free form
+
+Version 1, which is still read, has the keys of its only eye beside those of the header.
 
 Kinds and the inputs and outputs of their polynomials are those of the classes in this package. A polynomial is
 {degree, low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
@@ -14,7 +19,7 @@ written so that they read back bit for bit.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
@@ -35,7 +40,7 @@ from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.polynomial import Box, Polynomial, exponents, term_count
 
 FORMAT = "wlr-eye-model"
-VERSION = 1
+VERSION = 2
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
 # A new model needs a line here and nothing else: its fields and FORMS say how it is written.
@@ -67,54 +72,106 @@ class EyeModel:
     report: Mapping[str, Any] = field(default_factory=dict)
 
 
-def save_eye_model(path: str | Path, model: EyeModel) -> Path:
+def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
     """Write a model file whole or not at all.
 
     Raises:
-        BadInputError: a mapping is not one of this package's models, or the folder cannot be written.
+        BadInputError: two models of one eye or of two devices, a mapping that is not one of this package's models, or a
+            folder that cannot be written.
     """
-    eye = model.mappings
+    by_eye = {model.mappings.eye: model for model in models}
+    devices = {model.device for model in models}
+    if len(by_eye) != len(models) or len(devices) != 1:
+        raise BadInputError(f"{path}: a model file holds one model of each eye of one device; write one file each.")
     record = {
         "format": FORMAT,
         "version": VERSION,
         "package_version": metadata.version("wlr_render"),
         "frame": "openxr",
         "units": _UNITS,
-        "name": eye.name,
-        "device": model.device,
+        "device": devices.pop(),
+        "eyes": [_eye_record(by_eye[eye]) for eye in sorted(by_eye)],
+    }
+    return write_text(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+
+
+def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, ...]:
+    """Write models into a file, in which models of other eyes of the same device stay; returns the eyes that stayed.
+
+    Raises:
+        BadInputError: as `save_eye_models`.
+    """
+    new = {model.mappings.eye for model in models}
+    try:
+        present = load_eye_models(path)
+    except BadInputError:
+        present = {}  # no model file, or one that cannot be used: it is replaced
+    kept = [model for eye, model in present.items() if eye not in new and model.device == models[0].device]
+    save_eye_models(path, [*kept, *models])
+    return tuple(model.mappings.eye for model in kept)
+
+
+def load_eye_model(path: str | Path, eye: str | None = None) -> EyeModel:
+    """Read one eye of a model file: the one asked for, or the only one.
+
+    Raises:
+        BadInputError: as `load_eye_models`, or the file lacks that eye, or holds both and none was asked for.
+    """
+    models = load_eye_models(path)
+    if eye is None and len(models) > 1:
+        raise BadInputError(f"{path}: holds models of both eyes; say which one is meant: left or right.")
+    if eye is not None and eye not in models:
+        (only,) = models
+        raise BadInputError(
+            f"{path}: is a model of the {only} eye; the {eye} eye was asked for: calibrate it into the same folder, "
+            f"or choose the {only} eye."
+        )
+    return models[eye or next(iter(models))]
+
+
+def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
+    """Read a model file; returns its models by eye.
+
+    Raises:
+        BadInputError: the file cannot be read, is cut short, is something else or of another version, or lacks a key.
+    """
+    table = Table(_read_json(path), str(path))
+    version = _check_header(table)
+    device = table.text("device")
+    eyes = [table] if version == 1 else table.tables("eyes")
+    models = [_eye_model(eye, device) for eye in eyes]
+    for read in (table, *eyes):
+        read.finish()
+    by_eye = {model.mappings.eye: model for model in models}
+    if not 1 <= len(by_eye) == len(models):
+        raise table.fail("'eyes' must hold one model, or one of each eye; calibrate again.")
+    return by_eye
+
+
+def _eye_record(model: EyeModel) -> dict[str, Any]:
+    eye = model.mappings
+    return {
         "eye": eye.eye,
+        "name": eye.name,
         "eye_box": {"centre_m": eye.eye_box.centre.tolist(), "size_m": eye.eye_box.size.tolist()},
         "display": _mapping_record(eye.display, DISPLAYS),
         "see_through": _mapping_record(eye.see_through, SEE_THROUGHS),
         "report": dict(model.report),
     }
-    return write_text(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
 
 
-def load_eye_model(path: str | Path) -> EyeModel:
-    """Read a model file.
-
-    Raises:
-        BadInputError: the file cannot be read, is cut short, is something else or of another version, or lacks a key.
-    """
-    content = _read_json(path)
-    report = content.pop("report", {})
-    table = Table(content, str(path))
-    _check_header(table)
+def _eye_model(table: Table, device: str) -> EyeModel:
     box = table.table("eye_box")
     eye_box = EyeBox(box.vector("centre_m", 3), box.vector("size_m", 3))
-    eye = EyeMappings(
+    mappings = EyeMappings(
         name=table.text("name"),
         eye=table.text("eye", choices=["left", "right"]),
         display=_mapping(table.table("display"), DISPLAYS, eye_box),
         see_through=_mapping(table.table("see_through"), SEE_THROUGHS, eye_box),
         eye_box=eye_box,
     )
-    device = table.text("device")
-    table.finish()
-    if not isinstance(report, dict):
-        raise table.fail("'report' must be an object.")
-    return EyeModel(eye, device, report)
+    report = table.free("report")
+    return EyeModel(mappings, device, report)
 
 
 def _read_json(path: str | Path) -> dict[str, Any]:
@@ -129,17 +186,19 @@ def _read_json(path: str | Path) -> dict[str, Any]:
     return content
 
 
-def _check_header(table: Table) -> None:
+def _check_header(table: Table) -> int:
+    """Refuse what is no model file; returns the version."""
     if table.text("format", default="missing") != FORMAT:
         raise table.fail(f"is not a model file: its format is not '{FORMAT}'.")
-    if (version := table.number("version")) != VERSION:
-        raise table.fail(f"has version {version:g}; this program reads version {VERSION}: calibrate again.")
+    if (version := table.number("version")) not in (1, VERSION):
+        raise table.fail(f"has version {version:g}; this program reads version 1 or {VERSION}: calibrate again.")
     table.text("package_version")
     table.text("frame", choices=["openxr"])
     units = table.table("units")
     for quantity, unit in _UNITS.items():
         units.text(quantity, choices=[unit])
     units.finish()
+    return int(version)
 
 
 def _mapping_record(mapping: object, kinds: dict[str, type[Any]]) -> dict[str, Any]:

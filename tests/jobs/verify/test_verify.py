@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.verify import verify
 from wlr_render.jobs.verify.procedure import METHODS
-from wlr_render.models.model_file import load_eye_model, save_eye_model
+from wlr_render.models.model_file import load_eye_model, save_eye_models
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -65,7 +65,7 @@ def test_an_error_of_the_display_model_is_measured(options, photo_session):
     coefficients[0, 0] += 0.005  # the constant term of tx
     display = replace(model.mappings.display, forward=replace(forward, coefficients=coefficients))
     os.remove(path)
-    save_eye_model(path, replace(model, mappings=replace(model.mappings, display=display)))
+    save_eye_models(path, [replace(model, mappings=replace(model.mappings, display=display))])
     result = verify.run(replace(options, viewpoints=1))
     medians = [row[4] for row in result.tables[1].rows]
     # The field reaches 18 degrees: a tangent there is 0.9 of an angle.
@@ -88,7 +88,7 @@ def not_simulated(session, options):
 def of_another_device(session, options):
     model = load_eye_model(session.out / "model.json")
     os.remove(session.out / "model.json")
-    save_eye_model(session.out / "model.json", replace(model, device="birdbath28"))
+    save_eye_models(session.out / "model.json", [replace(model, device="birdbath28")])
     return options
 
 

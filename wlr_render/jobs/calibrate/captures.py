@@ -15,8 +15,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.jobs.designs import camera_positions
+from wlr_render.jobs.options import seed_of
 from wlr_render.mappings import EyeMappings
-from wlr_render.models.model_file import save_eye_model
+from wlr_render.models.model_file import add_eye_models
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
@@ -132,7 +133,7 @@ def simulate(truth: EyeMappings, kind: str, options: SimulationOptions) -> EyeCa
     """Captures of both sides of an eye, taken where a kind of model wants them."""
     setup = CaptureSetup(truth, options.camera_noise_arcmin, 1e-3 * options.stage_error_mm)
     positions = camera_positions(setup, kind, options.viewpoints)
-    rng = np.random.default_rng(options.seed)
+    rng = np.random.default_rng(seed_of(options.seed, truth.eye))
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
@@ -141,8 +142,9 @@ def _write(
 ) -> tuple[Path, ...]:
     into = files.output_folder(folder)
     text = "\n".join([f"# {fitted.mappings.name}\n", *(table.markdown() for table in tables)])
+    add_eye_models(into / "model.json", [fitted.model()])
     return (
-        save_eye_model(into / "model.json", fitted.model()),
+        into / "model.json",
         files.write_text(into / "fit.md", text),
         files.write_text(into / "fit.json", tables_as_json(tables, **context)),
     )
@@ -181,7 +183,7 @@ def _reports(fitted: EyeFit) -> tuple[tuple[str, FitReport], ...]:
 
 def truth_errors(model: EyeMappings, truth: EyeMappings, seed: int) -> dict[str, Summary]:
     """Errors of a model at random viewpoints in the eye box and random pixels and real points, by name with unit."""
-    rng = np.random.default_rng([seed, 1])  # not the numbers that the captures were made with
+    rng = np.random.default_rng(seed_of(seed, truth.eye, 1))  # not the numbers that the captures were made with
     count, each = _TESTS
     viewpoint = viewpoints.random_in_eye_box(truth.eye_box, count, rng)[:, None]
     pixel = rng.uniform(0.0, 1.0, (count, each, 2)) * truth.display.panel.size_px

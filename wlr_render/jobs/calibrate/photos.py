@@ -30,7 +30,7 @@ from wlr_render.jobs.calibrate.captures import FitOptions
 from wlr_render.jobs.calibrate.consistency import camera_places, sound_captures
 from wlr_render.jobs.calibrate.reading import Reading, read_session
 from wlr_render.jobs.calibrate.store import Store
-from wlr_render.models.model_file import save_eye_model
+from wlr_render.models.model_file import add_eye_models
 from wlr_render.progress import SILENT, Progress
 
 Seen = Sequence[tuple[BoardPhotograph, BoardSighting]]
@@ -146,7 +146,7 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
     reading = replace(reading, set_aside=(*reading.set_aside, *aside))
     save_captures(into / "captures.npz", captures)
     fit = fit_eye(captures, options.kind, options.display_degree, options.see_through_degree)
-    save_eye_model(into / "model.json", fit.model())
+    add_eye_models(into / "model.json", [fit.model()])
     return SessionCalibration(session, reading, eyeball, tracking, station, captures, fit)
 
 
