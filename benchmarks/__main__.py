@@ -7,7 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.report.terminal import say
+from wlr_render.progress import Progress
+from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.terminal import print_report, say, terminal_progress
+
+Command = Callable[[argparse.Namespace, Progress], Sequence[ReportTable]]
 
 BACKENDS = ("auto", "egl", "osmesa", "cpu")
 
@@ -17,15 +21,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(arguments)
     # As wlr-render does, before numpy is imported: BLAS threads slow down the thin matrix products here.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    command: Callable[[argparse.Namespace], None] = args.command
+    command: Command = args.command
     try:
-        command(args)
+        with terminal_progress() as progress:
+            tables = command(args, progress)
     except BadInputError as error:
         say(f"benchmarks: {error}", error=True)
         return 2
     except KeyboardInterrupt:
         say("benchmarks: interrupted.", error=True)
         return 130
+    print_report(Report("", blocks=list(tables)))
+    say(f"Written into {args.out}")
     return 0
 
 
@@ -36,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     names = parser.add_subparsers(required=True, metavar="NAME")
 
-    def new(name: str, command: Callable[[argparse.Namespace], None], text: str) -> argparse.ArgumentParser:
+    def new(name: str, command: Command, text: str) -> argparse.ArgumentParser:
         made = names.add_parser(
             name, help=text, description=text, formatter_class=argparse.ArgumentDefaultsHelpFormatter
         )
@@ -89,18 +96,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _speed(args: argparse.Namespace) -> None:
+def _speed(args: argparse.Namespace, progress: Progress) -> Sequence[ReportTable]:
     from benchmarks.speed import study
-    from wlr_render.report.terminal import print_table, progress_bar
 
-    for table in study.run(study.Options(args.backend, args.out, args.record), progress_bar):
-        print_table(table)
+    return study.run(study.Options(args.backend, args.out, args.record), progress)
 
 
-def _soak(args: argparse.Namespace) -> None:
+def _soak(args: argparse.Namespace, progress: Progress) -> Sequence[ReportTable]:
     from benchmarks.soak import study
     from benchmarks.soak.wearer import Wearer
-    from wlr_render.report.terminal import print_table, progress_bar
 
     options = study.Options(
         headset=tuple(args.headset),
@@ -115,35 +119,26 @@ def _soak(args: argparse.Namespace) -> None:
         solve=args.solve,
         out=args.out,
     )
-    result = study.run(options, progress_bar)
-    for table in result.tables:
-        print_table(table)
-    say("Written: " + ", ".join(str(path) for path in result.files))
+    return study.run(options, progress).tables
 
 
-def _diagnosis(args: argparse.Namespace) -> None:
+def _diagnosis(args: argparse.Namespace, progress: Progress) -> Sequence[ReportTable]:
     from benchmarks.diagnosis import study
-    from wlr_render.report.terminal import print_table, progress_bar
 
-    for table in study.run(study.Options(args.trials, args.seed, args.workers, args.out), progress_bar):
-        print_table(table)
+    return study.run(study.Options(args.trials, args.seed, args.workers, args.out), progress)
 
 
-def _photographs(args: argparse.Namespace) -> None:
+def _photographs(args: argparse.Namespace, progress: Progress) -> Sequence[ReportTable]:
     from benchmarks.photographs import study
-    from wlr_render.report.terminal import print_table, progress_bar
 
     options = study.Options(args.session, args.calibration, seed=args.seed, out=args.out)
-    for table in study.run(options, progress_bar):
-        print_table(table)
+    return study.run(options, progress)
 
 
-def _two_views(args: argparse.Namespace) -> None:
+def _two_views(args: argparse.Namespace, progress: Progress) -> Sequence[ReportTable]:
     from benchmarks.two_views import study
-    from wlr_render.report.terminal import print_table
 
-    for table in study.run(args.captures, args.out):
-        print_table(table)
+    return study.run(args.captures, args.out)
 
 
 def _add_seed(parser: argparse.ArgumentParser) -> None:

@@ -17,8 +17,8 @@ from wlr_render.jobs import demo as alignment_demo
 from wlr_render.jobs import render as render_sequence
 from wlr_render.jobs.evaluate import study as sampling_study
 from wlr_render.rendering import gl
-from wlr_render.report.blocks import ReportTable
-from wlr_render.report.terminal import print_table
+from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.terminal import print_report
 
 VERBS = (
     "demo",
@@ -360,7 +360,7 @@ def test_evaluate_options_reach_the_job(monkeypatch, capsys):
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):
     wide = ReportTable("Wide", ("what", *("a long column head (arcmin)",) * 4), [["row", 1.0, 2.0, None, 12345.0]])
     monkeypatch.setenv("COLUMNS", "40")
-    print_table(wide)
+    print_report(Report("", blocks=[wide]))
     row = next(line for line in capsys.readouterr().out.splitlines() if "12345" in line)
     assert all(text in row for text in ("row", "1", "2", "-"))
 

@@ -37,7 +37,7 @@ def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(monkeypatch
         ),
     ]
     printed = capsys.readouterr().out
-    assert all(text in printed for text in ("A title", "how long (ms)", "1.25", "A note.", "there/soak.png"))
+    assert all(text in printed for text in ("A title", "how long (ms)", "1.25", "A note.", "Written into there"))
 
 
 def test_a_stream_that_cannot_be_is_told_in_one_line_and_leaves_nothing_behind(tmp_path, capsys):

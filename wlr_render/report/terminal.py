@@ -97,14 +97,3 @@ def _drawn(table: ReportTable) -> Table:
     for row in table.text_rows():
         drawn.add_row(*("\n".join(map(escaped, cell.split("\n"))) for cell in row))
     return drawn
-
-
-def print_table(table: ReportTable) -> None:
-    """TRANSITION: goes when every job returns a report."""
-    print_report(Report("", blocks=[table]))
-
-
-def progress_bar(items: Iterable[Item], total: int, label: str) -> Iterator[Item]:
-    """TRANSITION: goes when every job returns a report."""
-    with terminal_progress() as progress:
-        yield from progress(items, total, label)
