@@ -111,7 +111,7 @@ def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monke
 
     def spy(painter, viewpoint, world_from_device, warm_start=None, with_geometry=False):
         frame = paint(painter, viewpoint, world_from_device, warm_start, with_geometry)
-        painted.append((painter, warm_start, frame.field.warm_start))
+        painted.append((painter, warm_start, frame.warm_start))
         return frame
 
     monkeypatch.setattr(WarpedPainter, "paint", spy)
@@ -122,7 +122,7 @@ def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monke
         own = painted[eye::2]
         assert len({painter for painter, _, _ in own}) == 1
         assert own[0][1] is None
-        assert all(later[1] is earlier[2] for earlier, later in itertools.pairwise(own))
+        assert all(later[1][0] is earlier[2][0] for earlier, later in itertools.pairwise(own))
 
 
 def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):

@@ -75,14 +75,17 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
     assert fringe[True].max() < unseen_arcmin
 
 
-def test_each_channel_and_map_is_that_of_the_frame_of_its_colour(colourful):
-    render_sequence.run(replace(colourful, per_colour=True, maps="tiff"))
+@pytest.mark.parametrize("maps", [None, "tiff"])
+def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, maps):
+    render_sequence.run(replace(colourful, per_colour=True, maps=maps))
     channels, rasteriser = open_channels(colourful.headset), open_rasteriser(load_scene(colourful.scene), "cpu")
     drawn = read_png(colourful.out / "right-000000.png")
-    for number, (colour, mappings) in enumerate(zip(("red", "green", "blue"), channels, strict=True)):
-        painter = WarpedPainter(mappings, rasteriser, colours=channels)
-        frame = painter.paint(mappings.eye_box.centre, np.eye(4), with_geometry=True)
-        np.testing.assert_array_equal(drawn[..., number], frame.colour[..., number])
-        np.testing.assert_array_equal(read_map(colourful.out / f"right-000000-{colour}.tiff"), frame.source)
+    painter = WarpedPainter(channels, rasteriser)
+    frame = painter.paint(channels[0].eye_box.centre, np.eye(4), with_geometry=True)
+    np.testing.assert_array_equal(drawn, frame.colour)
     assert (drawn[..., 0] != drawn[..., 2]).any()
-    assert len(list(colourful.out.iterdir())) == 6  # frame, maps, from where they were drawn, record
+    if maps is not None:
+        for colour, source in zip(("red", "green", "blue"), frame.sources, strict=True):
+            np.testing.assert_array_equal(read_map(colourful.out / f"right-000000-{colour}.tiff"), source)
+    # Frame and record; maps and from where they were drawn.
+    assert len(list(colourful.out.iterdir())) == (2 if maps is None else 6)

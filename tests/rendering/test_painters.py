@@ -6,21 +6,23 @@ import numpy as np
 import pytest
 from gl_scenes import at, lit, quad, unlit
 
+from wlr_render.errors import MissingGlError
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Mapped, Panel, Status
+from wlr_render.rendering import cpu_warp, raster_backends
 from wlr_render.rendering.painters import (
     MeshWarpedPainter,
     TracedPainter,
     WarpedPainter,
-    colour_by_colour,
     position_of_source,
     source_of_position,
 )
 from wlr_render.rendering.raster_backends import open_rasteriser
 from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_field
 from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.scene import Light
 from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb
@@ -124,7 +126,7 @@ def test_one_camera_covers_every_viewpoint_of_the_eye_box(toy_headset, depth):
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
     inside = np.random.default_rng(4).uniform(-1, 1, (3, 3))
     for viewpoint in headset.eye_box.at(np.concatenate([corners, inside])):
-        warped = rasteriser.draw_warped(painter.view(viewpoint, np.eye(4)), ray_field(headset, viewpoint, plan))
+        warped = rasteriser.draw_warped(painter.view(viewpoint, np.eye(4)), [ray_field(headset, viewpoint, plan)])
         assert (warped.image.status == WarpStatus.SEEN).all()
 
 
@@ -154,26 +156,85 @@ def dispersive_headset(toy_headset):
 def test_the_colours_of_an_eye_share_an_intermediate_image_that_covers_all(dispersive_headset):
     scene, viewpoint = ball_before_wall(), dispersive_headset[0].eye_box.at(OFF_CENTRE)
     rasteriser = open_rasteriser(scene, "cpu")
-    painters = [WarpedPainter(each, rasteriser, colours=dispersive_headset) for each in dispersive_headset]
-    frames = [each.paint(viewpoint, HEAD_POSE, with_geometry=True) for each in painters]
-    for frame in frames:
-        np.testing.assert_array_equal(frame.intermediate.inverse_depth, frames[0].intermediate.inverse_depth)
-        assert not (frame.warp_status == WarpStatus.OUTSIDE).any()
+    frame = WarpedPainter(dispersive_headset, rasteriser).paint(viewpoint, HEAD_POSE)
+    assert not (frame.warp_status == WarpStatus.OUTSIDE).any()
     for_red_only = WarpedPainter(dispersive_headset[0], rasteriser).view(viewpoint, HEAD_POSE)
-    blue = rasteriser.draw_warped(for_red_only, frames[2].field)
+    blue = rasteriser.draw_warped(for_red_only, frame.fields[2:])
     assert (blue.image.status == WarpStatus.OUTSIDE).any()
 
 
-@pytest.mark.parametrize("way", ["traced", "plain", "mesh"])
-def test_colour_by_colour_takes_one_channel_of_each(dispersive_headset, way):
-    scene = ball_before_wall()
-    frames = [painter_of(way, each, scene).paint(each.eye_box.centre, HEAD_POSE) for each in dispersive_headset]
-    picture = colour_by_colour(frames)
-    assert picture.dtype == np.uint8
-    for channel, frame in enumerate(frames):
-        np.testing.assert_array_equal(picture[..., channel], frame.colour[..., channel])
-        assert (picture != frame.colour).any()
-    np.testing.assert_array_equal(colour_by_colour(frames[:1]), frames[0].colour)
+@dataclass(frozen=True)
+class Shifted:
+    """A display whose picture lies some pixels beside that of another."""
+
+    inner: object
+    shift_px: float
+
+    @property
+    def panel(self):
+        return self.inner.panel
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        return self.inner.view_dir_of_pixel(pixel + np.array([self.shift_px, 0.0]), viewpoint)
+
+
+@pytest.mark.parametrize("backend", ["cpu", pytest.param("egl", marks=pytest.mark.gl)])
+def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headset, backend):
+    """Against one image and one warp of all colours for each channel, in the channel's own camera frame."""
+    try:
+        rasteriser = open_rasteriser(ball_before_wall(), backend)
+    except MissingGlError as error:
+        pytest.skip(str(error))
+    viewpoint = dispersive_headset[0].eye_box.at(OFF_CENTRE)
+    colours = [replace(each, display=Shifted(each.display, 2.0 * k)) for k, each in enumerate(dispersive_headset)]
+    painter = WarpedPainter(colours, rasteriser)
+    view = painter.view(viewpoint, HEAD_POSE)
+    frame, full = (painter.paint(viewpoint, HEAD_POSE, with_geometry=flag) for flag in (False, True))
+    np.testing.assert_array_equal(frame.colour, full.colour)
+    np.testing.assert_array_equal(frame.warp_status, full.warp_status)
+    statuses = []
+    for channel, mappings in enumerate(colours):
+        plan = choose_plan(mappings)
+        alone = rasteriser.draw_warped(view, [ray_field(mappings, viewpoint, plan)], painter._taps, with_geometry=True)
+        statuses.append(alone.image.status)
+        # The camera frames of red and blue differ from green's by a degree, so that float32 rounds elsewhere.
+        assert np.allclose(plan.device_from_camera, view.device_from_camera, atol=0.01) == (channel == 1)
+        apart = np.abs(frame.colour[..., channel].astype(int) - alone.image.colour[..., channel])
+        assert apart.max() <= (0 if channel == 1 else 1)
+        assert (apart > 0).mean() < 0.01
+        np.testing.assert_allclose(full.sources[channel][..., :2], alone.sources[0], atol=1e-3)
+        assert (frame.colour != alone.image.colour).any()
+    assert (frame.warp_status == np.max(statuses, axis=0)).mean() > 0.999
+    np.testing.assert_array_equal(full.source, full.sources[1])
+
+
+def test_an_intermediate_image_is_drawn_once_and_warped_once_for_all_colours(dispersive_headset, monkeypatch):
+    calls = []
+    for module, name in ((raster_backends.CpuRaster, "draw"), (cpu_warp, "warp_on_cpu")):
+        inner = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *args, i=inner, n=name: calls.append(n) or i(*args))
+    painter = WarpedPainter(dispersive_headset, open_rasteriser(ball_before_wall(), "cpu"))
+    painter.paint(dispersive_headset[0].eye_box.centre, HEAD_POSE)
+    assert calls == ["draw", "warp_on_cpu"]
+    painter.paint(dispersive_headset[0].eye_box.centre, HEAD_POSE, with_geometry=True)
+    assert calls[2:] == ["draw", *["warp_on_cpu"] * 3]
+
+
+@pytest.mark.parametrize("way", ["traced", "mesh"])
+def test_each_colour_is_that_of_a_frame_of_its_own(dispersive_headset, way):
+    """Ray-traced positions and colours know nothing of the other channels."""
+    scene, viewpoint = ball_before_wall(), dispersive_headset[0].eye_box.centre
+    frame = painter_of(way, dispersive_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
+    for channel, mappings in enumerate(dispersive_headset):
+        alone = painter_of("traced", mappings, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
+        np.testing.assert_array_equal(frame.traced[channel], alone.position)
+        if way == "traced":
+            np.testing.assert_array_equal(frame.colour[..., channel], alone.colour[..., channel])
+        else:
+            np.testing.assert_array_equal(frame.sources[channel], source_of_position(frame.view, alone.position))
+            pulled, _ = remap(frame.intermediate.colour, frame.sources[channel][..., :2], encode_srgb(scene.background))
+            np.testing.assert_array_equal(frame.colour[..., channel], pulled[..., channel])
+        assert (frame.colour != alone.colour).any()
 
 
 @pytest.mark.parametrize("resolution", [1.0, 2.0])
@@ -285,6 +346,6 @@ def test_a_frame_starts_from_the_last_ones_solution_and_is_the_same(toy_headset,
     first = painter.paint(headset.eye_box.centre, HEAD_POSE)
     cold = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE)
     started_with.clear()
-    warm = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE, first.field.warm_start)
+    warm = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE, first.warm_start)
     assert started_with[0] is first.field.warm_start.display
     np.testing.assert_array_equal(warm.colour, cold.colour)

@@ -48,7 +48,7 @@ def test_opengl_and_the_cpu_warp_the_same_frame(scene, field, backend):
         pytest.skip(str(error))
     assert theirs.backend == backend
     drawn, ours = (
-        r.draw_warped(view(CAMERA), field, with_geometry=True) for r in (theirs, open_rasteriser(scene, "cpu"))
+        r.draw_warped(view(CAMERA), [field], with_geometry=True) for r in (theirs, open_rasteriser(scene, "cpu"))
     )
     difference = np.abs(drawn.image.colour.astype(int) - ours.image.colour).max(axis=-1)
     # The texture unit mixes texels with 8-bit weights; a silhouette may fall on either side of a pixel's centre.
@@ -65,7 +65,7 @@ def test_asking_for_geometry_does_not_change_the_picture(scene, field, backend):
         rasteriser = open_rasteriser(scene, backend)
     except MissingGlError as error:
         pytest.skip(str(error))
-    bare, full = (rasteriser.draw_warped(view(CAMERA), field, with_geometry=flag) for flag in (False, True))
+    bare, full = (rasteriser.draw_warped(view(CAMERA), [field], with_geometry=flag) for flag in (False, True))
     np.testing.assert_array_equal(bare.image.colour, full.image.colour)
     assert bare.intermediate is None
     np.testing.assert_array_equal(full.intermediate.colour, rasteriser.draw(view(CAMERA)).colour)
@@ -74,8 +74,8 @@ def test_asking_for_geometry_does_not_change_the_picture(scene, field, backend):
 def test_auto_draws_on_the_cpu_where_there_is_no_opengl(scene, field, no_gl):
     fallback = open_rasteriser(scene)
     assert fallback.backend == "cpu"
-    chosen = open_rasteriser(scene, "cpu").draw_warped(view(CAMERA), field)
-    np.testing.assert_array_equal(fallback.draw_warped(view(CAMERA), field).image.colour, chosen.image.colour)
+    chosen = open_rasteriser(scene, "cpu").draw_warped(view(CAMERA), [field])
+    np.testing.assert_array_equal(fallback.draw_warped(view(CAMERA), [field]).image.colour, chosen.image.colour)
 
 
 @pytest.mark.parametrize(("backend", "materials"), [("egl", "own"), ("osmesa", "own"), ("auto", "gltf")])

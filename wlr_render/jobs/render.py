@@ -5,7 +5,7 @@ which job they are and when, from where and how each was drawn.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,8 @@ from wlr_render.mappings import Channels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
-from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarpedPainter, colour_by_colour
+from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarmStarts, WarpedPainter
 from wlr_render.rendering.raster_backends import open_rasteriser
-from wlr_render.rendering.ray_map import WarmStart
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
@@ -268,41 +267,31 @@ def _is_done(folder: Path, moment: Moment, options: Options) -> bool:
     return all(path.exists() for path in (*maps, *beside, _picture_file(folder, moment)))
 
 
-def _painters(options: Options, channels: dict[str, Channels], scene: Scene) -> dict[str, list[Painter]]:
-    """By eye: one painter for all colours, or one for each."""
-    paints = _painter_of(options, scene)
-    return {eye: [paints(mappings, of_eye) for mappings in of_eye] for eye, of_eye in channels.items()}
-
-
-def _painter_of(options: Options, scene: Scene) -> Callable[[EyeMappings, Channels], Painter]:
-    """What makes the painter of one colour, given that colour and all of the eye."""
+def _painters(options: Options, channels: dict[str, Channels], scene: Scene) -> dict[str, Painter]:
     if options.method == "raytrace":
         renderer = RayRenderer(scene)
-        return lambda one, _: TracedPainter(one, renderer, options.supersample, options.shadows)
+        return {
+            eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
+        }
     rasteriser, resolution = open_rasteriser(scene, options.backend, options.materials), options.resolution
     if options.map_from == "depth":
-        return lambda one, colours: WarpedPainter(one, rasteriser, resolution, colours=colours)
+        return {eye: WarpedPainter(each, rasteriser, resolution) for eye, each in channels.items()}
     renderer = RayRenderer(scene)
-    return lambda one, colours: MeshWarpedPainter(one, rasteriser, renderer, resolution, colours)
+    return {eye: MeshWarpedPainter(each, rasteriser, renderer, resolution) for eye, each in channels.items()}
 
 
-def _drawn(
-    folder: Path, options: Options, painters: dict[str, list[Painter]], moments: list[Moment]
-) -> Iterator[Moment]:
-    last: dict[str, list[WarmStart | None]] = {eye: [None] * len(of_eye) for eye, of_eye in painters.items()}
+def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments: list[Moment]) -> Iterator[Moment]:
+    last: dict[str, WarmStarts | None] = dict.fromkeys(painters)
     with_maps = options.maps is not None
     for moment in moments:
-        frames = [
-            painter.paint(moment.viewpoint, moment.world_from_device, start, with_geometry=with_maps)
-            for painter, start in zip(painters[moment.eye], last[moment.eye], strict=True)
-        ]
-        last[moment.eye] = [frame.field.warm_start for frame in frames]
-        for path, frame in zip(_map_files(folder, moment, options), frames, strict=False):
-            assert frame.source is not None, "a rasterised frame painted with its geometry has a map"
-            write_map(path, frame.source)
-        if frames[0].view is not None:  # the same for all colours
-            write_view(_view_file(folder, moment), frames[0].view)
-        write_png(_picture_file(folder, moment), colour_by_colour(frames))
+        eye, pose = moment.eye, moment.world_from_device
+        frame = painters[eye].paint(moment.viewpoint, pose, last[eye], with_geometry=with_maps)
+        last[eye] = frame.warm_start
+        for path, source in zip(_map_files(folder, moment, options), frame.sources if with_maps else (), strict=True):
+            write_map(path, source)
+        if frame.view is not None:
+            write_view(_view_file(folder, moment), frame.view)
+        write_png(_picture_file(folder, moment), frame.colour)
         yield moment
 
 

@@ -39,15 +39,13 @@ def warp_on_cpu(
     depths = InverseDepths.of(image.inverse_depth)
     if len(bends) == 1:
         return _warp_channel(image.colour, depths, camera, bends[0], image_from_field, background, taps)
-    red, green, blue = (
-        _warp_channel(
-            np.ascontiguousarray(image.colour[..., k]), depths, camera, bend, image_from_field, background[k], taps
-        )
-        for k, bend in enumerate(bends)
+    greys = (np.ascontiguousarray(image.colour[..., k]) for k in range(3))
+    return WarpedImage.of_channels(
+        [
+            _warp_channel(grey, depths, camera, bend, image_from_field, code, taps)
+            for grey, bend, code in zip(greys, bends, background, strict=True)
+        ]
     )
-    colour = np.stack([red.colour, green.colour, blue.colour], axis=-1)
-    status = np.maximum(np.maximum(red.status, green.status), blue.status)
-    return WarpedImage(colour, status, green.source)
 
 
 def inverse_depth_at(inverse_depth: Float32Array, source: Float32Array) -> Float32Array:

@@ -142,23 +142,31 @@ class GlWarp:
     def warp(
         self,
         image: GpuImage,
-        bend: NDArray[np.float32],
+        bend: NDArray[np.float32] | Sequence[NDArray[np.float32]],
         image_from_field: FloatArray | None = None,
         background: tuple[int, int, int] = (0, 0, 0),
         taps: int = 1,
         with_source: bool = False,
     ) -> WarpedImage:
-        """As `draw` along rays (4, height, width) of each display pixel, in the image's own frame if None; fetched."""
+        """As `draw` along rays (4, height, width) of each display pixel, of all channels or of one each; fetched.
+
+        The rays are in the image's own frame if `image_from_field` is None.
+        """
+        bends = [bend] if isinstance(bend, np.ndarray) else bend
+        fields = [self._uploaded(f"bend {channel}", each) for channel, each in enumerate(bends)]
+        if len(fields) == 1:
+            fields *= self._channels
+        moved = np.eye(4) if image_from_field is None else image_from_field
+        size_px = bends[0].shape[2], bends[0].shape[1]
+        return self.draw(image, fields, moved, size_px, background, taps, with_source).read()
+
+    def _uploaded(self, name: str, bend: NDArray[np.float32]) -> GpuField:
         _, height, width = bend.shape
         with self._context.drawing():
-            texture = self._texture("bend", (width, height), 4, "f4")
+            texture = self._texture(name, (width, height), 4, "f4")
             # One read of four components costs the shader much less than four reads.
             texture.write(cv2.merge(list(bend)))
-        lattice = Lattice.of_pixels(Panel(width, height))
-        field = GpuField(self._context, np.zeros(3), np.eye(3), lattice, texture)
-        fields = [field] * self._channels
-        moved = np.eye(4) if image_from_field is None else image_from_field
-        return self.draw(image, fields, moved, (width, height), background, taps, with_source).read()
+        return GpuField(self._context, np.zeros(3), np.eye(3), Lattice.of_pixels(Panel(width, height)), texture)
 
     def _draw(
         self,

@@ -1,14 +1,15 @@
 """Frames of one eye: what its panel must show for a viewpoint and a head pose, by ray tracing or by raster and warp."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Channels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.raster_backends import Rasteriser
 from wlr_render.rendering.raster_camera import RasterEye, covering_camera, shrink_over_eye_box, taps_for
@@ -23,30 +24,53 @@ from wlr_render.rendering.view import GeometryImage, View
 class Frame:
     """What one eye's panel must show.
 
+    "Of each channel" means one for all colours, or one each for red, green and blue.
+
     Attributes:
         colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
-        field: the world rays; `field.status` says why a pixel has none, `field.warm_start` starts the next frame.
-        warp_status: (height, width) uint8, one `WarpStatus` each; None for frames that were not met with a depth image.
-        position: (height, width, 3) float32, the world point that each pixel shows, NaN where none; on request.
-        source: (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the intermediate image
-            and the inverse depth found there (1/m), NaN where none; on request, None for a ray-traced frame.
+        fields: the world rays of each channel; `status` says why a pixel has none.
+        warp_status: (height, width) uint8, one `WarpStatus` each, the worst of the channels; None for frames that were
+            not met with a depth image.
+        traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
+            where none; on request, empty for a frame that was not met with the mesh.
+        sources: of each channel (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the
+            intermediate image and the inverse depth found there (1/m), NaN where none; on request, empty for a
+            ray-traced frame.
         view, intermediate: the intermediate image of a warped frame and from where it was drawn; on request.
     """
 
     colour: NDArray[np.uint8]
-    field: RayField
+    fields: tuple[RayField, ...]
     warp_status: NDArray[np.uint8] | None = None
-    position: Float32Array | None = None
-    source: Float32Array | None = None
+    traced: tuple[Float32Array, ...] = ()
+    sources: tuple[Float32Array, ...] = ()
     view: View | None = None
     intermediate: GeometryImage | None = None
 
+    @property
+    def field(self) -> RayField:
+        """The only or the green channel's."""
+        return self.fields[len(self.fields) // 2]
 
-def colour_by_colour(frames: Sequence[Frame]) -> NDArray[np.uint8]:
-    """What the panel must show, (height, width, 3): of three frames the red, green and blue of one each; of one all."""
-    if len(frames) == 1:
-        return frames[0].colour
-    return np.stack([frame.colour[..., channel] for channel, frame in enumerate(frames)], axis=-1)
+    @property
+    def warm_start(self) -> "WarmStarts":
+        """What the eye's next frame starts from."""
+        return tuple(field.warm_start for field in self.fields)
+
+    @property
+    def source(self) -> Float32Array | None:
+        """The only or the green channel's pull map."""
+        return self.sources[len(self.sources) // 2] if self.sources else None
+
+    @cached_property
+    def position(self) -> Float32Array | None:
+        """(height, width, 3) float32, the world point that each pixel shows (in green), NaN where none; on request."""
+        if self.traced:
+            return self.traced[len(self.traced) // 2]
+        return None if self.view is None or self.source is None else position_of_source(self.view, self.source)
+
+
+WarmStarts = tuple[WarmStart | None, ...]
 
 
 class Painter(Protocol):
@@ -56,7 +80,7 @@ class Painter(Protocol):
         self,
         viewpoint: FloatArray,
         world_from_device: FloatArray,
-        warm_start: WarmStart | None = None,
+        warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
         """One frame.
@@ -64,53 +88,76 @@ class Painter(Protocol):
         Args:
             viewpoint: (3,) entrance pupil, device frame.
             world_from_device: (4, 4) head pose.
-            warm_start: `frame.field.warm_start` of this eye's last frame.
+            warm_start: `Frame.warm_start` of this eye's last frame.
             with_geometry: also give what `Frame` has on request.
         """
+
+
+def _channels(mappings: EyeMappings | Sequence[EyeMappings]) -> Channels:
+    return (mappings,) if isinstance(mappings, EyeMappings) else tuple(mappings)
+
+
+def _by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """The picture for all colours, or the red, green and blue of one picture each."""
+    return pictures[0] if len(pictures) == 1 else np.stack([each[..., k] for k, each in enumerate(pictures)], axis=-1)
+
+
+def _fields(
+    channels: Channels, plans: Sequence[FieldPlan], viewpoint: FloatArray, warm_start: WarmStarts | None
+) -> tuple[RayField, ...]:
+    starts = warm_start or (None,) * len(channels)
+    each = zip(channels, plans, starts, strict=True)
+    return tuple(ray_field(mappings, viewpoint, plan, start) for mappings, plan, start in each)
 
 
 class TracedPainter:
     """Every display pixel's world ray is a primary ray."""
 
     def __init__(
-        self, mappings: EyeMappings, renderer: RayRenderer, supersample: int = 1, shadows: bool = False
+        self,
+        mappings: EyeMappings | Sequence[EyeMappings],
+        renderer: RayRenderer,
+        supersample: int = 1,
+        shadows: bool = False,
     ) -> None:
         """Prepare.
 
         Args:
-            mappings: any pair.
+            mappings: any pair, or one each for red, green and blue.
             renderer: of the scene.
             supersample: rays per pixel along each axis; geometry is always that of the pixel centre.
             shadows: whether surfaces cast shadows.
         """
-        self._mappings = mappings
+        self._channels = _channels(mappings)
         self._renderer = renderer
         self._shadows = shadows
-        self._plan = choose_plan(mappings)
-        self._sample_plans = _sample_plans(self._plan, supersample)
+        self._plans = [choose_plan(each) for each in self._channels]
+        self._sample_plans = [_sample_plans(plan, supersample) for plan in self._plans]
 
     def paint(
         self,
         viewpoint: FloatArray,
         world_from_device: FloatArray,
-        warm_start: WarmStart | None = None,
+        warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
         """See `Painter`."""
-        field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
-        image = None
-        if with_geometry or not self._sample_plans:
-            buffers = ("position",) if with_geometry else ()
-            image = self._renderer.render_blocks(
-                field.shape, lambda rows: field.world_rays(world_from_device, rows), buffers, self._shadows
-            )
-        if not self._sample_plans:
-            assert image is not None
-            return Frame(image.colour, field, position=image.position)
-        fields = (ray_field(self._mappings, viewpoint, plan, field.warm_start) for plan in self._sample_plans)
-        samples = ((lambda rows, f=f: f.world_rays(world_from_device, rows)) for f in fields)
-        colour = self._renderer.render_supersampled(field.shape, samples, self._shadows)
-        return Frame(colour, field, position=image.position if image is not None else None)
+        fields = _fields(self._channels, self._plans, viewpoint, warm_start)
+        colours, traced = [], []
+        for mappings, field, sample_plans in zip(self._channels, fields, self._sample_plans, strict=True):
+            if with_geometry or not sample_plans:
+                buffers = ("position",) if with_geometry else ()
+                rays_of = partial(field.world_rays, world_from_device)
+                image = self._renderer.render_blocks(field.shape, rays_of, buffers, self._shadows)
+                colour = image.colour
+                if image.position is not None:
+                    traced.append(image.position)
+            if sample_plans:
+                samples = (ray_field(mappings, viewpoint, plan, field.warm_start) for plan in sample_plans)
+                sampled = (partial(each.world_rays, world_from_device) for each in samples)
+                colour = self._renderer.render_supersampled(field.shape, sampled, self._shadows)
+            colours.append(colour)
+        return Frame(_by_colour(colours), fields, traced=tuple(traced))
 
 
 def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
@@ -118,45 +165,44 @@ def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
         return []
     steps = (np.arange(supersample) + 0.5) / supersample - 0.5
     return [
-        FieldPlan.with_nodes(plan.panel, plan.node_pixel.shape[0], plan.device_from_camera, np.array([u, v]))
+        FieldPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, np.array([u, v]))
         for v in steps
         for u in steps
     ]
 
 
 class WarpedPainter:
-    """An intermediate image from about the viewpoint, pulled into display pixels by the per-frame warp map."""
+    """An intermediate image from about the viewpoint, pulled into display pixels by the per-frame warp map.
+
+    The colours of an eye share it: its jagged edges must not fall differently in each.
+    """
 
     def __init__(
         self,
-        mappings: EyeMappings,
+        mappings: EyeMappings | Sequence[EyeMappings],
         rasteriser: Rasteriser,
         resolution: float = 1.0,
         at_viewpoint: bool = False,
-        colours: Sequence[EyeMappings] | None = None,
     ) -> None:
         """Prepare.
 
         Args:
-            mappings: any pair.
+            mappings: any pair, or one each for red, green and blue.
             rasteriser: of the scene.
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
             at_viewpoint: draw the intermediate image from the viewpoint itself, as the paper does, and not from where
                 the bent rays come (`raster_camera.py`), from where less is hidden.
-            colours: red, green and blue of the eye, if `mappings` are one of them: their painters then draw the same
-                intermediate image, whose jagged edges must not fall differently in each colour.
         """
-        self._mappings = mappings
+        self._channels = _channels(mappings)
         self._rasteriser = rasteriser
-        self._plan = choose_plan(mappings)
-        colours = colours or (mappings,)
-        middle = colours[len(colours) // 2]
-        self._device_from_camera = middle_axes(middle)
-        self._camera = covering_camera(colours, self._device_from_camera, resolution)
-        self._raster_eye = None if at_viewpoint else RasterEye(middle, self._device_from_camera)
+        middle = self._channels[len(self._channels) // 2]
         panel = middle.display.panel
+        self._device_from_camera = axes = middle_axes(middle)
+        self._plans = [FieldPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
+        self._camera = covering_camera(self._channels, axes, resolution)
+        self._raster_eye = None if at_viewpoint else RasterEye(middle, axes)
         size_px = panel.width_px, panel.height_px
-        self._taps = taps_for(shrink_over_eye_box(middle, self._device_from_camera, self._camera, size_px))
+        self._taps = taps_for(shrink_over_eye_box(middle, axes, self._camera, size_px))
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
@@ -167,19 +213,18 @@ class WarpedPainter:
         self,
         viewpoint: FloatArray,
         world_from_device: FloatArray,
-        warm_start: WarmStart | None = None,
+        warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
         """See `Painter`."""
-        field = ray_field(self._mappings, viewpoint, self._plan, warm_start)
+        fields = _fields(self._channels, self._plans, viewpoint, warm_start)
         view = self.view(viewpoint, world_from_device)
-        warped = self._rasteriser.draw_warped(view, field, self._taps, with_geometry)
-        frame = Frame(warped.image.colour, field, warped.image.status)
-        if warped.intermediate is None or warped.image.source is None:
-            return frame
-        source = with_inverse_depth(warped.intermediate, warped.image.source)
-        position = position_of_source(view, source)
-        return replace(frame, position=position, source=source, view=view, intermediate=warped.intermediate)
+        warped = self._rasteriser.draw_warped(view, fields, self._taps, with_geometry)
+        image, intermediate = warped.image, warped.intermediate
+        if intermediate is None:
+            return Frame(image.colour, fields, image.status)
+        sources = tuple(with_inverse_depth(intermediate, source) for source in warped.sources)
+        return Frame(image.colour, fields, image.status, sources=sources, view=view, intermediate=intermediate)
 
 
 class MeshWarpedPainter:
@@ -190,14 +235,13 @@ class MeshWarpedPainter:
 
     def __init__(
         self,
-        mappings: EyeMappings,
+        mappings: EyeMappings | Sequence[EyeMappings],
         rasteriser: Rasteriser,
         renderer: RayRenderer,
         resolution: float = 1.0,
-        colours: Sequence[EyeMappings] | None = None,
     ) -> None:
         """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
-        self._plain = WarpedPainter(mappings, rasteriser, resolution, colours=colours)
+        self._plain = WarpedPainter(mappings, rasteriser, resolution)
         self._traced = TracedPainter(mappings, renderer)
         self._rasteriser = rasteriser
         self._background = encode_srgb(renderer.scene.background)
@@ -206,17 +250,17 @@ class MeshWarpedPainter:
         self,
         viewpoint: FloatArray,
         world_from_device: FloatArray,
-        warm_start: WarmStart | None = None,
+        warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
         """See `Painter`."""
         traced = self._traced.paint(viewpoint, world_from_device, warm_start, with_geometry=True)
-        assert traced.position is not None
         view = self._plain.view(viewpoint, world_from_device)
-        intermediate = self._rasteriser.draw(view)
-        source = source_of_position(view, traced.position)
-        colour, _ = remap(intermediate.colour, source[..., :2], self._background)
-        return replace(traced, colour=np.asarray(colour, np.uint8), source=source, view=view, intermediate=intermediate)
+        image = self._rasteriser.draw(view)
+        sources = tuple(source_of_position(view, position) for position in traced.traced)
+        colours = [remap(image.colour, source[..., :2], self._background)[0] for source in sources]
+        colour = _by_colour([np.asarray(each, np.uint8) for each in colours])
+        return Frame(colour, traced.fields, traced=traced.traced, sources=sources, view=view, intermediate=image)
 
 
 def source_of_position(view: View, position: Float32Array) -> Float32Array:

@@ -4,7 +4,7 @@ All backends give the same picture: within 3 codes of 255 in every channel, but 
 centre may fall on either side (tests/rendering/test_raster_backends.py holds them to it).
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,10 +26,17 @@ MATERIALS = ("own", "gltf")
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """A warped picture and, when asked for, the intermediate image that it was made of."""
+    """A warped picture and, when asked for, its geometry.
+
+    Attributes:
+        image: the picture.
+        sources: the pull map of each field, see `WarpedImage.source`; empty if not asked for.
+        intermediate: the image that the picture was made of; None if not asked for.
+    """
 
     image: WarpedImage
-    intermediate: GeometryImage | None
+    sources: tuple[Float32Array, ...] = ()
+    intermediate: GeometryImage | None = None
 
 
 class Rasteriser(Protocol):
@@ -42,11 +49,12 @@ class Rasteriser(Protocol):
     def draw(self, view: View) -> GeometryImage:
         """Draw `view` and fetch colour and inverse depth."""
 
-    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
-        """Draw `view` and warp it along the bent rays of a field, whose viewpoint need not be that of the view.
+    def draw_warped(self, view: View, fields: Sequence[RayField], taps: int = 1, with_geometry: bool = False) -> Warped:
+        """Draw `view` once and warp it along the bent rays of one field, or of one each for red, green and blue.
 
-        `taps` samples per pixel along each axis, see `map_shrink.taps_for`; `with_geometry` also gives the pull map and
-        the intermediate image.
+        The fields have a viewpoint, which need not be that of the view, and a camera frame in common. `taps` samples
+        per pixel along each axis, see `map_shrink.taps_for`; `with_geometry` also gives the pull maps and the
+        intermediate image.
         """
 
 
@@ -83,7 +91,7 @@ class _GlRasteriser:
         self._context = open_context(backend)
         self.backend = self._context.backend
         self._background = _background_code(scene)
-        self._warp = GlWarp(self._context)
+        self._warps = {channels: GlWarp(self._context, channels) for channels in (1, 3)}
         if materials == "gltf":
             from wlr_render.rendering.pyrender_drawing import PyrenderView
 
@@ -96,32 +104,50 @@ class _GlRasteriser:
     def draw(self, view: View) -> GeometryImage:
         return self._draw_on_gpu(view).read()
 
-    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, fields: Sequence[RayField], taps: int = 1, with_geometry: bool = False) -> Warped:
         image = self._draw_on_gpu(view)
-        moved = _image_from_field(view, field)
-        warped = self._warp.warp(image, field.bend, moved, self._background, taps, with_source=with_geometry)
-        return Warped(warped, image.read() if with_geometry else None)
+        moved = _image_from_field(view, fields[0])
+
+        def warp(bends: Sequence[Float32Array]) -> WarpedImage:
+            return self._warps[len(bends)].warp(image, bends, moved, self._background, taps, with_source=with_geometry)
+
+        return _warped(warp, fields, image.read() if with_geometry else None)
 
 
 class _CpuRasteriser:
     backend = "cpu"
 
     def __init__(self, scene: Scene) -> None:
-        from wlr_render.rendering.raster_backends import CpuRaster
-
         self._background = _background_code(scene)
         self._raster = CpuRaster(scene)
 
     def draw(self, view: View) -> GeometryImage:
         return self._raster.draw(view)
 
-    def draw_warped(self, view: View, field: RayField, taps: int = 1, with_geometry: bool = False) -> Warped:
+    def draw_warped(self, view: View, fields: Sequence[RayField], taps: int = 1, with_geometry: bool = False) -> Warped:
         from wlr_render.rendering.cpu_warp import warp_on_cpu
 
         image = self._raster.draw(view)
-        moved = _image_from_field(view, field)
-        warped = warp_on_cpu(image, view.camera, [field.bend], moved, self._background, taps)
-        return Warped(warped, image if with_geometry else None)
+        moved = _image_from_field(view, fields[0])
+
+        def warp(bends: Sequence[Float32Array]) -> WarpedImage:
+            return warp_on_cpu(image, view.camera, bends, moved, self._background, taps)
+
+        return _warped(warp, fields, image if with_geometry else None)
+
+
+def _warped(
+    warp: Callable[[Sequence[Float32Array]], WarpedImage],
+    fields: Sequence[RayField],
+    intermediate: GeometryImage | None,
+) -> Warped:
+    """The picture in one warp of all channels; with its geometry, in one warp for each pull map."""
+    bends = [field.bend for field in fields]
+    if intermediate is None:
+        return Warped(warp(bends))
+    images = [warp([bend]) for bend in bends]
+    sources = tuple(image.source for image in images if image.source is not None)
+    return Warped(WarpedImage.of_channels(images), sources, intermediate)
 
 
 def _image_from_field(view: View, field: RayField) -> NDArray[np.float64]:

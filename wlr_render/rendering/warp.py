@@ -40,6 +40,7 @@ With one field per colour channel (red, green, blue) each channel follows its ow
 three (the largest), the source that of green.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -91,3 +92,15 @@ class WarpedImage:
     colour: NDArray[np.uint8]
     status: NDArray[np.uint8]
     source: NDArray[np.float32] | None = None
+
+    @classmethod
+    def of_channels(cls, images: Sequence["WarpedImage"]) -> "WarpedImage":
+        """One picture of one for all colours, or of three whose red, green and blue are taken in this order.
+
+        The pictures may hold all colours or, each, the grey values (height, width) of its own.
+        """
+        if len(images) == 1:
+            return images[0]
+        colours = [each.colour if each.colour.ndim == 2 else each.colour[..., k] for k, each in enumerate(images)]
+        status = np.max([each.status for each in images], axis=0)
+        return cls(np.stack(colours, axis=-1), status, images[1].source)
