@@ -3,6 +3,7 @@ import json
 import pytest
 
 from wlr_render.errors import BadInputError
+from wlr_render.files import resource
 from wlr_render.jobs.trace import TraceOptions, trace
 from wlr_render.rendering.image_files import read_png
 
@@ -45,3 +46,12 @@ def test_an_eye_that_is_not_there_writes_nothing(tmp_path):
     with pytest.raises(BadInputError, match="no left eye"):
         traced("no_optics", tmp_path / "out", "left")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path):
+    text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(text.replace("radius_mm = -56.0", "radius_mm = 56.0"))
+    assert traced("birdbath28", tmp_path / "right").warnings == []
+    (warning,) = traced(str(wrong), tmp_path / "wrong").warnings
+    assert warning.startswith("Only 8% of the nominal field of the right eye meets the panel: check the sign")

@@ -1,9 +1,11 @@
 """Drawings are whole, name what they show, and refuse an eye that is not there."""
 
+import re
+
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import shipped_names
+from wlr_render.files import resource, shipped_names
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.drawing import draw_device
 
@@ -17,6 +19,16 @@ def test_every_device_can_be_drawn_with_everything_named(name, tmp_path):
     surfaces = [surface.name.replace("_", " ") for surface in device.eyes["right"].surfaces()]
     for text in ("right, x (mm)", "up, y (mm)", "panel", "eye box", "display rays", "see-through rays", *surfaces):
         assert f"<!-- {text} -->" in drawing
+
+
+def test_surfaces_without_apertures_do_not_run_out_of_the_drawing(tmp_path):
+    text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
+    bare = tmp_path / "bare.toml"
+    bare.write_text("\n".join(line for line in text.splitlines() if not line.startswith("aperture")))
+    path = tmp_path / "drawing.svg"
+    draw_device(load_device(bare), "right", path)
+    ticks = [float(tick.replace("\u2212", "-")) for tick in re.findall(r"<!-- ([\u2212\d.]+) -->", path.read_text())]
+    assert 10 < max(map(abs, ticks)) < 300  # millimetres
 
 
 def test_the_left_eye_as_a_png(tmp_path):

@@ -54,6 +54,7 @@ class DeviceFigures:
 
     Attributes:
         extent: of the display.
+        panel_share: share of the judged directions that meet the panel.
         pixel_arcmin: side of the square that covers as much solid angle as an average pixel.
         swim: change of a pixel's direction when the viewpoint moves 1 mm, half to either side, along x, y and z.
         ignoring_viewpoint: how wrong a pixel's direction at the nominal viewpoint is for viewpoints all over the box.
@@ -64,6 +65,7 @@ class DeviceFigures:
     """
 
     extent: Extent
+    panel_share: float
     pixel_arcmin: float
     swim: tuple[Spread, Spread, Spread]
     ignoring_viewpoint: Spread
@@ -71,6 +73,12 @@ class DeviceFigures:
     deviation_near: Spread
     deviation_change: Spread
     colour: Spread
+
+    @property
+    def image_distance_m(self) -> tuple[float, float]:
+        """Distance of the virtual image by its parallax in x and in y; they differ where the optics are astigmatic."""
+        x, y = (_MOVE_M / (swim.mean * ARCMIN) if swim.mean > 0 else np.inf for swim in self.swim[:2])
+        return x, y
 
 
 def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -> DeviceFigures:
@@ -92,6 +100,7 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
     swim_x, swim_y, swim_z = (_swim(display, pixel, box.centre, axis) for axis in np.eye(3))
     return DeviceFigures(
         extent=_extent(display, box.centre),
+        panel_share=len(pixel) / (_COLUMNS * _ROWS),
         pixel_arcmin=_pixel_arcmin(display, pixel, box.centre),
         swim=(swim_x, swim_y, swim_z),
         ignoring_viewpoint=Spread.of(arcmin_between(from_box, seen)),
@@ -102,9 +111,8 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
     )
 
 
-def figures_table(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -> ReportTable:
-    """The figures of `device_figures` as a table in arcminutes, the field in a note."""
-    figures = device_figures(mappings, blue, red)
+def figures_table(mappings: EyeMappings, figures: DeviceFigures) -> ReportTable:
+    """The figures of an eye as a table in arcminutes; field and image distance are in the notes."""
     box_mm = " x ".join(f"{1e3 * side:g}" for side in mappings.eye_box.size)
     rows: list[list[Cell]] = [["one pixel", figures.pixel_arcmin, None, None]]
     spreads = [
@@ -122,7 +130,8 @@ def figures_table(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) ->
         f"Field through straight ahead: {extent.left_deg:.1f} to {extent.right_deg:+.1f} degrees horizontally,"
         f" {extent.down_deg:.1f} to {extent.up_deg:+.1f} vertically.",
         f"Eye box {box_mm} mm, {_BOX_STEPS**3} viewpoints; {_COLUMNS} x {_ROWS} directions over {judged},"
-        f" of which {len(_judged_pixels(mappings))} meet the panel.",
+        f" of which {figures.panel_share:.0%} meet the panel.",
+        "Virtual image {:.2f} m away by its parallax in x, {:.2f} m in y.".format(*figures.image_distance_m),
     )
     columns = ("figure", "mean (arcmin)", "rms (arcmin)", "max (arcmin)")
     return ReportTable(f"{mappings.name}, {mappings.eye} eye", columns, rows, notes)

@@ -81,12 +81,16 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: _View) -> None:
     axes.set_ylabel(view.label)
     axes.grid(alpha=0.25)
     _draw_rays(axes, optics, view)
-    for surface, colour in zip(optics.surfaces(), itertools.cycle(_SURFACE_COLOURS), strict=False):
-        cut = _cut(surface, optics.eye_box.centre, view)
-        axes.plot(*view.in_mm(cut), lw=2.5, color=colour, label=surface.name.replace("_", " "))
     along, up = view.in_mm(optics.panel.point_of_pixel(_EDGES * optics.panel.pixels.size_px))
     axes.fill(along, up, facecolor="0.85", edgecolor="k", alpha=0.8, lw=2, zorder=1, label="panel")
     _draw_eye_box(axes, optics, view)
+    low, high = axes.dataLim.get_points().copy()
+    for surface, colour in zip(optics.surfaces(), itertools.cycle(_SURFACE_COLOURS), strict=False):
+        cut = _cut(surface, optics.eye_box.centre, view)
+        # A surface without an aperture has no end; the drawing shows it as far as the panel and the rays reach, twice.
+        line = np.stack(view.in_mm(cut), axis=-1)
+        line[np.any(np.abs(line - (low + high) / 2) > high - low, axis=-1)] = np.nan
+        axes.plot(*line.T, lw=2.5, color=colour, label=surface.name.replace("_", " "))
     if view.up == 0:
         axes.invert_yaxis()  # seen from above and looking to the right, the right-hand side is below
 
