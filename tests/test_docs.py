@@ -6,14 +6,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-TEXTS = sorted(
-    [
-        ROOT / "README.md",
-        ROOT / "shaders/README.md",
-        *(ROOT / "docs").rglob("*.md"),
-        *(ROOT / "benchmarks").rglob("*.md"),
-    ]
-)
+FOLDERS = ("benchmarks", "docs", "examples", "shaders")
+TEXTS = [ROOT / "README.md", *(path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.md")))]
 FILE = re.compile(r"`([\w./-]+\.(?:py|md|glsl|frag|vert|toml))`")
 LINK = re.compile(r"\]\(([^)#:]+)\)")
 # Files of users, not of ours.
@@ -23,6 +17,7 @@ THEIRS = {
     "board.toml",
     "device.toml",
     "compare.md",
+    "report.md",
     "calibration.md",
 }
 PLACES = [
