@@ -16,11 +16,11 @@ float smooth_inverse_depth(vec2 pixel)
     vec2 base, weight;
     bilinear_taps(pixel, base, weight);
     vec2 shared_corner = (base + 1.0) * per_texel;
-    vec4 taps = textureGather(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
-    float high = max(max(taps.x, taps.y), max(taps.z, taps.w));
-    float low = min(min(taps.x, taps.y), min(taps.z, taps.w));
+    vec4 texels = textureGather(inverse_depth, shared_corner);  // lower left, lower right, upper right, upper left
+    float high = max(max(texels.x, texels.y), max(texels.z, texels.w));
+    float low = min(min(texels.x, texels.y), min(texels.z, texels.w));
     weight = high - low > SURFACE_STEP * high ? step(0.5, weight) : weight;
-    return mix(mix(taps.w, taps.z, weight.x), mix(taps.x, taps.y, weight.x), weight.y);
+    return mix(mix(texels.w, texels.z, weight.x), mix(texels.x, texels.y, weight.x), weight.y);
 }
 
 // The smallest and the largest inverse depth that the image shows along a path.

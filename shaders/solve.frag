@@ -1,5 +1,5 @@
 #version 430
-// The world ray of each point of a lattice on the panel under a planar bundle; rendering/gl_ray_maps.py has the words, and generates
+// The world ray of each point of a grid on the panel under a planar bundle; rendering/gl_ray_maps.py has the words, and generates
 // display_hold, display, display_contains, deviation and deviation_contains.
 
 uniform sampler2D last_view_tangents;
@@ -14,7 +14,7 @@ uniform float behind_see_through_plane;
 uniform bool viewpoint_inside;
 uniform mat3 camera_from_device;
 
-layout(location = 0) out vec4 bend;  // a, b, c, d
+layout(location = 0) out vec4 slope_offset;  // a, b, c, d
 layout(location = 1) out vec2 view_tangents;
 layout(location = 2) out uvec2 status_and_iterations;
 layout(location = 3) out vec4 slopes;  // of view_tangents by the viewpoint's xy, columns
@@ -87,7 +87,7 @@ void main()
     bool forwards = direction.z < 0.0;
     bool inside = viewpoint_inside && display_contains(vec4(pixel, root.point)) && deviation_contains(inputs);
     int status = !solved ? NOT_CONVERGED : !forwards ? MISS : inside ? OK : OUTSIDE_FIT;
-    bend = solved && forwards ? ray : vec4(NOWHERE);
+    slope_offset = solved && forwards ? ray : vec4(NOWHERE);
     view_tangents = solved ? root.tangents : vec2(NOWHERE);
     status_and_iterations = uvec2(status, root.iterations);
     mat2 by_viewpoint = inverse(mat2(1.0) - behind_display_plane * root.slope) * root.slope;

@@ -5,8 +5,8 @@
 // Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch, and
 // outputs that nobody asked for are not compiled in.
 
-uniform sampler2D bend[CHANNELS];
-uniform vec4 texture_from_fragment[CHANNELS];  // of bend; scale, offset
+uniform sampler2D slope_offset[CHANNELS];
+uniform vec4 texture_from_fragment[CHANNELS];  // of slope_offset; scale, offset
 #if ROWS
 uniform sampler2D camera_matrices;  // from the field, for each row of the display; three texels in each row
 uniform vec2 row_from_fragment;  // scale, offset
@@ -50,15 +50,15 @@ vec3 colour_at(vec2 pixel)
 // The mean over a display pixel, whose sides appear in the image as `across` and `down`.
 vec3 filtered_colour(vec2 pixel, vec2 across, vec2 down)
 {
-#if TAPS == 1
+#if SAMPLES_PER_AXIS == 1
     return colour_at(pixel);
 #else
     vec3 sum = vec3(0.0);
-    for (int i = 0; i < TAPS * TAPS; ++i) {
-        vec2 place = (vec2(i % TAPS, i / TAPS) + 0.5) / float(TAPS) - 0.5;
+    for (int i = 0; i < SAMPLES_PER_AXIS * SAMPLES_PER_AXIS; ++i) {
+        vec2 place = (vec2(i % SAMPLES_PER_AXIS, i / SAMPLES_PER_AXIS) + 0.5) / float(SAMPLES_PER_AXIS) - 0.5;
         sum += colour_at(pixel + place.x * across + place.y * down);
     }
-    return sum / float(TAPS * TAPS);
+    return sum / float(SAMPLES_PER_AXIS * SAMPLES_PER_AXIS);
 #endif
 }
 
@@ -66,15 +66,15 @@ vec3 filtered_colour(vec2 pixel, vec2 across, vec2 down)
 vec4 ray_at(int channel, vec2 position)
 {
 #if FIELD_BY_TEXELS
-    ivec2 size = textureSize(bend[channel], 0);
+    ivec2 size = textureSize(slope_offset[channel], 0);
     vec2 base, weight;
     bilinear_taps(position * vec2(size), base, weight);
     ivec2 first = clamp(ivec2(base), ivec2(0), size - 1), second = clamp(ivec2(base) + 1, ivec2(0), size - 1);
-    vec4 upper = mix(texelFetch(bend[channel], first, 0), texelFetch(bend[channel], ivec2(second.x, first.y), 0), weight.x);
-    vec4 lower = mix(texelFetch(bend[channel], ivec2(first.x, second.y), 0), texelFetch(bend[channel], second, 0), weight.x);
+    vec4 upper = mix(texelFetch(slope_offset[channel], first, 0), texelFetch(slope_offset[channel], ivec2(second.x, first.y), 0), weight.x);
+    vec4 lower = mix(texelFetch(slope_offset[channel], ivec2(first.x, second.y), 0), texelFetch(slope_offset[channel], second, 0), weight.x);
     return mix(upper, lower, weight.y);
 #else
-    return texture(bend[channel], position);
+    return texture(slope_offset[channel], position);
 #endif
 }
 

@@ -15,7 +15,7 @@ from gl_caller import Caller
 
 from wlr_render.errors import MissingGlError
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
+from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status
 from wlr_render.rendering import gl
 
 pytest_plugins = ["small_headsets"]
@@ -25,7 +25,7 @@ DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 def mapped(value):
     status = np.where(np.isfinite(value).all(axis=-1), Status.OK, Status.MISS)
-    return Mapped(value, status.astype(np.uint8))
+    return QueryResult(value, status.astype(np.uint8))
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def gl_context(request):
     with context.drawing() as ctx:
         assert ctx.error == "GL_NO_ERROR"
     yield context
-    with vars(context)["_host"].entered(by_others=False):
+    with vars(context)["_owner"].entered(third_party=False):
         assert ctx.error == "GL_NO_ERROR"
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.scene import Instance, Light, Mesh, Scene
+from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
 from wlr_render.rendering.view import View
 
 OFF_CENTRE = Pinhole(64, 48, np.array([-0.5, -0.3]), np.array([0.3, 0.3]))
@@ -55,8 +55,8 @@ def unlit(*placed, background=(0.0, 0.0, 0.0)):
 def lit(*placed):
     """The same under a point and a directional light."""
     lights = (
-        Light("point", np.array([0.4, 0.8, 0.3]), np.array([0.9, 0.8, 0.7], np.float32)),
-        Light("directional", np.array([-0.6, 0.0, -0.8]), np.array([0.1, 0.2, 0.3], np.float32)),
+        LightSource("point", np.array([0.4, 0.8, 0.3]), np.array([0.9, 0.8, 0.7], np.float32)),
+        LightSource("directional", np.array([-0.6, 0.0, -0.8]), np.array([0.1, 0.2, 0.3], np.float32)),
     )
     scene = unlit(*placed)
     return Scene("lit", scene.meshes, scene.instances, lights, np.full(3, 0.1, np.float32))

@@ -52,7 +52,7 @@ _SENTENCES = {
 }
 
 
-def worst(*statuses: StatusArray) -> StatusArray:
+def worst_status(*statuses: StatusArray) -> StatusArray:
     """Element-wise worst of several broadcastable status arrays; the enumeration is ordered by severity."""
     result = np.asarray(statuses[0], dtype=np.uint8)
     for status in statuses[1:]:
@@ -69,7 +69,7 @@ def count_unsolved(statuses: Iterable[StatusArray]) -> dict[str, int]:
 
 
 @dataclass(frozen=True)
-class Mapped:
+class QueryResult:
     """Answer to a batched query.
 
     Attributes:
@@ -140,7 +140,7 @@ class EyeBox:
 
 
 @dataclass(frozen=True)
-class Field:
+class FieldOfView:
     """A box of directions.
 
     Attributes:
@@ -179,13 +179,13 @@ class DisplayMapping(Protocol):
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Forward: in which direction the eye sees a pixel.
 
         Args:
             pixel: (..., 2) panel pixels.
             viewpoint: (..., 3) device frame, metres.
-            warm_start: `Mapped.warm_start` of an earlier query of the same shape.
+            warm_start: `QueryResult.warm_start` of an earlier query of the same shape.
 
         Returns:
             `value` (..., 3): unit `view_dir`, from the viewpoint outwards.
@@ -193,7 +193,7 @@ class DisplayMapping(Protocol):
 
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Backward: which pixel the eye sees in a direction; `value` (..., 2)."""
 
 
@@ -202,7 +202,7 @@ class SeeThroughMapping(Protocol):
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Forward: the ray in the world beyond the optics that the eye sees in a direction.
 
         Returns:
@@ -212,7 +212,7 @@ class SeeThroughMapping(Protocol):
 
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Backward: in which direction the eye sees a real point (..., 3); `value` (..., 3) unit `view_dir`."""
 
 
@@ -234,10 +234,10 @@ class EyeMappings:
     display: DisplayMapping
     see_through: SeeThroughMapping
     eye_box: EyeBox
-    field: Field | None = None
+    field: FieldOfView | None = None
 
 
-Channels = tuple[EyeMappings, ...]
+EyeChannels = tuple[EyeMappings, ...]
 """One pair of mappings for all colours of an eye, or one each for red, green and blue."""
 
 
@@ -285,7 +285,7 @@ class PlanarSeeThrough(Protocol):
         """(x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
 
 
-def planar_parts(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
+def require_planar(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
     """The two formulas of an eye with planar models.
 
     Raises:

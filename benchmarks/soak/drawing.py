@@ -4,13 +4,13 @@ import time
 from collections.abc import Iterator, Sequence
 
 from benchmarks.soak.process import CollectorTime, preemptions, resident_mb
-from benchmarks.soak.records import Cost, FrameNote, Moment
+from benchmarks.soak.records import Cost, FrameNote, StreamFrame
 from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 
 
-def draw_frames(compositor: Compositor, source: SceneSource, moments: Sequence[Moment]) -> Iterator[FrameNote]:
+def draw_frames(compositor: Compositor, source: SceneSource, moments: Sequence[StreamFrame]) -> Iterator[FrameNote]:
     """Draw one frame a moment."""
     with CollectorTime() as collector:
         for moment in moments:
@@ -19,7 +19,7 @@ def draw_frames(compositor: Compositor, source: SceneSource, moments: Sequence[M
 
 
 def _draw(
-    compositor: Compositor, source: SceneSource, moment: Moment, collector: CollectorTime
+    compositor: Compositor, source: SceneSource, moment: StreamFrame, collector: CollectorTime
 ) -> tuple[ComposedFrame, Cost]:
     collected_s, preempted, cpu_s = collector.total_s, preemptions(), time.process_time()
     start = time.perf_counter()

@@ -8,20 +8,20 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.soak.records import MapCheck, Moment
+from benchmarks.soak.records import MapCheck, StreamFrame
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_map import NEAREST_M, RayField
+from wlr_render.rendering.ray_map import NEAREST_M, RayMap
 
 CHECKED = 5
 """So many frames with the farthest jumps are checked, and about as many without a jump."""
 
-Fields = Mapping[str, Sequence[RayField]]
+Fields = Mapping[str, Sequence[RayMap]]
 
 
-def frames_to_check(moments: Sequence[Moment]) -> list[int]:
+def frames_to_check(moments: Sequence[StreamFrame]) -> list[int]:
     """Numbers of the frames with the farthest jumps, and of as many others, evenly spread; never the first."""
     jumps = [number for number, moment in enumerate(moments) if number and moment.jumped]
     rest = [number for number, moment in enumerate(moments) if number and not moment.jumped]
@@ -31,7 +31,7 @@ def frames_to_check(moments: Sequence[Moment]) -> list[int]:
 
 
 def check_maps(
-    compositor: Compositor, source: SceneSource, moments: Sequence[Moment], numbers: Sequence[int]
+    compositor: Compositor, source: SceneSource, moments: Sequence[StreamFrame], numbers: Sequence[int]
 ) -> Iterator[list[MapCheck]]:
     """Draw the frames of these numbers and those before them again; a check per eye and frame."""
     for number in numbers:
@@ -43,22 +43,24 @@ def check_maps(
         yield [_checked(moments[number], eye, own[eye], kept[eye], cold[eye]) for eye in own]
 
 
-def _maps(compositor: Compositor, source: SceneSource, moment: Moment) -> Fields:
+def _maps(compositor: Compositor, source: SceneSource, moment: StreamFrame) -> Fields:
     for camera in compositor.begin_frame(moment.world_from_device, moment.viewpoints).values():
         source.submit(camera)
     composed = compositor.compose(pose=moment.at_scan_out)
-    return {name: eye.read_fields() for name, eye in composed.eyes.items()}
+    return {name: eye.read_ray_maps() for name, eye in composed.eyes.items()}
 
 
 def _checked(
-    moment: Moment, eye: str, own: Sequence[RayField], kept: Sequence[RayField], cold: Sequence[RayField]
+    moment: StreamFrame, eye: str, own: Sequence[RayMap], kept: Sequence[RayMap], cold: Sequence[RayMap]
 ) -> MapCheck:
-    one_sided = sum(int((np.isnan(a.bend[0]) != np.isnan(b.bend[0])).sum()) for a, b in zip(own, cold, strict=True))
+    one_sided = sum(
+        int((np.isnan(a.slope_offset[0]) != np.isnan(b.slope_offset[0])).sum()) for a, b in zip(own, cold, strict=True)
+    )
     kept_arcmin, own_arcmin = (max(map(arcmin_apart, fields, cold)) for fields in (kept, own))
     return MapCheck(moment.time_s, eye, moment.eyes[eye].moved_mm, kept_arcmin, own_arcmin, one_sided)
 
 
-def arcmin_apart(field: RayField, truth: RayField) -> float:
+def arcmin_apart(field: RayMap, truth: RayMap) -> float:
     """The largest angle between a field's rays and those of the truth, as the truth's viewpoint sees it.
 
     Between the nearest depth and infinity: the difference in tangents is linear in 1/depth, hence largest at an end.
@@ -69,14 +71,14 @@ def arcmin_apart(field: RayField, truth: RayField) -> float:
     return float(np.nanmax(apart)) if np.isfinite(apart).any() else float("nan")
 
 
-def _from_viewpoint(field: RayField, other: RayField) -> FloatArray:
-    """(4, height, width) `bend` of the same rays with the other field's viewpoint as the origin."""
-    a, b, c, d = field.bend.astype(np.float64)
+def _from_viewpoint(field: RayMap, other: RayMap) -> FloatArray:
+    """(4, height, width) `slope_offset` of the same rays with the other field's viewpoint as the origin."""
+    a, b, c, d = field.slope_offset.astype(np.float64)
     x, y, z = field.device_from_camera.T @ (field.viewpoint_in_device - other.viewpoint_in_device)
     return np.stack([a, b, c + x + z * a, d + y + z * b])
 
 
-def _tangents(bend: FloatArray) -> FloatArray:
+def _tangents(slope_offset: FloatArray) -> FloatArray:
     """(2, height, width, 2): under which tangents the rays' points at infinity and at the nearest depth are seen."""
-    at_infinity = np.moveaxis(bend[:2], 0, -1)
-    return np.stack([at_infinity, at_infinity + np.moveaxis(bend[2:], 0, -1) / NEAREST_M])
+    at_infinity = np.moveaxis(slope_offset[:2], 0, -1)
+    return np.stack([at_infinity, at_infinity + np.moveaxis(slope_offset[2:], 0, -1) / NEAREST_M])

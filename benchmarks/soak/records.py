@@ -38,7 +38,7 @@ class EyeMoment:
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class StreamFrame:
     """What a frame is drawn for.
 
     Attributes:
@@ -102,7 +102,7 @@ class FrameNote:
         unsolved: by eye, points of the field without a proper answer, by what is the matter.
     """
 
-    moment: Moment
+    moment: StreamFrame
     cost: Cost
     unsolved: Mapping[str, Mapping[str, int]]
 

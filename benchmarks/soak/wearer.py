@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.soak.records import EyeMoment, Moment
+from benchmarks.soak.records import EyeMoment, StreamFrame
 from benchmarks.soak.synthetic_tracker import tracker_samples
 from wlr_render.compositing.checks import nearest_in_reach
 from wlr_render.errors import BadInputError
@@ -47,7 +47,7 @@ class Wearer:
 
     def moments(
         self, boxes: Mapping[str, EyeBox], count: int, frames_per_second: float, late_s: float = 0.0
-    ) -> list[Moment]:
+    ) -> list[StreamFrame]:
         """What each frame is drawn for, from the first moment that all trajectories cover.
 
         Args:
@@ -75,7 +75,7 @@ class Wearer:
         begun, lit = (_newest_pose(head, at_s) for at_s in (time_s, np.minimum(time_s + late_s, end)))
         lost = in_gap(head.time_s, time_s)
         return [
-            Moment(float(t), begun[k], lit[k], {eye: track[k] for eye, track in followed.items()}, bool(lost[k]))
+            StreamFrame(float(t), begun[k], lit[k], {eye: track[k] for eye, track in followed.items()}, bool(lost[k]))
             for k, t in enumerate(time_s)
         ]
 

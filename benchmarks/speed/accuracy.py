@@ -19,7 +19,7 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
 from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import FieldPlan, choose_plan, ray_field
+from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, ray_map
 from wlr_render.rendering.scene import Scene
 
 SILHOUETTE_PX = 2
@@ -40,7 +40,7 @@ class Subject:
     mappings: EyeMappings
     compositor: Compositor
     source: SceneSource
-    plan: FieldPlan
+    plan: RayMapPlan
     tracer: SceneTracer
 
 
@@ -112,7 +112,7 @@ class Truth:
 
 def truth(on: Subject, moment: Moment) -> Truth:
     """Trace each row's rays from where the head is when it lights up."""
-    field = ray_field(on.mappings, moment.viewpoint, on.plan)
+    field = ray_map(on.mappings, moment.viewpoint, on.plan)
     shape = (*field.shape, 3)
     origin, direction = (each.reshape(shape) for each in field.world_rays(np.eye(4)))
     poses = moment.row_poses(len(origin))

@@ -13,11 +13,11 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN, bend_error_arcmin
-from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN, ray_error_arcmin
+from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 from wlr_render.rendering.ray_map import solve_pixels
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
 
 DEVICES = "northstar", "freeform40", "birdbath28"
@@ -32,12 +32,12 @@ _ROW_BY_ROW = "all, row by row"
 
 
 def field_table(models: Mapping[str, EyeMappings], context: str) -> ReportTable:
-    """The shader's rays of planar models, at every pixel and between a lattice's points; needs OpenGL."""
+    """The shader's rays of planar models, at every pixel and between a warp grid's points; needs OpenGL."""
     rows = [row for device, mappings in models.items() for row in _field_rows(device, mappings, context)]
     notes = (
         f"Against the float64 solve at {_PIXELS} pixels from each of {len(JUDGED_PLACES)} places in the eye box: the "
         "angle at infinity plus the offset's angle at 0.25 m. Lattices are read with exact weights, as the warp "
-        "does. A lattice's bound is without what the shader's float32 adds.",
+        "does. A warp grid's bound is without what the shader's float32 adds.",
     )
     columns = "field", "bound when chosen (arcmin)", "rms (arcmin)", "max (arcmin)", "goal"
     return ReportTable("Rays of the shader", columns, rows, notes)
@@ -47,30 +47,32 @@ def _field_rows(device: str, mappings: EyeMappings, context: str) -> Iterator[li
     panel = mappings.display.panel
     with Compositor(mappings, (panel.width_px, panel.height_px), context=context) as compositor:
         plan = compositor.plan(mappings.eye)
-        chosen, axes = plan.lattice, plan.device_from_camera
-        for name, lattice, bound, goal in (
-            ("every pixel", Lattice.of_pixels(panel), None, SHADER_GOAL_ARCMIN),
+        chosen, axes = plan.warp_grid, plan.device_from_camera
+        for name, warp_grid, bound, goal in (
+            ("every pixel", WarpGrid.of_pixels(panel), None, SHADER_GOAL_ARCMIN),
             (
-                f"{chosen.lattice.columns} x {chosen.lattice.rows} points",
-                chosen.lattice,
+                f"{chosen.warp_grid.columns} x {chosen.warp_grid.rows} points",
+                chosen.warp_grid,
                 chosen.bound_arcmin,
                 TOLERANCE_ARCMIN,
             ),
         ):
-            found = summary(field_error_arcmin(GlSolve(compositor.context, mappings, lattice, axes), mappings, lattice))
+            found = summary(
+                field_error_arcmin(GlPlanarSolver(compositor.context, mappings, warp_grid, axes), mappings, warp_grid)
+            )
             yield [f"{device}, {name}", bound, found.rms, found.maximum, f"max <= {goal}"]
 
 
-def field_error_arcmin(solve: GlSolve, mappings: EyeMappings, lattice: Lattice) -> FloatArray:
-    """Errors at pixel centres, (places, pixels), of a solve on that lattice; NaN where there is no ray."""
+def field_error_arcmin(solve: GlPlanarSolver, mappings: EyeMappings, warp_grid: WarpGrid) -> FloatArray:
+    """Errors at pixel centres, (places, pixels), of a solve on that warp grid; NaN where there is no ray."""
     pixel = np.floor(np.random.default_rng(4).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
-    place = (pixel - lattice.first_px) / lattice.step_px
+    place = (pixel - warp_grid.first_px) / warp_grid.step_px
     errors = []
     for viewpoint in mappings.eye_box.at(JUDGED_PLACES):
         field = solve.solve(viewpoint)
         read = bilinear(np.moveaxis(field.read_bend().astype(np.float64), 0, -1), place)
-        exact = solve_pixels(mappings, field.device_from_camera, pixel, viewpoint).bend
-        errors.append(bend_error_arcmin(read, exact))
+        exact = solve_pixels(mappings, field.device_from_camera, pixel, viewpoint).slope_offset
+        errors.append(ray_error_arcmin(read, exact))
     return np.stack(errors)
 
 

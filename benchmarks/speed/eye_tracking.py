@@ -10,9 +10,9 @@ from benchmarks.speed.timing import in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
-from wlr_render.rendering.ray_map import FieldPlan, choose_plan
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.rendering.ray_map import RayMapPlan, choose_plan
+from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
 
 SOLVES = "nodes", "pixels"
@@ -33,7 +33,7 @@ def price_table(work: Workload, context: str) -> ReportTable:
     notes = (
         f"{len(work.eyes)} eyes on {name}. Each round draws the frame of a viewpoint that is new, and then the same "
         "frame again, when its field is there already; the ratio is the median of the rounds'.",
-        "Nodes: a lattice as coarse as a measured bound allows. Pixels: every display pixel is solved.",
+        "Nodes: a warp grid as coarse as a measured bound allows. Pixels: every display pixel is solved.",
     )
     return ReportTable("The price of eye tracking", ("solve", "new map", "map kept", "price", "goal"), rows, notes)
 
@@ -79,8 +79,8 @@ def warm_start_table(work: Workload, context: str) -> ReportTable:
 
 def _shader_rows(on: Running) -> Iterator[list[Cell]]:
     plan, mappings = on.compositor.plan("right"), on.work.mappings
-    lattice = Lattice.of_pixels(mappings.display.panel, plan.size_px)
-    solve = GlSolve(on.gl_context, mappings, lattice, plan.device_from_camera)
+    warp_grid = WarpGrid.of_pixels(mappings.display.panel, plan.size_px)
+    solve = GlPlanarSolver(on.gl_context, mappings, warp_grid, plan.device_from_camera)
     for step_m in STEPS_M:
         viewpoints = on.work.viewpoints[:_JUDGED]
         cold, warm = iterations(solve, viewpoints, _beside(viewpoints, mappings.eye_box, step_m))
@@ -92,12 +92,14 @@ def _shader_rows(on: Running) -> Iterator[list[Cell]]:
 def _node_rows(on: Running) -> Iterator[list[Cell]]:
     plan, mappings = on.compositor.plan("right"), on.work.mappings
     count = choose_plan(mappings).node_count
-    nodes = GlNodes(on.gl_context, mappings, FieldPlan.to_lattice(plan.lattice.lattice, count, plan.device_from_camera))
+    nodes = GlNodeSolver(
+        on.gl_context, mappings, RayMapPlan.onto_grid(plan.warp_grid.warp_grid, count, plan.device_from_camera)
+    )
     for step_m in STEPS_M:
         yield [f"{count} x {count} nodes, CPU, {step_m * 1e3:g} mm", None, None, None, *_times(on, nodes, step_m), None]
 
 
-def iterations(solve: GlSolve, viewpoints: FloatArray, before: FloatArray) -> tuple[Iterations, Iterations]:
+def iterations(solve: GlPlanarSolver, viewpoints: FloatArray, before: FloatArray) -> tuple[Iterations, Iterations]:
     """Cold at viewpoints (n, 3), and warm there from the solutions at those before, (n, 3)."""
     cold, warm = [], []
     for last, viewpoint in zip(before, viewpoints, strict=True):
@@ -109,7 +111,7 @@ def iterations(solve: GlSolve, viewpoints: FloatArray, before: FloatArray) -> tu
     return first, second
 
 
-def _times(on: Running, solve: GlSolve | GlNodes, step_m: float) -> tuple[str, str]:
+def _times(on: Running, solve: GlPlanarSolver | GlNodeSolver, step_m: float) -> tuple[str, str]:
     """Cold, and warm from there a step aside."""
     viewpoints = on.work.viewpoints
     beside = _beside(viewpoints, on.work.mappings.eye_box, step_m)

@@ -36,10 +36,10 @@ def warp_table(work: Workload, context: str) -> ReportTable:
         if on.gl_context.backend == "egl":
             for scheme in (MESH, IMAGE_MAPS):
                 runs[f"Monado: {scheme.name}"] = opened.enter_context(_monado(on, scheme, picture, camera.view.camera))
-        rows, taps = warp_rows(runs, work.rounds), on.compositor.plan("right").taps
+        rows, samples_per_axis = warp_rows(runs, work.rounds), on.compositor.plan("right").samples_per_axis
     notes = (
-        f"Ours follows every ray to the picture's depth and takes {taps**2} samples a pixel; the others look "
-        "each colour up once. Each time includes the wait for the end.",
+        f"Ours follows every ray to the picture's depth and takes {samples_per_axis**2} samples a pixel; the others "
+        "look each colour up once. Each time includes the wait for the end.",
         "Monado's schemes need EGL. What they get wrong is in the table on maps that are computed once.",
     )
     return ReportTable("Warps of one picture", ("warp", "time", "ours / this"), rows, notes)

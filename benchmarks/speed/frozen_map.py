@@ -11,7 +11,7 @@ mapping, and the real X in the direction s(X, v) of the see-through mapping. The
 s(X(m(p), Z), v): the misalignment of `evaluation.misalignment`, for the world at depth Z.
 
 With v = v0, and at the map's points, the error is zero if m is the place at which the exact ray (a, b, c, d) of
-`RayField` passes the depth Z, m = (a + c / Z, b + d / Z): what remains is interpolation. A runtime's map is that for
+`RayMap` passes the depth Z, m = (a + c / Z, b + d / Z): what remains is interpolation. A runtime's map is that for
 Z = infinity, and is then wrong for nearer points by the rays' offset (c, d), even at v0.
 """
 
@@ -28,9 +28,9 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_warp_grid import choose_lattice
+from wlr_render.rendering.choose_warp_grid import choose_warp_grid
 from wlr_render.rendering.ray_map import middle_axes, solve_pixels
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
 
 Interpolation = Callable[[FloatArray, FloatArray], FloatArray]
@@ -84,19 +84,19 @@ class FrozenMap:
         scheme: how it is interpolated.
         viewpoint: (3,) device frame, for which it was computed and from which its picture is drawn.
         device_from_camera: (3, 3) axes of the picture.
-        lattice: the points.
-        tangents: (points, points, 2) at which the picture is read, at the lattice's points.
+        warp_grid: the points.
+        tangents: (points, points, 2) at which the picture is read, at the warp grid's points.
     """
 
     scheme: Scheme
     viewpoint: FloatArray
     device_from_camera: FloatArray
-    lattice: Lattice
+    warp_grid: WarpGrid
     tangents: FloatArray
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Where the scheme reads the picture for pixels (..., 2), tangents (..., 2)."""
-        place = (pixel - self.lattice.first_px) / self.lattice.step_px
+        place = (pixel - self.warp_grid.first_px) / self.warp_grid.step_px
         return self.scheme.between(self.tangents, place)
 
     def texture_uv(self, camera: Pinhole) -> NDArray[np.float32]:
@@ -116,14 +116,16 @@ def frozen_map(
     Raises:
         BadInputError: the eye does not see the world through some point of the panel.
     """
-    lattice = Lattice.edge_to_edge(mappings.display.panel, scheme.points, scheme.points)
-    bend = solve_pixels(mappings, device_from_camera, lattice.panel_pixel(), viewpoint).bend
-    if not np.isfinite(bend).all():
+    warp_grid = WarpGrid.edge_to_edge(mappings.display.panel, scheme.points, scheme.points)
+    slope_offset = solve_pixels(mappings, device_from_camera, warp_grid.panel_pixel(), viewpoint).slope_offset
+    if not np.isfinite(slope_offset).all():
         raise BadInputError(
             f"{mappings.name}: parts of the panel have no ray from {np.round(viewpoint * 1e3, 2)} mm, so that a map of "
             f"{scheme.points} x {scheme.points} points has holes; choose a headset whose whole panel is seen."
         )
-    return FrozenMap(scheme, viewpoint, device_from_camera, lattice, bend[..., :2] + bend[..., 2:] / depth_m)
+    return FrozenMap(
+        scheme, viewpoint, device_from_camera, warp_grid, slope_offset[..., :2] + slope_offset[..., 2:] / depth_m
+    )
 
 
 def frozen_map_error_arcmin(
@@ -175,23 +177,29 @@ def _swim(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
 
 
 def _followed(mappings: EyeMappings) -> list[Cell]:
-    """What is left where the map follows the eye: the reading between the points of the compositor's lattice."""
+    """What is left where the map follows the eye: the reading between the points of the compositor's warp grid."""
     panel, axes, pixel = mappings.display.panel, middle_axes(mappings), _judged_pixels(mappings)
-    lattice = choose_lattice(mappings, axes, (panel.width_px, panel.height_px)).lattice
-    viewpoints, place = _other_viewpoints(mappings), (pixel - lattice.first_px) / lattice.step_px
-    bends = [bilinear(solve_pixels(mappings, axes, lattice.panel_pixel(), each).bend, place) for each in viewpoints]
+    warp_grid = choose_warp_grid(mappings, axes, (panel.width_px, panel.height_px)).warp_grid
+    viewpoints, place = _other_viewpoints(mappings), (pixel - warp_grid.first_px) / warp_grid.step_px
+    slope_offsets = [
+        bilinear(solve_pixels(mappings, axes, warp_grid.panel_pixel(), each).slope_offset, place) for each in viewpoints
+    ]
     errors = []
     for depth in DEPTHS_M:
-        points = [_on_rays(bend, depth, axes, at) for bend, at in zip(bends, viewpoints, strict=True)]
+        points = [
+            _on_rays(slope_offset, depth, axes, at) for slope_offset, at in zip(slope_offsets, viewpoints, strict=True)
+        ]
         errors.append(misalignment_arcmin(mappings, viewpoints[:, None], pixel, np.stack(points)))
-    return [f"ours, {lattice.columns} x {lattice.rows} points, for every viewpoint", *_rms_and_max(errors)]
+    return [f"ours, {warp_grid.columns} x {warp_grid.rows} points, for every viewpoint", *_rms_and_max(errors)]
 
 
-def _on_rays(bend: FloatArray, depth_m: float, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
+def _on_rays(
+    slope_offset: FloatArray, depth_m: float, device_from_camera: FloatArray, viewpoint: FloatArray
+) -> FloatArray:
     """Where rays (n, 4) of a viewpoint pass a depth, (n, 3) in the device frame."""
     depth = min(depth_m, _FAR_M)
-    xy = bend[:, :2] * depth + bend[:, 2:]
-    in_camera = np.concatenate([xy, np.full((len(bend), 1), -depth)], axis=-1)
+    xy = slope_offset[:, :2] * depth + slope_offset[:, 2:]
+    in_camera = np.concatenate([xy, np.full((len(slope_offset), 1), -depth)], axis=-1)
     return transforms.apply(transforms.rigid(device_from_camera, viewpoint), in_camera)
 
 

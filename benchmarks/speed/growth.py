@@ -8,12 +8,12 @@ from benchmarks.speed.running import Running
 from benchmarks.speed.scaling import Scaling, scaling_table, time_over
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import Workload, bench_model, bench_scene
-from wlr_render.mappings import EyeMappings, planar_parts
+from wlr_render.mappings import EyeMappings, require_planar
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
-from wlr_render.rendering.ray_map import FieldPlan, choose_plan
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.rendering.ray_map import RayMapPlan, choose_plan
+from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import ReportTable
 
 
@@ -49,8 +49,8 @@ def _over_pixels(work: Workload, context: str, widths: Sequence[int]) -> Iterato
         def field(pixels: int) -> Run:
             on = running[pixels]
             plan = on.compositor.plan("right")
-            lattice = Lattice.of_pixels(work.mappings.display.panel, plan.size_px)
-            solve = GlSolve(on.gl_context, work.mappings, lattice, plan.device_from_camera)
+            warp_grid = WarpGrid.of_pixels(work.mappings.display.panel, plan.size_px)
+            solve = GlPlanarSolver(on.gl_context, work.mappings, warp_grid, plan.device_from_camera)
             return on.then_finished(lambda turn: solve.solve(work.viewpoints[turn]))
 
         def warp(pixels: int) -> Run:
@@ -73,20 +73,22 @@ def _over_terms(work: Workload, context: str, degrees: Sequence[int]) -> Iterato
     models = {}
     for degree in degrees:
         model = bench_model(panel, display_degree=degree)
-        forward = planar_parts(model)[0].forward
+        forward = require_planar(model)[0].forward
         models[term_count(len(forward.box.low), degree)] = model
     with Running.of(work, context) as on:
         plan = on.compositor.plan("right")
-        axes, pixels = plan.device_from_camera, Lattice.of_pixels(panel, plan.size_px)
+        axes, pixels = plan.device_from_camera, WarpGrid.of_pixels(panel, plan.size_px)
 
         def shader(terms: int) -> Run:
-            solve = GlSolve(on.gl_context, models[terms], pixels, axes)
+            solve = GlPlanarSolver(on.gl_context, models[terms], pixels, axes)
             return on.then_finished(lambda turn: solve.solve(work.viewpoints[turn]))
 
         def nodes(terms: int) -> Run:
             model: EyeMappings = models[terms]
-            solve = GlNodes(
-                on.gl_context, model, FieldPlan.to_lattice(plan.lattice.lattice, choose_plan(model).node_count, axes)
+            solve = GlNodeSolver(
+                on.gl_context,
+                model,
+                RayMapPlan.onto_grid(plan.warp_grid.warp_grid, choose_plan(model).node_count, axes),
             )
             return on.then_finished(lambda turn: solve.solve(work.viewpoints[turn]))
 

@@ -18,8 +18,8 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.raster_backends import open_rasteriser
-from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, exact_field, ray_field
+from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_map, solve_every_pixel
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
 from wlr_render.report.blocks import Cell
@@ -29,7 +29,7 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
     """Intersections and the whole ray-traced frame, against raw Embree."""
     renderer = RayRenderer(work.scene)
     painter = TracedPainter(work.mappings, renderer)
-    field = ray_field(work.mappings, work.viewpoints[0], choose_plan(work.mappings))
+    field = ray_map(work.mappings, work.viewpoints[0], choose_plan(work.mappings))
     origin, direction = field.world_rays(HEAD_POSE)
     raw = raw_embree(work.scene, origin, direction)
     raw_ms, ours_ms, frame_ms = alternately(
@@ -53,10 +53,10 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
 
 def raster_rows(work: Workload, backend: str) -> list[list[Cell]]:
     """The whole raster frame, against a bare OpenGL pass."""
-    rasteriser = open_rasteriser(work.scene, backend)
-    painter = WarpedPainter(work.mappings, rasteriser)
-    name = f"whole raster frame ({rasteriser.backend})"
-    if rasteriser.backend != "egl":
+    raster_backend = open_raster_backend(work.scene, backend)
+    painter = WarpedPainter(work.mappings, raster_backend)
+    name = f"whole raster frame ({raster_backend.backend})"
+    if raster_backend.backend != "egl":
         (frame_ms,) = alternately(lambda turn: painter.paint(work.viewpoints[turn], HEAD_POSE), rounds=work.rounds)
         return [[name, in_ms(frame_ms), None, None, "needs EGL for its baseline"]]
     panel, centre = work.mappings.display.panel, work.mappings.eye_box.centre
@@ -90,7 +90,7 @@ def _in_world(scene: Scene) -> Mesh:
 def map_rows(work: Workload) -> list[list[Cell]]:
     """The map for a new viewpoint: its time and its error."""
     plan = choose_plan(work.mappings)
-    (map_ms,) = alternately(lambda turn: ray_field(work.mappings, work.viewpoints[turn], plan), rounds=work.rounds)
+    (map_ms,) = alternately(lambda turn: ray_map(work.mappings, work.viewpoints[turn], plan), rounds=work.rounds)
     error = map_error_px(work.mappings, work.viewpoints[1])
     nodes = plan.node_pixel.shape[0]
     return [
@@ -105,8 +105,8 @@ def map_error_px(mappings: EyeMappings, viewpoint: FloatArray) -> float:
     Differences of the tangents at infinity and at the nearest depth, over the size of the pixel.
     """
     plan = choose_plan(mappings)
-    fast = ray_field(mappings, viewpoint, plan).bend
-    exact = exact_field(mappings, viewpoint, plan.device_from_camera).bend
+    fast = ray_map(mappings, viewpoint, plan).slope_offset
+    exact = solve_every_pixel(mappings, viewpoint, plan.device_from_camera).slope_offset
     pixel_size = np.minimum(*(np.hypot(*np.gradient(exact[:2], axis=axis)) for axis in (1, 2)))
     difference = fast - exact
     at_depths = (np.hypot(*(difference[:2] + difference[2:] / depth)) for depth in (NEAREST_M, np.inf))
@@ -131,7 +131,7 @@ def peak_memory_gb(method: str, backend: str) -> float:
     if method == "raytrace":
         painter = TracedPainter(mappings, RayRenderer(scene))
     else:
-        painter = WarpedPainter(mappings, open_rasteriser(scene, backend))
+        painter = WarpedPainter(mappings, open_raster_backend(scene, backend))
     painter.paint(mappings.eye_box.centre, HEAD_POSE)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e9 if sys.platform == "darwin" else 1e6)  # macOS counts bytes, Linux kilobytes

@@ -4,10 +4,10 @@ from benchmarks.speed.running import Running, later_pose
 from benchmarks.speed.timing import Run, alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload
 from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.rendering.pyrender_drawing import PyrenderView
-from wlr_render.rendering.ray_map import FieldPlan, choose_plan
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.ray_map import RayMapPlan, choose_plan
+from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
 
 LARGE_PX = 2048, 2048
@@ -55,11 +55,11 @@ def _pictures(on: Running) -> dict[str, Run]:
 def _fields(on: Running) -> dict[str, Run]:
     """The rays of the pixels, for a new viewpoint, in three ways."""
     context, mappings, plan = on.gl_context, on.work.mappings, on.compositor.plan("right")
-    axes, coarse, viewpoints = plan.device_from_camera, plan.lattice.lattice, on.work.viewpoints
+    axes, coarse, viewpoints = plan.device_from_camera, plan.warp_grid.warp_grid, on.work.viewpoints
     count = choose_plan(mappings).node_count
-    pixels = GlSolve(context, mappings, Lattice.of_pixels(mappings.display.panel, plan.size_px), axes)
-    points = GlSolve(context, mappings, coarse, axes)
-    nodes = GlNodes(context, mappings, FieldPlan.to_lattice(coarse, count, axes))
+    pixels = GlPlanarSolver(context, mappings, WarpGrid.of_pixels(mappings.display.panel, plan.size_px), axes)
+    points = GlPlanarSolver(context, mappings, coarse, axes)
+    nodes = GlNodeSolver(context, mappings, RayMapPlan.onto_grid(coarse, count, axes))
     return {
         "field: every pixel, shader": on.then_finished(lambda turn: pixels.solve(viewpoints[turn])),
         f"field: {_by(coarse.size)} points, shader": on.then_finished(lambda turn: points.solve(viewpoints[turn])),

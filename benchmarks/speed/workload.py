@@ -13,7 +13,7 @@ from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.scene import Instance, Light, Scene
+from wlr_render.rendering.scene import Instance, LightSource, Scene
 from wlr_render.rendering.shapes.objects import sculpture
 
 HEAD_POSE = np.eye(4)
@@ -99,5 +99,5 @@ def bench_scene(triangles: int = TRIANGLES) -> Scene:
     mesh = sculpture(height_m=0.5, around=_AROUND, along=max(8, round(triangles / (2 * _AROUND))))
     placed = np.eye(4)
     placed[:3, 3] = [0.03, -0.45, -0.8]
-    light = Light("directional", np.array([-0.36, -0.8, -0.48]), np.full(3, 0.9, np.float32))
+    light = LightSource("directional", np.array([-0.36, -0.8, -0.48]), np.full(3, 0.9, np.float32))
     return Scene("bench", (mesh,), (Instance("sculpture", 0, placed),), (light,))

@@ -15,10 +15,10 @@ from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
-from wlr_render.rendering.ray_map import RayField, middle_axes, solve_pixels
+from wlr_render.rendering.ray_map import RayMap, middle_axes, solve_pixels
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.shapes import construction
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 CONTEXTS = [pytest.param("egl", marks=pytest.mark.gl), pytest.param("osmesa", marks=pytest.mark.gl), "cpu"]
 HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transforms.rotation_about("x", -0.1))
@@ -52,13 +52,13 @@ class Traced:
 
     colour: np.ndarray
     position: np.ndarray
-    field: RayField
+    field: RayMap
 
 
 def traced(mappings: EyeMappings, size, at_viewpoint, pose, renderer: RayRenderer) -> Traced:
     axes = middle_axes(mappings)
-    solved = solve_pixels(mappings, axes, Lattice.of_pixels(mappings.display.panel, size).panel_pixel(), at_viewpoint)
-    field = RayField(at_viewpoint, axes, np.moveaxis(solved.bend, -1, 0).astype(np.float32), solved.status)
+    solved = solve_pixels(mappings, axes, WarpGrid.of_pixels(mappings.display.panel, size).panel_pixel(), at_viewpoint)
+    field = RayMap(at_viewpoint, axes, np.moveaxis(solved.slope_offset, -1, 0).astype(np.float32), solved.status)
     image = renderer.render_blocks(field.shape, lambda rows: field.world_rays(pose, rows), ("position",))
     return Traced(image.colour, image.position, field)
 

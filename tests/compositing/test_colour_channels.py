@@ -55,7 +55,7 @@ def test_the_most_curved_colour_says_how_fine_the_lattice_is(compositor, flat_im
     colours = [flat_image_headset] * 3
     colours[place] = near
     flat, together = (
-        compositor({"right": models}, context="cpu").plan("right").lattice.cell_px
+        compositor({"right": models}, context="cpu").plan("right").warp_grid.cell_px
         for models in (flat_image_headset, colours)
     )
     assert (together < 0.95 * flat).all()

@@ -59,7 +59,7 @@ def test_it_shows_what_the_exact_rays_meet(compositor, renderer, headset, contex
 @pytest.mark.gl
 def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor, renderer):
     composed = compositor(planar(), (300, 330), context="egl", solve="nodes")
-    chosen = composed.plan("right").lattice
+    chosen = composed.plan("right").warp_grid
     assert (chosen.cell_px > 1.1 * composed.plan("right").channels[0].display.panel.size_px / composed.size_px).all()
     misplaced, _ = compared(composed, renderer, planar(), (HEAD, viewpoint(planar())))
     assert misplaced.max() < chosen.bound_arcmin + MOST_ARCMIN

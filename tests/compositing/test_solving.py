@@ -8,10 +8,10 @@ from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
-from wlr_render.mappings import Mapped, Status
-from wlr_render.rendering.cpu_ray_maps import CpuNodes, CpuSolve
-from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve
-from wlr_render.rendering.ray_map import RayField
+from wlr_render.mappings import QueryResult, Status
+from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.rendering.ray_map import RayMap
 
 KINDS = [("planar", "pixels"), ("planar", "nodes"), ("flat image", "nodes")]
 
@@ -34,14 +34,14 @@ def solved_at(monkeypatch):
 
         return solve_and_count
 
-    for solver in (GlSolve, GlNodes, CpuSolve, CpuNodes):
+    for solver in (GlPlanarSolver, GlNodeSolver, CpuPixelSolver, CpuNodeSolver):
         monkeypatch.setattr(solver, "solve", counting(solver.solve))
     return asked
 
 
-def bend(frame):
+def slope_offset(frame):
     (field,) = frame.eyes["right"].fields
-    return (field if isinstance(field, RayField) else field.read()).bend.astype(np.float64)
+    return (field if isinstance(field, RayMap) else field.read()).slope_offset.astype(np.float64)
 
 
 def angle_arcmin(first, second):
@@ -60,13 +60,13 @@ def test_a_resting_pupil_is_solved_once(compositor, headset_and_solve, context, 
         made.compose(pose=HEAD)
     asked = len(solved_at)
     assert 1 <= asked <= 2  # nodes on a GPU are solved on the CPU
-    first = bend(made.compose())
+    first = slope_offset(made.compose())
     made.compose(viewpoint=seen + 1e-6)
     assert len(solved_at) == 2 * asked
     made.compose()
     assert len(solved_at) == 3 * asked
     made.forget()
-    again = bend(made.compose())
+    again = slope_offset(made.compose())
     assert len(solved_at) == 4 * asked
     assert np.nanmax(angle_arcmin(first, again)) < 1e-3
 
@@ -97,7 +97,7 @@ def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset_and_solve, 
     for made in (warm, cold):
         draw(made, SceneSource(made, scene()), HEAD, after)
         frames.append(made.compose())
-    there, wanted = map(bend, frames)
+    there, wanted = map(slope_offset, frames)
     assert np.isfinite(there).all()
     assert angle_arcmin(there, wanted).max() < 0.003
     assert np.abs(there[2:] - wanted[2:]).max() < 1e-7
@@ -120,7 +120,7 @@ class Troubled:
         failed = (pixel[..., 0] < 0.25 * self.panel.width_px) | (np.asarray(at)[..., 0] > 0.0055)
         failed = np.broadcast_to(failed, answer.status.shape)
         value = np.where(failed[..., None], np.nan, answer.value)
-        return Mapped(value, np.where(failed, Status.NOT_CONVERGED, answer.status).astype(np.uint8))
+        return QueryResult(value, np.where(failed, Status.NOT_CONVERGED, answer.status).astype(np.uint8))
 
 
 @pytest.fixture
@@ -137,8 +137,8 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troub
     assert set(unsolved) == {"right"}
     assert set(unsolved["right"]) == {"not converged"}
     quarter = SMALL[0] // 4
-    lattice = made.plan("right").lattice.lattice
-    share = unsolved["right"]["not converged"] / (np.prod(SMALL) if context == "cpu" else np.prod(lattice.size))
+    warp_grid = made.plan("right").warp_grid.warp_grid
+    share = unsolved["right"]["not converged"] / (np.prod(SMALL) if context == "cpu" else np.prod(warp_grid.size))
     assert 0.2 < share < 0.4
     assert (frame.read()[:, : quarter - 1] == [9, 8, 7]).all()
     assert (status[:, : quarter - 1] == 3).all()
@@ -155,6 +155,6 @@ def test_a_pupil_for_which_nothing_converges_sees_black_and_the_next_frame_is_ri
     blind = made.compose()
     (count,) = blind.unsolved()["right"].values()
     assert not blind.read().any()
-    assert count == bend(blind)[0].size
+    assert count == slope_offset(blind)[0].size
     draw(made, source, HEAD, seen)
     assert np.abs(made.compose().read().astype(int) - expected).max() <= 1

@@ -7,7 +7,7 @@ import pytest
 
 from wlr_render.evaluation.device_figures import device_figures, figures_table
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import Mapped, Status
+from wlr_render.mappings import QueryResult, Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -99,11 +99,11 @@ class Blind:
 
     def real_ray_of_view_dir(self, view_dir, viewpoint, warm_start=None):
         shape = np.broadcast_shapes(view_dir.shape[:-1], viewpoint.shape[:-1])
-        return Mapped(np.full((*shape, 6), np.nan), np.full(shape, Status.MISS, dtype=np.uint8))
+        return QueryResult(np.full((*shape, 6), np.nan), np.full(shape, Status.MISS, dtype=np.uint8))
 
     def view_dir_of_real_point(self, point, viewpoint, warm_start=None):
         ray = self.real_ray_of_view_dir(point, viewpoint)
-        return Mapped(ray.value[..., :3], ray.status)
+        return QueryResult(ray.value[..., :3], ray.status)
 
 
 def test_what_is_not_seen_has_no_figure(flat_image_headset):

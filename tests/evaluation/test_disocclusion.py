@@ -4,7 +4,7 @@ from gl_scenes import at, quad, unlit
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.geometry import transforms
 from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import RayField
+from wlr_render.rendering.ray_map import RayMap
 
 HEAD = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6, -0.2]))
 EYE = np.array([0.03, 0.0, -0.02])
@@ -18,7 +18,7 @@ def test_what_an_edge_hides_from_a_camera_beside_the_eye_is_the_closed_form():
     tracer = SceneTracer(unlit(sheet, wall))
     tangents = np.linspace(-0.7, 0.7, 281)[None] + 1e-4
     zero = np.zeros_like(tangents)
-    field = RayField(EYE, np.eye(3), np.stack([tangents, zero, zero, zero]).astype(np.float32), zero.astype(np.uint8))
+    field = RayMap(EYE, np.eye(3), np.stack([tangents, zero, zero, zero]).astype(np.float32), zero.astype(np.uint8))
     hits = tracer.intersect(*(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
     position = tracer.hit_positions(hits, *(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
     for aside in (-0.05, 0.05):

@@ -10,7 +10,7 @@ from wlr_render.jobs.headset import open_channels
 from wlr_render.jobs.render import Options
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.painters import WarpedPainter
-from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.srgb import decode_srgb
 
@@ -78,9 +78,9 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
 @pytest.mark.parametrize("maps", [None, "tiff"])
 def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, maps):
     render_sequence.run(replace(colourful, per_colour=True, maps=maps))
-    channels, rasteriser = open_channels(colourful.headset), open_rasteriser(load_scene(colourful.scene), "cpu")
+    channels, raster_backend = open_channels(colourful.headset), open_raster_backend(load_scene(colourful.scene), "cpu")
     drawn = read_png(colourful.out / "right-000000.png")
-    painter = WarpedPainter(channels, rasteriser)
+    painter = WarpedPainter(channels, raster_backend)
     frame = painter.paint(channels[0].eye_box.centre, np.eye(4), with_geometry=True)
     np.testing.assert_array_equal(drawn, frame.colour)
     assert (drawn[..., 0] != drawn[..., 2]).any()

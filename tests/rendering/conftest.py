@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status
+from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class CurvedImage:
         point = np.stack([x * (1 + 2 * y * y), y * (1 + x), -0.5 + 0.6 * (x * x + y * y)], axis=-1)
         view_dir = directions.normalised(point - viewpoint)
         status = np.where(np.linalg.norm(pixel[0] - self.panel.size_px / 2, axis=-1) < self.hole_px, Status.MISS, 0)
-        return Mapped(np.where(status[..., None], np.nan, view_dir), status.astype(np.uint8))
+        return QueryResult(np.where(status[..., None], np.nan, view_dir), status.astype(np.uint8))
 
     def pixel_of_view_dir(self, view_dir, viewpoint, warm_start=None):
         raise NotImplementedError
@@ -40,7 +40,7 @@ class LateralOffset:
         offset = np.concatenate([self.offset_m * tangents, 0 * tangents[..., :1]], axis=-1)
         bent = directions.dir_of_tangents(tangents + [self.prism, 0.0])
         status = np.where(np.isfinite(tangents).all(-1), Status.OK, Status.MISS).astype(np.uint8)
-        return Mapped(rays.pack(viewpoint + offset, bent), status)
+        return QueryResult(rays.pack(viewpoint + offset, bent), status)
 
     def view_dir_of_real_point(self, point, viewpoint, warm_start=None):
         raise NotImplementedError

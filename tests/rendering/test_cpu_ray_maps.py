@@ -5,32 +5,32 @@ import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import Mapped, Status
+from wlr_render.mappings import QueryResult, Status
 from wlr_render.rendering import ray_map
-from wlr_render.rendering.cpu_ray_maps import CpuNodes, CpuSolve
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
 def small_picture(eye):
-    return Lattice.of_pixels(eye.display.panel, (18, 20))
+    return WarpGrid.of_pixels(eye.display.panel, (18, 20))
 
 
 def test_one_pixel_each_is_the_exact_field(toy_headset_with_hole):
     panel, axes = toy_headset_with_hole.display.panel, ray_map.middle_axes(toy_headset_with_hole)
     viewpoint = toy_headset_with_hole.eye_box.at(np.array([0.4, -0.2, 0.9]))
-    solve = CpuSolve(toy_headset_with_hole, Lattice.of_pixels(panel), axes)
-    exact = ray_map.exact_field(toy_headset_with_hole, viewpoint, axes)
+    solve = CpuPixelSolver(toy_headset_with_hole, WarpGrid.of_pixels(panel), axes)
+    exact = ray_map.solve_every_pixel(toy_headset_with_hole, viewpoint, axes)
     field = solve.solve(viewpoint).read()
-    np.testing.assert_array_equal(field.bend, exact.bend)
+    np.testing.assert_array_equal(field.slope_offset, exact.slope_offset)
     np.testing.assert_array_equal(field.status, exact.status)
 
 
-def solve_each(eye, lattice):
-    return CpuSolve(eye, lattice, np.eye(3))
+def solve_each(eye, warp_grid):
+    return CpuPixelSolver(eye, warp_grid, np.eye(3))
 
 
-def solve_nodes(eye, lattice):
-    return CpuNodes(eye, ray_map.FieldPlan.to_lattice(lattice, 7, np.eye(3)))
+def solve_nodes(eye, warp_grid):
+    return CpuNodeSolver(eye, ray_map.RayMapPlan.onto_grid(warp_grid, 7, np.eye(3)))
 
 
 @pytest.mark.parametrize("prepare", [solve_each, solve_nodes])
@@ -40,9 +40,9 @@ def test_a_warm_start_changes_nothing(prepare):
     cold = solve.solve(viewpoint).read()
     solve.solve(viewpoint + [1e-3, 0, 0])
     warm = solve.solve(viewpoint).read()
-    np.testing.assert_allclose(warm.bend, cold.bend, atol=1e-9)
+    np.testing.assert_allclose(warm.slope_offset, cold.slope_offset, atol=1e-9)
     solve.forget()
-    np.testing.assert_array_equal(solve.solve(viewpoint).read().bend, cold.bend)
+    np.testing.assert_array_equal(solve.solve(viewpoint).read().slope_offset, cold.slope_offset)
 
 
 def test_a_pixel_whose_solve_fails_says_so(toy_headset):
@@ -50,12 +50,12 @@ def test_a_pixel_whose_solve_fails_says_so(toy_headset):
         panel = toy_headset.display.panel
 
         def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
-            return Mapped(np.full((*pixel.shape[:-1], 3), np.nan), np.full(pixel.shape[:-1], 2, np.uint8))
+            return QueryResult(np.full((*pixel.shape[:-1], 3), np.nan), np.full(pixel.shape[:-1], 2, np.uint8))
 
     eye = dataclasses.replace(toy_headset, display=Unsolved())
-    field = CpuSolve(eye, small_picture(eye), np.eye(3)).solve(eye.eye_box.centre).read()
+    field = CpuPixelSolver(eye, small_picture(eye), np.eye(3)).solve(eye.eye_box.centre).read()
     assert (field.status == Status.NOT_CONVERGED).all()
-    assert np.isnan(field.bend).all()
+    assert np.isnan(field.slope_offset).all()
 
 
 @pytest.mark.parametrize("prepare", [solve_each, solve_nodes])
@@ -76,8 +76,8 @@ def test_nodes_are_asked_with_the_last_solution_and_give_the_field_of_their_plan
             return dataclasses.replace(mapped, warm_start=mapped.value)
 
     eye = dataclasses.replace(toy_headset, display=Recorded())
-    plan = ray_map.FieldPlan.to_lattice(small_picture(eye), 7, np.eye(3))
-    nodes, viewpoint = CpuNodes(eye, plan), eye.eye_box.centre
+    plan = ray_map.RayMapPlan.onto_grid(small_picture(eye), 7, np.eye(3))
+    nodes, viewpoint = CpuNodeSolver(eye, plan), eye.eye_box.centre
     first = nodes.solve(viewpoint).read()
     nodes.solve(viewpoint)
     nodes.forget()
@@ -85,4 +85,4 @@ def test_nodes_are_asked_with_the_last_solution_and_give_the_field_of_their_plan
     assert starts[0] is None
     assert starts[2] is None
     np.testing.assert_array_equal(starts[1], eye.display.view_dir_of_pixel(plan.node_pixel, viewpoint).value)
-    np.testing.assert_array_equal(first.bend, ray_map.ray_field(toy_headset, viewpoint, plan).bend)
+    np.testing.assert_array_equal(first.slope_offset, ray_map.ray_map(toy_headset, viewpoint, plan).slope_offset)

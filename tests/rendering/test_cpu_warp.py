@@ -8,7 +8,7 @@ from wlr_render.rendering import cpu_warp
 from wlr_render.rendering.cpu_warp import inverse_depth_at, warp_on_cpu
 from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.raster_backends import CpuRaster
+from wlr_render.rendering.raster_backends import EmbreeRaster
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warp import WarpStatus
@@ -34,53 +34,53 @@ def flat_image(inverse_depth, colour=None):
     return GeometryImage(np.zeros((*shape, 3), np.uint8) if colour is None else colour, depth)
 
 
-def source_at(bend, inverse_depth):
+def source_at(slope_offset, inverse_depth):
     """Where points of the rays at known inverse depths appear, (height, width, 2), in float64."""
-    a, b, c, d = bend.astype(float)
+    a, b, c, d = slope_offset.astype(float)
     return CAMERA.pixel_of_tangents(np.stack([a + c * inverse_depth, b + d * inverse_depth], axis=-1))
 
 
 @pytest.mark.parametrize("depth", [0.3, 2.0])
 def test_a_frontal_plane_at_known_depth(depth):
-    bend = bend_over()
-    warped = warp_on_cpu(flat_image(1 / depth), CAMERA, [bend])
+    slope_offset = bend_over()
+    warped = warp_on_cpu(flat_image(1 / depth), CAMERA, [slope_offset])
     assert (warped.status == WarpStatus.SEEN).all()
-    np.testing.assert_allclose(warped.source, source_at(bend, 1 / depth), atol=1e-4)
+    np.testing.assert_allclose(warped.source, source_at(slope_offset, 1 / depth), atol=1e-4)
 
 
 def test_a_tilted_plane_at_known_depth():
     # In front of the viewpoint the plane n . p = 1 has inverse depth n . (tx, ty, -1) in every direction.
     normal = np.array([0.5, -0.3, -0.8])
-    bend = bend_over()
-    warped = warp_on_cpu(flat_image(CAMERA.pixel_centre_tangents() @ normal[:2] - normal[2]), CAMERA, [bend])
-    a, b, c, d = bend.astype(float)
+    slope_offset = bend_over()
+    warped = warp_on_cpu(flat_image(CAMERA.pixel_centre_tangents() @ normal[:2] - normal[2]), CAMERA, [slope_offset])
+    a, b, c, d = slope_offset.astype(float)
     expected = (normal[0] * a + normal[1] * b - normal[2]) / (1 - normal[0] * c - normal[1] * d)
     assert (warped.status == WarpStatus.SEEN).all()
-    np.testing.assert_allclose(warped.source, source_at(bend, expected), atol=1e-3)
+    np.testing.assert_allclose(warped.source, source_at(slope_offset, expected), atol=1e-3)
 
 
 def test_straight_rays_through_pixel_centres_change_no_bit():
     colour = np.random.default_rng(0).integers(0, 256, (CAMERA.height_px, CAMERA.width_px, 3)).astype(np.uint8)
     tangents = CAMERA.pixel_centre_tangents()
-    bend = np.concatenate([tangents, 0 * tangents], axis=-1).transpose(2, 0, 1).astype(np.float32)
-    warped = warp_on_cpu(flat_image(0.7, colour), CAMERA, [bend])
+    slope_offset = np.concatenate([tangents, 0 * tangents], axis=-1).transpose(2, 0, 1).astype(np.float32)
+    warped = warp_on_cpu(flat_image(0.7, colour), CAMERA, [slope_offset])
     # Float32 puts centres off by 1e-5 px, worth no code but at a tie.
     assert np.abs(warped.colour.astype(int) - colour).max() <= 1
     assert (warped.colour == colour).mean() > 0.99
 
 
 def test_the_background_is_met_where_the_tangents_point():
-    bend = bend_over()
-    warped = warp_on_cpu(flat_image(0.0), CAMERA, [bend])
-    np.testing.assert_allclose(warped.source, source_at(bend, 0.0), atol=1e-4)
+    slope_offset = bend_over()
+    warped = warp_on_cpu(flat_image(0.0), CAMERA, [slope_offset])
+    np.testing.assert_allclose(warped.source, source_at(slope_offset, 0.0), atol=1e-4)
 
 
 def test_pixels_without_a_ray_and_rays_that_lead_outside():
-    bend = bend_over()
-    bend[:, 4:8, 5:9] = np.nan
-    bend[0, 20:25] = 3.0
-    warped = warp_on_cpu(flat_image(1.0), CAMERA, [bend], background=(9, 8, 7))
-    expected = np.full(bend.shape[1:], WarpStatus.SEEN)
+    slope_offset = bend_over()
+    slope_offset[:, 4:8, 5:9] = np.nan
+    slope_offset[0, 20:25] = 3.0
+    warped = warp_on_cpu(flat_image(1.0), CAMERA, [slope_offset], background=(9, 8, 7))
+    expected = np.full(slope_offset.shape[1:], WarpStatus.SEEN)
     expected[4:8, 5:9] = WarpStatus.NO_RAY
     expected[20:25] = WarpStatus.OUTSIDE
     np.testing.assert_array_equal(warped.status, expected)
@@ -96,22 +96,22 @@ def step_image():
 
 
 def test_at_an_edge_the_near_surface_hides_and_the_uncovered_shows_the_far_one():
-    bend = bend_over(offset=(-OFFSET, 0.0))
-    warped = warp_on_cpu(step_image(), CAMERA, [bend])
-    on_near, on_far = source_at(bend, 2.0)[..., 0] < 100, source_at(bend, 0.5)[..., 0] > 100
+    slope_offset = bend_over(offset=(-OFFSET, 0.0))
+    warped = warp_on_cpu(step_image(), CAMERA, [slope_offset])
+    on_near, on_far = source_at(slope_offset, 2.0)[..., 0] < 100, source_at(slope_offset, 0.5)[..., 0] > 100
     both = on_near & on_far
     assert both.any()
-    expected = np.where(on_near[..., None], source_at(bend, 2.0), source_at(bend, 0.5))
+    expected = np.where(on_near[..., None], source_at(slope_offset, 2.0), source_at(slope_offset, 0.5))
     np.testing.assert_allclose(warped.source, expected, atol=1e-3)
     assert (warped.status == WarpStatus.SEEN).all()
     # From the other side the rays pass the near edge, and meet what the image does not show.
-    bend = bend_over(offset=(OFFSET, 0.0))
-    warped = warp_on_cpu(step_image(), CAMERA, [bend])
-    hidden = (source_at(bend, 2.0)[..., 0] > 100.01) & (source_at(bend, 0.5)[..., 0] < 99.99)
+    slope_offset = bend_over(offset=(OFFSET, 0.0))
+    warped = warp_on_cpu(step_image(), CAMERA, [slope_offset])
+    hidden = (source_at(slope_offset, 2.0)[..., 0] > 100.01) & (source_at(slope_offset, 0.5)[..., 0] < 99.99)
     assert hidden.any()
     np.testing.assert_array_equal(warped.status == WarpStatus.DISOCCLUDED, hidden)
     # What stands in is the far surface.
-    np.testing.assert_allclose(warped.source[hidden], source_at(bend, 2.0)[hidden], atol=1e-3)
+    np.testing.assert_allclose(warped.source[hidden], source_at(slope_offset, 2.0)[hidden], atol=1e-3)
     assert (warped.colour[hidden][:, 2] > warped.colour[hidden][:, 0]).all()
 
 
@@ -127,11 +127,11 @@ def test_inverse_depth_is_not_mixed_across_an_edge():
 
 
 def test_blocks_and_threads_change_no_bit(monkeypatch):
-    bend = bend_over()
-    bend[:, 3, 5] = np.nan
-    whole = warp_on_cpu(step_image(), CAMERA, [bend])
+    slope_offset = bend_over()
+    slope_offset[:, 3, 5] = np.nan
+    whole = warp_on_cpu(step_image(), CAMERA, [slope_offset])
     monkeypatch.setattr(cpu_warp, "_PIXELS_PER_BLOCK", 100)
-    cut = warp_on_cpu(step_image(), CAMERA, [bend])
+    cut = warp_on_cpu(step_image(), CAMERA, [slope_offset])
     for name in ("colour", "status", "source"):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name), err_msg=name)
 
@@ -141,11 +141,11 @@ def test_it_warps_as_opengl_does(gl_context):
     wall = quad((-3, -3), (3, 3), texture=TEXTURE)
     box = at(0.1, 0.0, -1.5, transforms.rotation_about("y", 0.6) @ transforms.rotation_about("x", 0.4))
     scene = lit((wall, at(0, 0, -3)), (cube(0.5), box))
-    bend = bend_over()
-    bend[:, 10:14, 30:50] = np.nan
+    slope_offset = bend_over()
+    slope_offset[:, 10:14, 30:50] = np.nan
     image = GlRaster(gl_context, scene).draw_on_gpu(view(CAMERA))
-    theirs = GlWarp(gl_context).warp(image, bend, with_source=True)
-    ours = warp_on_cpu(image.read(), CAMERA, [bend])
+    theirs = GlWarp(gl_context).warp(image, slope_offset, with_source=True)
+    ours = warp_on_cpu(image.read(), CAMERA, [slope_offset])
     same = ours.status == theirs.status
     assert same.mean() > 0.999
     assert {int(WarpStatus.SEEN), int(WarpStatus.DISOCCLUDED), int(WarpStatus.NO_RAY)} <= set(ours.status[same])
@@ -159,9 +159,9 @@ def test_it_warps_as_opengl_does(gl_context):
 
 def test_raster_and_warp_give_the_traced_picture_of_a_plane():
     scene = unlit((quad((-3, -3), (3, 3), texture=TEXTURE), at(0, 0, -2)))
-    bend = bend_over()
-    warped = warp_on_cpu(CpuRaster(scene).draw(view(CAMERA)), CAMERA, [bend])
-    a, b, c, d = bend
+    slope_offset = bend_over()
+    warped = warp_on_cpu(EmbreeRaster(scene).draw(view(CAMERA)), CAMERA, [slope_offset])
+    a, b, c, d = slope_offset
     origin = np.stack([c, d, 0 * c], axis=-1)
     direction = np.stack([a, b, -np.ones_like(a)], axis=-1)
     traced = RayRenderer(scene).render_rays(origin, direction)

@@ -9,7 +9,7 @@ from gl_scenes import at, lit, unlit
 from wlr_render.files import read_toml, resource
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import Mapped, Panel, Status
+from wlr_render.mappings import Panel, QueryResult, Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.painters import TracedPainter
@@ -131,4 +131,4 @@ def test_where_the_eye_sees_no_world_it_is_dark(toy_headset):
 class _Unseen:
     def pixel_of_view_dir(self, view_dir, viewpoint, warm_start=None):
         shape = view_dir.shape[:-1]
-        return Mapped(np.full((*shape, 2), np.nan), np.full(shape, Status.CLIPPED, np.uint8))
+        return QueryResult(np.full((*shape, 2), np.nan), np.full(shape, Status.CLIPPED, np.uint8))

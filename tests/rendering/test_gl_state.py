@@ -10,10 +10,10 @@ from gl_caller import assert_same, run
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 from wlr_render.rendering.gl_warp import GlWarp
 from wlr_render.rendering.native_contexts import OsMesaContext
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
 
@@ -57,11 +57,13 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller):
     GlWarp(context).warp(picture, np.zeros((4, 6, 7), np.float32))
     assert_same(caller.state(), before)
     eye = fitted_eye("northstar", 3)
-    field = GlSolve(context, eye, Lattice.of_pixels(eye.display.panel, (8, 9)), np.eye(3)).solve(eye.eye_box.centre)
+    field = GlPlanarSolver(context, eye, WarpGrid.of_pixels(eye.display.panel, (8, 9)), np.eye(3)).solve(
+        eye.eye_box.centre
+    )
     assert_same(caller.state(), before)
     field.read()
     assert_same(caller.state(), before)
-    with context.drawing(by_others=True) as ctx, context.drawing():
+    with context.drawing(third_party=True) as ctx, context.drawing():
         ctx.enable(moderngl.BLEND)
         ctx.blend_func, ctx.blend_equation = (moderngl.ONE, moderngl.ONE), moderngl.MAX
         ctx.front_face, ctx.cull_face, ctx.point_size, ctx.depth_func = "ccw", "back", 2.0, "<"

@@ -63,8 +63,8 @@ def two_walls(gl_context, offset_c):
     near = quad((-9, -9), (edge, 9), base_colour=red)
     far = quad((-9, -9), (9, 9), base_colour=blue)
     image = GlRaster(gl_context, unlit((near, at(0, 0, -1)), (far, at(0, 0, -4)))).draw_on_gpu(view(CAMERA))
-    bend = bend_field(CAMERA.pixel_centre_tangents(), (offset_c, 0.0))
-    return GlWarp(gl_context).warp(image, bend, with_source=True), CAMERA.focal_px[0] * offset_c
+    slope_offset = bend_field(CAMERA.pixel_centre_tangents(), (offset_c, 0.0))
+    return GlWarp(gl_context).warp(image, slope_offset, with_source=True), CAMERA.focal_px[0] * offset_c
 
 
 def test_where_two_surfaces_fit_the_near_one_hides_the_far_one(gl_context):
@@ -103,10 +103,10 @@ def test_background_is_met_at_infinity(gl_context):
 
 
 def test_pixels_without_a_ray_or_beyond_the_picture_show_the_background(gl_context, busy_picture):
-    bend = straight()
-    bend[2, 10:20, 30:40] = np.nan
-    bend[0, 50] += 2.0
-    warped = GlWarp(gl_context).warp(busy_picture, bend, background=(1, 2, 3), with_source=True)
+    slope_offset = straight()
+    slope_offset[2, 10:20, 30:40] = np.nan
+    slope_offset[0, 50] += 2.0
+    warped = GlWarp(gl_context).warp(busy_picture, slope_offset, background=(1, 2, 3), with_source=True)
     expected = np.full((80, 96), WarpStatus.SEEN)
     expected[10:20, 30:40], expected[50] = WarpStatus.NO_RAY, WarpStatus.OUTSIDE
     np.testing.assert_array_equal(warped.status, expected)
@@ -118,8 +118,8 @@ def test_pixels_without_a_ray_or_beyond_the_picture_show_the_background(gl_conte
 def test_colour_between_pixels_is_bilinear_in_code_values(gl_context, busy_picture):
     picture = busy_picture.read().colour.astype(float)
     step = 1 / CAMERA.focal_px
-    bend = bend_field(CAMERA.pixel_centre_tangents() + [0.25 * step[0], -0.5 * step[1]])
-    warped = GlWarp(gl_context).warp(busy_picture, bend)
+    slope_offset = bend_field(CAMERA.pixel_centre_tangents() + [0.25 * step[0], -0.5 * step[1]])
+    warped = GlWarp(gl_context).warp(busy_picture, slope_offset)
     across = 0.75 * picture[:, :-1] + 0.25 * picture[:, 1:]
     expected = 0.5 * across[:-1] + 0.5 * across[1:]
     np.testing.assert_allclose(warped.colour[:-1, :-1], expected, atol=0.51)
@@ -140,10 +140,10 @@ def test_every_status_has_a_sentence():
 
 
 def test_the_cpu_path_finds_the_same_sources(gl_context, busy_picture):
-    bend = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
-    bend[:, 3:9, 5:8] = np.nan
-    fast = GlWarp(gl_context).warp(busy_picture, bend, background=(9, 8, 7), with_source=True)
-    slow = warp_on_cpu(busy_picture.read(), CAMERA, [bend], background=(9, 8, 7))
+    slope_offset = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
+    slope_offset[:, 3:9, 5:8] = np.nan
+    fast = GlWarp(gl_context).warp(busy_picture, slope_offset, background=(9, 8, 7), with_source=True)
+    slow = warp_on_cpu(busy_picture.read(), CAMERA, [slope_offset], background=(9, 8, 7))
     same = fast.status == slow.status
     assert same.mean() > 0.995
     found = same & (fast.status == WarpStatus.SEEN)

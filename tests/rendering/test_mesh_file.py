@@ -10,7 +10,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering.mesh_file import load_meshes, save_glb
-from wlr_render.rendering.scene import Instance, Light, Mesh, Scene, world_positions
+from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_positions
 from wlr_render.rendering.shapes import construction, objects
 from wlr_render.rendering.shapes.construction import turn
 
@@ -103,8 +103,8 @@ def scene():
         (board, objects.mug()),
         (Instance("one", 0, np.eye(4)), Instance("two", 0, matrix), Instance("cup", 1, shifted)),
         (
-            Light("point", np.array([0.1, 0.5, -0.3]), np.array([2.0, 1.0, 0.5], np.float32)),
-            Light("directional", np.array([0.48, -0.8, -0.36]), np.array([0.3, 0.6, 0.9], np.float32)),
+            LightSource("point", np.array([0.1, 0.5, -0.3]), np.array([2.0, 1.0, 0.5], np.float32)),
+            LightSource("directional", np.array([0.48, -0.8, -0.36]), np.array([0.3, 0.6, 0.9], np.float32)),
         ),
     )
 

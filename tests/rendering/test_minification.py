@@ -3,46 +3,48 @@ import pytest
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
-from wlr_render.rendering.raster_camera import MAX_TAPS, SPACING_PX, largest_shrink, taps_for
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.raster_camera import MAX_SAMPLES, SPACING_PX, largest_minification, samples_for
+from wlr_render.rendering.warp_grid import WarpGrid
 
 CAMERA = Pinhole(300, 200, np.array([-0.6, -0.4]), np.array([0.6, 0.4]))
 PANEL = Panel(100, 80)
 
 
-def bend_of(matrix, lattice, size_px):
+def bend_of(matrix, warp_grid, size_px):
     """Rays whose place at infinity is `matrix` times the pixel of a picture of this size."""
-    pixel = lattice.panel_pixel() * size_px / PANEL.size_px
+    pixel = warp_grid.panel_pixel() * size_px / PANEL.size_px
     tangents = CAMERA.tangents_of_pixel(pixel @ np.asarray(matrix).T + [20.0, 10.0])
     return np.concatenate([tangents, 0 * tangents], axis=-1).transpose(2, 0, 1).astype(np.float32)
 
 
 @pytest.mark.parametrize("size_px", [(100, 80), (50, 40), (200, 80)])
 @pytest.mark.parametrize("matrix", [[[1.3, 0], [0, 0.9]], [[0.2, 0.7], [-1.1, 0.3]]])
-@pytest.mark.parametrize("lattice", [Lattice.of_pixels(PANEL), Lattice.edge_to_edge(PANEL, 13, 7)])
-def test_the_shrink_of_an_affine_map_is_its_largest_singular_value(matrix, lattice, size_px):
+@pytest.mark.parametrize("warp_grid", [WarpGrid.of_pixels(PANEL), WarpGrid.edge_to_edge(PANEL, 13, 7)])
+def test_the_shrink_of_an_affine_map_is_its_largest_singular_value(matrix, warp_grid, size_px):
     expected = np.linalg.svd(matrix, compute_uv=False)[0]
-    assert largest_shrink(bend_of(matrix, lattice, size_px), lattice, CAMERA, size_px) == pytest.approx(expected, 1e-4)
+    assert largest_minification(bend_of(matrix, warp_grid, size_px), warp_grid, CAMERA, size_px) == pytest.approx(
+        expected, 1e-4
+    )
 
 
 def test_the_place_where_the_map_shrinks_most_counts_and_holes_do_not():
-    lattice = Lattice.of_pixels(PANEL)
-    bend = bend_of(np.eye(2), lattice, (100, 80))
-    bend[0, :, 60:] += 0.8 / CAMERA.focal_px[0] * np.arange(40)
-    bend[:, 10:20, 10:20] = np.nan
-    assert largest_shrink(bend, lattice, CAMERA, (100, 80)) == pytest.approx(1.8, 1e-3)
+    warp_grid = WarpGrid.of_pixels(PANEL)
+    slope_offset = bend_of(np.eye(2), warp_grid, (100, 80))
+    slope_offset[0, :, 60:] += 0.8 / CAMERA.focal_px[0] * np.arange(40)
+    slope_offset[:, 10:20, 10:20] = np.nan
+    assert largest_minification(slope_offset, warp_grid, CAMERA, (100, 80)) == pytest.approx(1.8, 1e-3)
 
 
 def test_where_no_ray_is_known_nothing_shrinks():
-    lattice = Lattice.of_pixels(PANEL)
-    assert largest_shrink(np.full((4, 80, 100), np.nan, np.float32), lattice, CAMERA, (100, 80)) == 0.0
-    assert taps_for(0.0) == 1
+    warp_grid = WarpGrid.of_pixels(PANEL)
+    assert largest_minification(np.full((4, 80, 100), np.nan, np.float32), warp_grid, CAMERA, (100, 80)) == 0.0
+    assert samples_for(0.0) == 1
 
 
 def test_taps_leave_no_gap_between_samples():
-    shrink = np.linspace(0.1, MAX_TAPS * SPACING_PX, 200)
-    taps = np.array([taps_for(x) for x in shrink])
-    assert (shrink / taps <= SPACING_PX + 1e-9).all()
-    assert (taps[shrink <= SPACING_PX] == 1).all()
-    assert (np.diff(taps) >= 0).all()
-    assert taps_for(100.0) == MAX_TAPS
+    minification = np.linspace(0.1, MAX_SAMPLES * SPACING_PX, 200)
+    samples_per_axis = np.array([samples_for(x) for x in minification])
+    assert (minification / samples_per_axis <= SPACING_PX + 1e-9).all()
+    assert (samples_per_axis[minification <= SPACING_PX] == 1).all()
+    assert (np.diff(samples_per_axis) >= 0).all()
+    assert samples_for(100.0) == MAX_SAMPLES

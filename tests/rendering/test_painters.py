@@ -10,7 +10,7 @@ from wlr_render.errors import MissingGlError
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import Mapped, Panel, Status
+from wlr_render.mappings import Panel, QueryResult, Status
 from wlr_render.rendering import cpu_warp, raster_backends
 from wlr_render.rendering.painters import (
     MeshWarpedPainter,
@@ -19,11 +19,11 @@ from wlr_render.rendering.painters import (
     position_of_source,
     source_of_position,
 )
-from wlr_render.rendering.raster_backends import open_rasteriser
-from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_field
+from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import remap
-from wlr_render.rendering.scene import Light
+from wlr_render.rendering.scene import LightSource
 from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.rendering.view import View
@@ -44,10 +44,10 @@ def painter_of(way, headset, scene):
     renderer = RayRenderer(scene)
     if way == "traced":
         return TracedPainter(headset, renderer)
-    rasteriser = open_rasteriser(scene, "cpu")
+    raster_backend = open_raster_backend(scene, "cpu")
     if way == "mesh":
-        return MeshWarpedPainter(headset, rasteriser, renderer)
-    return WarpedPainter(headset, rasteriser, resolution=2.0 if way == "double" else 1.0)
+        return MeshWarpedPainter(headset, raster_backend, renderer)
+    return WarpedPainter(headset, raster_backend, resolution=2.0 if way == "double" else 1.0)
 
 
 def off_edges(position):
@@ -120,13 +120,13 @@ def test_nothing_has_no_position():
 def test_one_camera_covers_every_viewpoint_of_the_eye_box(toy_headset, depth):
     # Pixels so small that the box's corners look several of them beyond what its centre sees.
     headset = replace(toy_headset, display=replace(toy_headset.display, panel=Panel(384, 320)))
-    rasteriser = open_rasteriser(unlit((quad((-9, -9), (9, 9)), at(0, 0, -depth))), "cpu")
-    painter = WarpedPainter(headset, rasteriser)
+    raster_backend = open_raster_backend(unlit((quad((-9, -9), (9, 9)), at(0, 0, -depth))), "cpu")
+    painter = WarpedPainter(headset, raster_backend)
     plan = choose_plan(headset)
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, 8).T
     inside = np.random.default_rng(4).uniform(-1, 1, (3, 3))
     for viewpoint in headset.eye_box.at(np.concatenate([corners, inside])):
-        warped = rasteriser.draw_warped(painter.view(viewpoint, np.eye(4)), [ray_field(headset, viewpoint, plan)])
+        warped = raster_backend.draw_warped(painter.view(viewpoint, np.eye(4)), [ray_map(headset, viewpoint, plan)])
         assert (warped.image.status == WarpStatus.SEEN).all()
 
 
@@ -137,7 +137,7 @@ def test_a_picture_drawn_from_where_the_rays_come_hides_less_of_what_they_meet(t
     traced = TracedPainter(headset, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
     hidden = []
     for at_viewpoint in (True, False):
-        painter = WarpedPainter(headset, open_rasteriser(scene, "cpu"), at_viewpoint=at_viewpoint)
+        painter = WarpedPainter(headset, open_raster_backend(scene, "cpu"), at_viewpoint=at_viewpoint)
         drawn_from = painter.view(viewpoint, HEAD_POSE).viewpoint_in_world
         hidden.append(disoccluded(renderer.tracer, drawn_from, traced.field, HEAD_POSE, traced.position).sum())
     # The plate offsets rays in proportion to their tangents, which is a shift of the eye but for its small prism.
@@ -147,7 +147,7 @@ def test_a_picture_drawn_from_where_the_rays_come_hides_less_of_what_they_meet(t
 
 @pytest.fixture
 def dispersive_headset(toy_headset):
-    """Three colours of the toy, whose prism bends blue 4.6 degrees farther than red."""
+    """Three colours of the toy, whose prism rays blue 4.6 degrees farther than red."""
     return [
         replace(toy_headset, see_through=replace(toy_headset.see_through, prism=prism)) for prism in (0.0, 0.03, 0.08)
     ]
@@ -155,11 +155,11 @@ def dispersive_headset(toy_headset):
 
 def test_the_colours_of_an_eye_share_an_intermediate_image_that_covers_all(dispersive_headset):
     scene, viewpoint = ball_before_wall(), dispersive_headset[0].eye_box.at(OFF_CENTRE)
-    rasteriser = open_rasteriser(scene, "cpu")
-    frame = WarpedPainter(dispersive_headset, rasteriser).paint(viewpoint, HEAD_POSE)
+    raster_backend = open_raster_backend(scene, "cpu")
+    frame = WarpedPainter(dispersive_headset, raster_backend).paint(viewpoint, HEAD_POSE)
     assert not (frame.warp_status == WarpStatus.OUTSIDE).any()
-    for_red_only = WarpedPainter(dispersive_headset[0], rasteriser).view(viewpoint, HEAD_POSE)
-    blue = rasteriser.draw_warped(for_red_only, frame.fields[2:])
+    for_red_only = WarpedPainter(dispersive_headset[0], raster_backend).view(viewpoint, HEAD_POSE)
+    blue = raster_backend.draw_warped(for_red_only, frame.fields[2:])
     assert (blue.image.status == WarpStatus.OUTSIDE).any()
 
 
@@ -182,12 +182,12 @@ class Shifted:
 def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headset, backend):
     """Against one image and one warp of all colours for each channel, in the channel's own camera frame."""
     try:
-        rasteriser = open_rasteriser(ball_before_wall(), backend)
+        raster_backend = open_raster_backend(ball_before_wall(), backend)
     except MissingGlError as error:
         pytest.skip(str(error))
     viewpoint = dispersive_headset[0].eye_box.at(OFF_CENTRE)
     colours = [replace(each, display=Shifted(each.display, 2.0 * k)) for k, each in enumerate(dispersive_headset)]
-    painter = WarpedPainter(colours, rasteriser)
+    painter = WarpedPainter(colours, raster_backend)
     view = painter.view(viewpoint, HEAD_POSE)
     frame, full = (painter.paint(viewpoint, HEAD_POSE, with_geometry=flag) for flag in (False, True))
     np.testing.assert_array_equal(frame.colour, full.colour)
@@ -195,7 +195,9 @@ def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headse
     statuses = []
     for channel, mappings in enumerate(colours):
         plan = choose_plan(mappings)
-        alone = rasteriser.draw_warped(view, [ray_field(mappings, viewpoint, plan)], painter._taps, with_geometry=True)
+        alone = raster_backend.draw_warped(
+            view, [ray_map(mappings, viewpoint, plan)], painter._taps, with_geometry=True
+        )
         statuses.append(alone.image.status)
         # The camera frames of red and blue differ from green's by a degree, so that float32 rounds elsewhere.
         assert np.allclose(plan.device_from_camera, view.device_from_camera, atol=0.01) == (channel == 1)
@@ -210,10 +212,10 @@ def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headse
 
 def test_an_intermediate_image_is_drawn_once_and_warped_once_for_all_colours(dispersive_headset, monkeypatch):
     calls = []
-    for module, name in ((raster_backends.CpuRaster, "draw"), (cpu_warp, "warp_on_cpu")):
+    for module, name in ((raster_backends.EmbreeRaster, "draw"), (cpu_warp, "warp_on_cpu")):
         inner = getattr(module, name)
         monkeypatch.setattr(module, name, lambda *args, i=inner, n=name: calls.append(n) or i(*args))
-    painter = WarpedPainter(dispersive_headset, open_rasteriser(ball_before_wall(), "cpu"))
+    painter = WarpedPainter(dispersive_headset, open_raster_backend(ball_before_wall(), "cpu"))
     painter.paint(dispersive_headset[0].eye_box.centre, HEAD_POSE)
     assert calls == ["draw", "warp_on_cpu"]
     painter.paint(dispersive_headset[0].eye_box.centre, HEAD_POSE, with_geometry=True)
@@ -239,7 +241,7 @@ def test_each_colour_is_that_of_a_frame_of_its_own(dispersive_headset, way):
 
 @pytest.mark.parametrize("resolution", [1.0, 2.0])
 def test_the_camera_has_square_pixels_as_many_as_asked_for(toy_headset, resolution):
-    painter = WarpedPainter(toy_headset, open_rasteriser(ball_before_wall(), "cpu"), resolution)
+    painter = WarpedPainter(toy_headset, open_raster_backend(ball_before_wall(), "cpu"), resolution)
     camera = painter.view(toy_headset.eye_box.centre, np.eye(4)).camera
     assert camera.focal_px[0] == pytest.approx(camera.focal_px[1])
     # Two pixels of margin to each side.
@@ -280,7 +282,7 @@ def test_moving_head_and_scene_together_changes_nothing(toy_headset, way):
     assert (difference > 1).mean() < 1e-3
 
 
-def _moved(light: Light, moved):
+def _moved(light: LightSource, moved):
     vector = moved[:3, :3] @ light.vector + (moved[:3, 3] if light.kind == "point" else 0)
     return replace(light, vector=vector)
 
@@ -335,7 +337,7 @@ class Remembering:
         if np.shape(pixel)[:-1] == np.shape(warm_start)[:-1] or warm_start is None:
             self.started_with.append(warm_start)
         answer = self.inner.view_dir_of_pixel(pixel, viewpoint)
-        return Mapped(answer.value, answer.status, answer.value[..., :2])
+        return QueryResult(answer.value, answer.status, answer.value[..., :2])
 
 
 @pytest.mark.parametrize("way", ["traced", "plain", "mesh"])

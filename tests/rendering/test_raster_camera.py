@@ -4,7 +4,7 @@ import pytest
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.raster_camera import RasterEye, nearest_point_to_rays
+from wlr_render.rendering.raster_camera import RasterPosition, nearest_point_to_rays
 from wlr_render.rendering.ray_map import middle_axes, solve_pixels
 
 
@@ -12,9 +12,9 @@ def traced(device):
     return traced_eye(load_device(device), "right")
 
 
-def offsets(bend, place):
+def offsets(slope_offset, place):
     """Offsets of rays (4, ...) from a point, across the viewing axis: followed to the point's depth."""
-    a, b, c, d = bend
+    a, b, c, d = slope_offset
     depth = -place[2]
     return np.hypot(c + a * depth - place[0], d + b * depth - place[1])
 
@@ -27,20 +27,20 @@ def rays_through(point, tangents):
 def test_rays_through_one_point_give_that_point():
     point = np.array([0.001, -0.002, -0.003])
     tangents = np.random.default_rng(0).normal(size=(5, 4, 2))
-    bend = rays_through(point, tangents)
-    assert offsets(bend, point).max() < 1e-15
-    np.testing.assert_allclose(nearest_point_to_rays(bend), point, atol=1e-15)
-    bend[:, 2, 1] = np.nan
-    np.testing.assert_allclose(nearest_point_to_rays(bend), point, atol=1e-15)
+    slope_offset = rays_through(point, tangents)
+    assert offsets(slope_offset, point).max() < 1e-15
+    np.testing.assert_allclose(nearest_point_to_rays(slope_offset), point, atol=1e-15)
+    slope_offset[:, 2, 1] = np.nan
+    np.testing.assert_allclose(nearest_point_to_rays(slope_offset), point, atol=1e-15)
 
 
 def test_no_other_point_is_nearer():
     rng = np.random.default_rng(1)
-    bend = rng.normal(size=(4, 30))
-    best = nearest_point_to_rays(bend)
-    least = np.sum(offsets(bend, best) ** 2)
+    slope_offset = rng.normal(size=(4, 30))
+    best = nearest_point_to_rays(slope_offset)
+    least = np.sum(offsets(slope_offset, best) ** 2)
     for step in 1e-3 * np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(6, 3))]):
-        assert np.sum(offsets(bend, best + step) ** 2) > least
+        assert np.sum(offsets(slope_offset, best + step) ** 2) > least
 
 
 def test_parallel_rays_or_none_move_nothing_along_the_axis():
@@ -53,7 +53,7 @@ def test_parallel_rays_or_none_move_nothing_along_the_axis():
 def test_where_nothing_bends_it_is_the_viewpoint(device):
     eye = traced(device)
     viewpoint = eye.eye_box.at(np.array([0.3, -0.8, 0.5]))
-    np.testing.assert_allclose(RasterEye(eye, middle_axes(eye)).at(viewpoint), viewpoint, atol=1e-12)
+    np.testing.assert_allclose(RasterPosition(eye, middle_axes(eye)).at(viewpoint), viewpoint, atol=1e-12)
 
 
 def test_a_plane_plate_brings_the_eye_nearer_by_its_apparent_shift():
@@ -61,9 +61,9 @@ def test_a_plane_plate_brings_the_eye_nearer_by_its_apparent_shift():
     thickness, n = 0.005, 1.5
     viewpoint = eye.eye_box.centre
     narrow = eye.display.panel.size_px * (0.5 + 0.02 * np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]]))
-    bend = solve_pixels(eye, np.eye(3), narrow, viewpoint).bend
+    slope_offset = solve_pixels(eye, np.eye(3), narrow, viewpoint).slope_offset
     np.testing.assert_allclose(
-        nearest_point_to_rays(np.moveaxis(bend, -1, 0)), [0, 0, -thickness * (1 - 1 / n)], atol=1e-6
+        nearest_point_to_rays(np.moveaxis(slope_offset, -1, 0)), [0, 0, -thickness * (1 - 1 / n)], atol=1e-6
     )
 
 
@@ -71,12 +71,14 @@ def test_a_plane_plate_brings_the_eye_nearer_by_its_apparent_shift():
 def test_rays_pass_the_raster_eye_much_nearer_than_the_viewpoint(device):
     eye = traced(device)
     axes = middle_axes(eye)
-    raster_eye = RasterEye(eye, axes)
+    raster_position = RasterPosition(eye, axes)
     for unit in ([0.2, -0.4, 0.1], [0.9, 0.7, -0.8]):
         viewpoint = eye.eye_box.at(np.array(unit))
-        bend = np.moveaxis(solve_pixels(eye, axes, eye.display.panel.grid(20, 20), viewpoint).bend, -1, 0)
-        place = transforms.rotate(axes.T, raster_eye.at(viewpoint) - viewpoint)
-        before, after = (np.nanmean(offsets(bend, each)) for each in (np.zeros(3), place))
+        slope_offset = np.moveaxis(
+            solve_pixels(eye, axes, eye.display.panel.grid(20, 20), viewpoint).slope_offset, -1, 0
+        )
+        place = transforms.rotate(axes.T, raster_position.at(viewpoint) - viewpoint)
+        before, after = (np.nanmean(offsets(slope_offset, each)) for each in (np.zeros(3), place))
         print(f"{device}: mean offset {1e3 * before:.3f} mm at the viewpoint, {1e3 * after:.3f} mm at the raster eye")
         assert after < 0.15 * before
 
@@ -84,27 +86,27 @@ def test_rays_pass_the_raster_eye_much_nearer_than_the_viewpoint(device):
 def test_the_fit_over_the_eye_box_is_the_nearest_point_itself():
     eye = traced("northstar")
     axes = middle_axes(eye)
-    raster_eye, rng = RasterEye(eye, axes), np.random.default_rng(2)
+    raster_position, rng = RasterPosition(eye, axes), np.random.default_rng(2)
     for viewpoint in eye.eye_box.at(rng.uniform(-1, 1, (4, 3))):
-        bend = solve_pixels(eye, axes, eye.display.panel.grid(20, 20), viewpoint).bend
-        nearest = viewpoint + axes @ nearest_point_to_rays(np.moveaxis(bend, -1, 0))
-        np.testing.assert_allclose(raster_eye.at(viewpoint), nearest, atol=5e-6)
+        slope_offset = solve_pixels(eye, axes, eye.display.panel.grid(20, 20), viewpoint).slope_offset
+        nearest = viewpoint + axes @ nearest_point_to_rays(np.moveaxis(slope_offset, -1, 0))
+        np.testing.assert_allclose(raster_position.at(viewpoint), nearest, atol=5e-6)
 
 
 def test_it_never_jumps_and_stays_with_the_eye_outside_the_box(toy_headset):
-    raster_eye, box = RasterEye(toy_headset, np.eye(3)), toy_headset.eye_box
+    raster_position, box = RasterPosition(toy_headset, np.eye(3)), toy_headset.eye_box
     outwards = box.at(np.linspace(0, 3, 301)[:, None] * [1, 0.5, -1])
-    step = np.diff(raster_eye.at(outwards), axis=0)
+    step = np.diff(raster_position.at(outwards), axis=0)
     np.testing.assert_allclose(step, np.diff(outwards, axis=0), atol=2e-6)
     far = box.centre + [1.0, -2.0, 3.0]
-    assert np.linalg.norm(raster_eye.at(far) - far) < 0.005
+    assert np.linalg.norm(raster_position.at(far) - far) < 0.005
 
 
 @pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
 def test_viewpoints_have_any_leading_axes(toy_headset, lead):
-    raster_eye, rng = RasterEye(toy_headset, np.eye(3)), np.random.default_rng(3)
+    raster_position, rng = RasterPosition(toy_headset, np.eye(3)), np.random.default_rng(3)
     viewpoint = toy_headset.eye_box.at(rng.uniform(-1, 1, (*lead, 3)))
-    place = raster_eye.at(viewpoint)
+    place = raster_position.at(viewpoint)
     assert place.shape == (*lead, 3)
     for index in np.ndindex(lead):
-        np.testing.assert_allclose(place[index], raster_eye.at(viewpoint[index]), atol=1e-15)
+        np.testing.assert_allclose(place[index], raster_position.at(viewpoint[index]), atol=1e-15)

@@ -4,30 +4,30 @@ import pytest
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.mappings import Status
 from wlr_render.rendering import ray_map
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
 def test_chosen_nodes_give_the_exact_field_within_tolerance_at_every_pixel(toy_headset):
     plan = ray_map.choose_plan(toy_headset, tolerance_px=0.005)
     viewpoint = toy_headset.eye_box.at(np.array([0.7, -0.9, 0.8]))
-    fast = ray_map.ray_field(toy_headset, viewpoint, plan)
-    exact = ray_map.exact_field(toy_headset, viewpoint, plan.device_from_camera)
-    pixel_size = np.abs(np.diff(exact.bend[0], axis=1)).min()
-    assert np.abs(fast.bend - exact.bend)[:2].max() < 0.01 * pixel_size
-    assert np.abs(fast.bend - exact.bend)[2:].max() / ray_map.NEAREST_M < 0.01 * pixel_size
+    fast = ray_map.ray_map(toy_headset, viewpoint, plan)
+    exact = ray_map.solve_every_pixel(toy_headset, viewpoint, plan.device_from_camera)
+    pixel_size = np.abs(np.diff(exact.slope_offset[0], axis=1)).min()
+    assert np.abs(fast.slope_offset - exact.slope_offset)[:2].max() < 0.01 * pixel_size
+    assert np.abs(fast.slope_offset - exact.slope_offset)[2:].max() / ray_map.NEAREST_M < 0.01 * pixel_size
     assert (fast.status == Status.OK).all()
     # The measured error says so too, and says when there are too few nodes.
     pixel = np.random.default_rng(0).uniform(0.5, 79.5, (40, 2))
-    assert ray_map.field_error_px(toy_headset, viewpoint, plan, pixel).max() < 0.01
-    coarse = ray_map.FieldPlan.with_nodes(toy_headset.display.panel, 4, np.eye(3))
-    assert ray_map.field_error_px(toy_headset, viewpoint, coarse, pixel).max() > 0.02
+    assert ray_map.ray_map_error_px(toy_headset, viewpoint, plan, pixel).max() < 0.01
+    coarse = ray_map.RayMapPlan.with_nodes(toy_headset.display.panel, 4, np.eye(3))
+    assert ray_map.ray_map_error_px(toy_headset, viewpoint, coarse, pixel).max() > 0.02
 
 
 def test_world_rays_are_the_mappings_rays_carried_by_the_head_pose(toy_headset):
     viewpoint = toy_headset.eye_box.at(np.array([0.3, 0.2, -0.5]))
     pose = transforms.rigid(transforms.rotation_about("y", 0.4), np.array([0.1, 1.5, 0.3]))
     plan = ray_map.choose_plan(toy_headset)
-    field = ray_map.ray_field(toy_headset, viewpoint, plan)
+    field = ray_map.ray_map(toy_headset, viewpoint, plan)
     rows = slice(10, 14)
     origin, direction = field.world_rays(pose, rows)
     pixel = toy_headset.display.panel.pixel_centres()[rows].reshape(-1, 2)
@@ -39,26 +39,26 @@ def test_world_rays_are_the_mappings_rays_carried_by_the_head_pose(toy_headset):
 
 
 def test_a_hole_is_solved_pixel_by_pixel_and_keeps_its_status(toy_headset_with_hole):
-    plan = ray_map.FieldPlan.with_nodes(toy_headset_with_hole.display.panel, 41, np.eye(3))
-    field = ray_map.ray_field(toy_headset_with_hole, toy_headset_with_hole.eye_box.centre, plan)
+    plan = ray_map.RayMapPlan.with_nodes(toy_headset_with_hole.display.panel, 41, np.eye(3))
+    field = ray_map.ray_map(toy_headset_with_hole, toy_headset_with_hole.eye_box.centre, plan)
     lost = field.status == Status.MISS
     assert 60 < lost.sum() < 100  # a disc of radius 5
-    assert np.isnan(field.bend[:, lost]).all()
-    assert np.isfinite(field.bend[:, ~lost]).all()
+    assert np.isnan(field.slope_offset[:, lost]).all()
+    assert np.isfinite(field.slope_offset[:, ~lost]).all()
 
 
 def test_subpixel_offset_moves_the_pixel_centres(toy_headset):
     panel = toy_headset.display.panel
-    moved = ray_map.FieldPlan.with_nodes(panel, 17, np.eye(3), np.array([0.25, -0.5]))
+    moved = ray_map.RayMapPlan.with_nodes(panel, 17, np.eye(3), np.array([0.25, -0.5]))
     viewpoint = toy_headset.eye_box.centre
-    field = ray_map.ray_field(toy_headset, viewpoint, moved)
-    exact = ray_map.exact_field(toy_headset, viewpoint, np.eye(3), panel.pixel_centres() + [0.25, -0.5])
-    assert np.abs(field.bend - exact.bend).max() < 1e-6
+    field = ray_map.ray_map(toy_headset, viewpoint, moved)
+    exact = ray_map.solve_every_pixel(toy_headset, viewpoint, np.eye(3), panel.pixel_centres() + [0.25, -0.5])
+    assert np.abs(field.slope_offset - exact.slope_offset).max() < 1e-6
 
 
 @pytest.mark.parametrize("bad", [1, 7])
 def test_status_of_a_node_spreads_to_its_neighbourhood_only(toy_headset, bad):
-    plan = ray_map.FieldPlan.with_nodes(toy_headset.display.panel, 9, np.eye(3))
+    plan = ray_map.RayMapPlan.with_nodes(toy_headset.display.panel, 9, np.eye(3))
     at_nodes = np.zeros((9, 9), np.uint8)
     at_nodes[bad, bad] = Status.OUTSIDE_FIT
     spread = ray_map._spread_status(plan, at_nodes)
@@ -84,7 +84,7 @@ def test_world_rays_do_not_depend_on_the_axes(toy_headset):
     panel = toy_headset.display.panel
     turned = transforms.rotation_about("y", 0.2) @ transforms.rotation_about("x", -0.3)
     fields = [
-        ray_map.ray_field(toy_headset, viewpoint, ray_map.FieldPlan.with_nodes(panel, 21, axes))
+        ray_map.ray_map(toy_headset, viewpoint, ray_map.RayMapPlan.with_nodes(panel, 21, axes))
         for axes in (np.eye(3), turned)
     ]
     (_, first), (_, second) = (field.world_rays(np.eye(4)) for field in fields)
@@ -94,26 +94,26 @@ def test_world_rays_do_not_depend_on_the_axes(toy_headset):
 def test_asked_tangents_reach_the_corner_pixels(toy_headset):
     viewpoint = toy_headset.eye_box.centre
     plan = ray_map.choose_plan(toy_headset)
-    field = ray_map.ray_field(toy_headset, viewpoint, plan)
-    asked = ray_map.asked_tangents(toy_headset, plan.device_from_camera, viewpoint)
+    field = ray_map.ray_map(toy_headset, viewpoint, plan)
+    asked = ray_map.required_tangents(toy_headset, plan.device_from_camera, viewpoint)
     # The interpolated field is float32.
-    assert asked[:, 0].max() >= field.bend[0].max() - 1e-6
-    assert asked[:, 1].min() <= field.bend[1].min() + 1e-6
+    assert asked[:, 0].max() >= field.slope_offset[0].max() - 1e-6
+    assert asked[:, 1].min() <= field.slope_offset[1].min() + 1e-6
 
 
-@pytest.mark.parametrize("make", [Lattice.edge_to_edge, lambda panel, *size: Lattice.of_pixels(panel, size)])
+@pytest.mark.parametrize("make", [WarpGrid.edge_to_edge, lambda panel, *size: WarpGrid.of_pixels(panel, size)])
 def test_nodes_are_carried_to_the_points_of_any_lattice(toy_headset, make):
-    lattice, viewpoint = make(toy_headset.display.panel, 13, 7), toy_headset.eye_box.at(np.array([0.5, 0.1, -0.7]))
-    field = ray_map.ray_field(toy_headset, viewpoint, ray_map.FieldPlan.to_lattice(lattice, 17, np.eye(3)))
-    exact = ray_map.exact_field(toy_headset, viewpoint, np.eye(3), lattice.panel_pixel())
-    np.testing.assert_allclose(field.bend, exact.bend, atol=1e-6)
+    warp_grid, viewpoint = make(toy_headset.display.panel, 13, 7), toy_headset.eye_box.at(np.array([0.5, 0.1, -0.7]))
+    field = ray_map.ray_map(toy_headset, viewpoint, ray_map.RayMapPlan.onto_grid(warp_grid, 17, np.eye(3)))
+    exact = ray_map.solve_every_pixel(toy_headset, viewpoint, np.eye(3), warp_grid.panel_pixel())
+    np.testing.assert_allclose(field.slope_offset, exact.slope_offset, atol=1e-6)
     np.testing.assert_array_equal(field.status, exact.status)
 
 
 def test_around_a_hole_moved_pixel_centres_are_asked_where_they_are(toy_headset_with_hole):
     offset, viewpoint = np.array([0.25, -0.5]), toy_headset_with_hole.eye_box.centre
     panel = toy_headset_with_hole.display.panel
-    plan = ray_map.FieldPlan.with_nodes(panel, 9, np.eye(3), offset)
-    field = ray_map.ray_field(toy_headset_with_hole, viewpoint, plan)
-    exact = ray_map.exact_field(toy_headset_with_hole, viewpoint, np.eye(3), panel.pixel_centres() + offset)
-    np.testing.assert_array_equal(field.bend, exact.bend)
+    plan = ray_map.RayMapPlan.with_nodes(panel, 9, np.eye(3), offset)
+    field = ray_map.ray_map(toy_headset_with_hole, viewpoint, plan)
+    exact = ray_map.solve_every_pixel(toy_headset_with_hole, viewpoint, np.eye(3), panel.pixel_centres() + offset)
+    np.testing.assert_array_equal(field.slope_offset, exact.slope_offset)

@@ -7,7 +7,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import shipped_names
 from wlr_render.geometry import transforms
 from wlr_render.rendering.mesh_file import save_glb
-from wlr_render.rendering.scene import Instance, Light, Scene, world_positions
+from wlr_render.rendering.scene import Instance, LightSource, Scene, world_positions
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.shapes import construction
 
@@ -26,8 +26,8 @@ def scene_of(folder, text):
 def box_glb(tmp_path):
     """A box of 0.1 m at (5, 0, 0) under a lamp 0.5 m above its foot."""
     shifted = transforms.rigid(np.eye(3), np.array([5.0, 0, 0]))
-    lamp = Light("point", np.array([5.0, 0.5, 0]), np.ones(3, np.float32))
-    sun = Light("directional", np.array([0.0, -1, 0]), np.ones(3, np.float32))
+    lamp = LightSource("point", np.array([5.0, 0.5, 0]), np.ones(3, np.float32))
+    sun = LightSource("directional", np.array([0.0, -1, 0]), np.ones(3, np.float32))
     scene = Scene("box", (construction.box(),), (Instance("box", 0, shifted),), (lamp, sun))
     return save_glb(scene, tmp_path / "box.glb")
 

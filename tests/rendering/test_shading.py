@@ -4,7 +4,7 @@ from gl_scenes import at, cube, quad, unlit
 
 from wlr_render.geometry import transforms
 from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.scene import Instance, Light, Mesh, Scene, world_positions
+from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_positions
 from wlr_render.rendering.shading import Surfaces, shade
 from wlr_render.rendering.srgb import decode_srgb
 
@@ -18,7 +18,7 @@ def scene_of(*placed, lights=(), ambient=0.0):
 
 
 def shine(kind, vector, colour=(1.0, 1.0, 1.0)):
-    return Light(kind, np.array(vector, float), np.array(colour, np.float32))
+    return LightSource(kind, np.array(vector, float), np.array(colour, np.float32))
 
 
 def shaded(scene, direction, origin=(0.0, 0.0, 0.0), shadows=False):

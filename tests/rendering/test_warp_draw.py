@@ -11,7 +11,7 @@ from wlr_render.mappings import Panel
 from wlr_render.rendering.gl_warp import GlWarp, WarpTarget
 from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warp import WarpStatus
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
 
@@ -62,32 +62,43 @@ def same_by_both(request, *args, **options):
     return ours
 
 
-@pytest.mark.parametrize("taps", [1, 2])
-def test_rays_told_in_another_frame(request, image, taps):
-    result = same_by_both(request, image, CAMERA, [pixel_bend()], motion(0.15), taps=taps)
+@pytest.mark.parametrize("samples_per_axis", [1, 2])
+def test_rays_told_in_another_frame(request, image, samples_per_axis):
+    result = same_by_both(request, image, CAMERA, [pixel_bend()], motion(0.15), samples_per_axis=samples_per_axis)
     assert {WarpStatus.SEEN, WarpStatus.DISOCCLUDED, WarpStatus.OUTSIDE} <= set(result.status.ravel())
 
 
 def test_each_row_has_its_own_transform(request, image):
-    bend = pixel_bend()
+    slope_offset = pixel_bend()
     by_row = np.stack([motion(0.1 * k / HEIGHT, (0.02 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
-    result = same_by_both(request, image, CAMERA, [bend], by_row)
+    result = same_by_both(request, image, CAMERA, [slope_offset], by_row)
     for row in (0, 31, HEIGHT - 1):
-        alone = warped("cpu", request, image, CAMERA, [bend], by_row[row])
+        alone = warped("cpu", request, image, CAMERA, [slope_offset], by_row[row])
         np.testing.assert_array_equal(result.source[row], alone.source[row])
         np.testing.assert_array_equal(result.colour[row], alone.colour[row])
 
 
-@pytest.mark.parametrize("taps", [1, 2])
-def test_each_colour_follows_its_own_rays(request, image, taps):
-    bends = [pixel_bend(offset) for offset in (0.018, 0.02, 0.025)]
-    bends[0][:, 3, 4] = np.nan
-    result = same_by_both(request, image, CAMERA, bends, motion(0.02), background=(9, 8, 7), taps=taps)
-    for channel, bend in enumerate(bends):
-        alone = warped("gl", request, image, CAMERA, [bend], motion(0.02), background=(9, 8, 7), taps=taps)
+@pytest.mark.parametrize("samples_per_axis", [1, 2])
+def test_each_colour_follows_its_own_rays(request, image, samples_per_axis):
+    slope_offsets = [pixel_bend(offset) for offset in (0.018, 0.02, 0.025)]
+    slope_offsets[0][:, 3, 4] = np.nan
+    result = same_by_both(
+        request, image, CAMERA, slope_offsets, motion(0.02), background=(9, 8, 7), samples_per_axis=samples_per_axis
+    )
+    for channel, slope_offset in enumerate(slope_offsets):
+        alone = warped(
+            "gl",
+            request,
+            image,
+            CAMERA,
+            [slope_offset],
+            motion(0.02),
+            background=(9, 8, 7),
+            samples_per_axis=samples_per_axis,
+        )
         assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.999
         assert (result.status >= alone.status).mean() > 0.999
-    green = warped("cpu", request, image, CAMERA, [bends[1]], motion(0.02))
+    green = warped("cpu", request, image, CAMERA, [slope_offsets[1]], motion(0.02))
     np.testing.assert_array_equal(result.source, green.source)
     assert result.status[3, 4] == WarpStatus.NO_RAY
     assert result.colour[3, 4, 0] == 9
@@ -95,11 +106,11 @@ def test_each_colour_follows_its_own_rays(request, image, taps):
 
 
 def coarse(step_px, columns=21, rows=16):
-    """A lattice from edge to edge of a panel that it samples every `step_px` pixels."""
+    """A warp grid from edge to edge of a panel that it samples every `step_px` pixels."""
     panel = Panel((columns - 1) * step_px, (rows - 1) * step_px)
-    lattice = Lattice.edge_to_edge(panel, columns, rows)
-    u, v = np.moveaxis(lattice.panel_pixel() / panel.size_px, -1, 0)
-    return lattice, smooth_bend(u, v, offset=0.0)
+    warp_grid = WarpGrid.edge_to_edge(panel, columns, rows)
+    u, v = np.moveaxis(warp_grid.panel_pixel() / panel.size_px, -1, 0)
+    return warp_grid, smooth_bend(u, v, offset=0.0)
 
 
 @pytest.mark.parametrize("as_many_pixels_as_points", [False, True])
@@ -110,26 +121,26 @@ def test_between_lattice_points_the_field_is_linear_whatever_reads_it(
     # A GPU's filter has weights of 8 bits; there the shader weighs the points itself.
     monkeypatch.setattr(type(gl_context), "is_software", software)
     step_px = 4
-    lattice, bend = coarse(step_px)
-    panel = lattice.panel
-    size = lattice.size if as_many_pixels_as_points else (panel.width_px, panel.height_px)
-    field = uploaded_field(gl_context, bend, lattice)
+    warp_grid, slope_offset = coarse(step_px)
+    panel = warp_grid.panel
+    size = warp_grid.size if as_many_pixels_as_points else (panel.width_px, panel.height_px)
+    field = uploaded_field(gl_context, slope_offset, warp_grid)
     source = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
     pixel = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1) + 0.5
     place = pixel * (panel.size_px / size) / step_px
     base = place.astype(int)
     weight = (place - base)[..., None, :]
-    corner = [[np.moveaxis(bend[:, base[..., 1] + j, base[..., 0] + i], 0, -1) for i in (0, 1)] for j in (0, 1)]
+    corner = [[np.moveaxis(slope_offset[:, base[..., 1] + j, base[..., 0] + i], 0, -1) for i in (0, 1)] for j in (0, 1)]
     upper, lower = (left + weight[..., 0] * (right - left) for left, right in corner)
     expected = CAMERA.pixel_of_tangents((upper + weight[..., 1] * (lower - upper))[..., :2])
     np.testing.assert_allclose(source.read().source, expected, atol=1e-3)
 
 
 def test_a_hole_at_a_lattice_point_is_a_hole_around_it(gl_context, image):
-    lattice, bend = coarse(4)
-    bend[:, 7, 9] = np.nan
-    size = (lattice.panel.width_px, lattice.panel.height_px)
-    field = uploaded_field(gl_context, bend, lattice)
+    warp_grid, slope_offset = coarse(4)
+    slope_offset[:, 7, 9] = np.nan
+    size = (warp_grid.panel.width_px, warp_grid.panel.height_px)
+    field = uploaded_field(gl_context, slope_offset, warp_grid)
     status = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size).read().status
     expected = np.full(size[::-1], WarpStatus.SEEN)
     expected[24:32, 32:40] = WarpStatus.NO_RAY
@@ -150,9 +161,9 @@ def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
     viewport = framebuffer.viewport
     target = WarpTarget(framebuffer, (20, 5), (WIDTH, HEIGHT), top_row_first)
     by_row = np.stack([motion(0.1 * k / HEIGHT) for k in range(HEIGHT)])
-    warp.draw_into(target, picture, [field], by_row, (1, 2, 3), taps=2)
+    warp.draw_into(target, picture, [field], by_row, (1, 2, 3), samples_per_axis=2)
     assert framebuffer.viewport == viewport
-    expected = warp.draw(picture, [field], by_row, (WIDTH, HEIGHT), (1, 2, 3), taps=2).read().colour
+    expected = warp.draw(picture, [field], by_row, (WIDTH, HEIGHT), (1, 2, 3), samples_per_axis=2).read().colour
     with gl_context.drawing():
         drawn = np.frombuffer(canvas.read(), np.uint8).reshape(HEIGHT + 20, WIDTH + 30, 4)
     part = drawn[5 : 5 + HEIGHT, 20 : 20 + WIDTH]

@@ -6,7 +6,7 @@ from warping import BACKENDS, uploaded, uploaded_field, warped
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.raster_camera import taps_for
+from wlr_render.rendering.raster_camera import samples_for
 from wlr_render.rendering.view import GeometryImage
 
 pytestmark = pytest.mark.gl
@@ -56,23 +56,27 @@ def exact_mean(code, times, phase=0.37):
 @pytest.mark.parametrize("code", [zone_plate, checkerboard])
 @pytest.mark.parametrize(("times", "gain"), [(1.5, 10.0), (2, 1000.0), (2.4, 100.0), (3, 200.0)])
 def test_taps_cut_the_energy_of_aliases(backend, request, code, times, gain):
-    image, bend = picture_of(code()), shrinking(times)
+    image, slope_offset = picture_of(code()), shrinking(times)
     exact = exact_mean(code(), times)
     inner = slice(2, -2)
 
-    def energy(taps):
-        result = warped(backend, request, image, CAMERA, [bend], taps=taps).colour[..., 1]
+    def energy(samples_per_axis):
+        result = warped(backend, request, image, CAMERA, [slope_offset], samples_per_axis=samples_per_axis).colour[
+            ..., 1
+        ]
         return np.square(result - exact)[inner, inner].mean()
 
-    assert energy(taps_for(times)) * gain < energy(1)
+    assert energy(samples_for(times)) * gain < energy(1)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_taps_change_nothing_where_the_picture_is_linear_and_leave_holes_alone(backend, request):
     ramp = np.add.outer(0.3 * np.arange(360), 0.4 * np.arange(360))
-    bend = shrinking(2)
-    bend[:, 50:60, 70:81] = np.nan
-    one, three = (warped(backend, request, picture_of(ramp), CAMERA, [bend], taps=n) for n in (1, 3))
+    slope_offset = shrinking(2)
+    slope_offset[:, 50:60, 70:81] = np.nan
+    one, three = (
+        warped(backend, request, picture_of(ramp), CAMERA, [slope_offset], samples_per_axis=n) for n in (1, 3)
+    )
     np.testing.assert_array_equal(one.status, three.status)
     difference = np.abs(one.colour.astype(int) - three.colour)
     assert difference[2:-2, 2:-2].max() <= 1
@@ -81,11 +85,15 @@ def test_taps_change_nothing_where_the_picture_is_linear_and_leave_holes_alone(b
 def test_both_backends_filter_alike(gl_context):
     rng = np.random.default_rng(3)
     image = GeometryImage(rng.integers(0, 256, (360, 360, 3)).astype(np.uint8), np.full((360, 360), 0.5, np.float32))
-    bend = shrinking(2)
-    bend[2:] = 0.013
-    for taps in (2, 3, 4):
-        ours = warped("cpu", None, image, CAMERA, [bend], taps=taps)
+    slope_offset = shrinking(2)
+    slope_offset[2:] = 0.013
+    for samples_per_axis in (2, 3, 4):
+        ours = warped("cpu", None, image, CAMERA, [slope_offset], samples_per_axis=samples_per_axis)
         theirs = GlWarp(gl_context).draw(
-            uploaded(gl_context, image, CAMERA), [uploaded_field(gl_context, bend)], np.eye(4), (180, 180), taps=taps
+            uploaded(gl_context, image, CAMERA),
+            [uploaded_field(gl_context, slope_offset)],
+            np.eye(4),
+            (180, 180),
+            samples_per_axis=samples_per_axis,
         )
         assert np.abs(ours.colour.astype(int) - theirs.read().colour).max() <= 1

@@ -101,9 +101,9 @@ def test_a_plane_at_any_tilt_is_met_where_it_is(backend, request, slope):
     image = columns(np.zeros(CAMERA.width_px))
     image.inverse_depth[:] = tangents @ normal[:2] - normal[2]
     at_infinity = np.arange(70.0, 170.0, 0.173)
-    bend = rays(at_infinity, 24.0)
-    result = warped(backend, request, image, CAMERA, [bend])
-    a, b, c, d = bend.astype(float)
+    slope_offset = rays(at_infinity, 24.0)
+    result = warped(backend, request, image, CAMERA, [slope_offset])
+    a, b, c, d = slope_offset.astype(float)
     met = (normal[0] * a + normal[1] * b - normal[2]) / (1 - normal[0] * c - normal[1] * d)
     expected = CAMERA.pixel_of_tangents(np.stack([a + c * met, b + d * met], axis=-1))
     inside = (expected[..., 0] > 1) & (expected[..., 0] < CAMERA.width_px - 1)

@@ -4,10 +4,10 @@ import numpy as np
 
 from wlr_render.mappings import Panel
 from wlr_render.rendering.cpu_warp import warp_on_cpu
-from wlr_render.rendering.gl_ray_maps import GpuField
+from wlr_render.rendering.gl_ray_maps import GpuRayMap
 from wlr_render.rendering.gl_warp import GlWarp
 from wlr_render.rendering.gpu_image import GpuImage
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 BACKENDS = ("cpu", "gl")
 
@@ -23,24 +23,31 @@ def uploaded(context, image, camera):
     return GpuImage(context, camera, colour, inverse_depth)
 
 
-def uploaded_field(context, bend, lattice=None):
-    """Rays (4, rows, columns) as a `GpuField`; of each pixel of a display if no lattice is given."""
-    _, rows, columns = bend.shape
+def uploaded_field(context, slope_offset, warp_grid=None):
+    """Rays (4, rows, columns) as a `GpuRayMap`; of each pixel of a display if no warp grid is given."""
+    _, rows, columns = slope_offset.shape
     with context.drawing():
         texture = context.target((columns, rows), 4, "f4")
-        texture.write(np.ascontiguousarray(np.moveaxis(bend, 0, -1), np.float32))
-    return GpuField(context, np.zeros(3), np.eye(3), lattice or Lattice.of_pixels(Panel(columns, rows)), texture)
+        texture.write(np.ascontiguousarray(np.moveaxis(slope_offset, 0, -1), np.float32))
+    return GpuRayMap(context, np.zeros(3), np.eye(3), warp_grid or WarpGrid.of_pixels(Panel(columns, rows)), texture)
 
 
-def warped(backend, request, image, camera, bends, image_from_field=None, **options):
+def warped(backend, request, image, camera, slope_offsets, image_from_ray_map=None, **options):
     """A `WarpedImage` with its pull map, along rays (4, height, width): one field, or one for each channel."""
     if backend == "cpu":
-        return warp_on_cpu(image, camera, bends, image_from_field, **options)
+        return warp_on_cpu(image, camera, slope_offsets, image_from_ray_map, **options)
     context = request.getfixturevalue("gl_context")
-    fields = [uploaded_field(context, bend) for bend in bends]
-    transform = np.eye(4) if image_from_field is None else image_from_field
+    fields = [uploaded_field(context, slope_offset) for slope_offset in slope_offsets]
+    transform = np.eye(4) if image_from_ray_map is None else image_from_ray_map
     return (
-        GlWarp(context, len(bends))
-        .draw(uploaded(context, image, camera), fields, transform, bends[0].shape[:0:-1], with_source=True, **options)
+        GlWarp(context, len(slope_offsets))
+        .draw(
+            uploaded(context, image, camera),
+            fields,
+            transform,
+            slope_offsets[0].shape[:0:-1],
+            with_source=True,
+            **options,
+        )
         .read()
     )

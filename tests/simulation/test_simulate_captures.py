@@ -5,7 +5,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings, Field, Panel
+from wlr_render.mappings import EyeMappings, FieldOfView, Panel
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
@@ -43,7 +43,7 @@ def test_exact_display_captures_are_the_truth(setup):
 
 
 def test_a_camera_with_a_small_field_decodes_its_own_pixels(setup):
-    small = replace(setup, camera_field=Field(np.array([-0.1, -0.05]), np.array([0.2, 0.05])), grid=(4, 3))
+    small = replace(setup, camera_field=FieldOfView(np.array([-0.1, -0.05]), np.array([0.2, 0.05])), grid=(4, 3))
     captures = simulate_display(small, planar(setup), rng())
     assert len(captures) == 9 * 12
     tangents = directions.tangents_of_dir(captures.view_dir)

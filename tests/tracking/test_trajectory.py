@@ -4,7 +4,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
-from wlr_render.tracking.eye_model import EyeModel
+from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, HeadTrajectory, ViewpointTrack
 
 LEADS = [(), (1,), (3, 1, 2)]
@@ -21,7 +21,7 @@ def head():
 def gaze():
     rng = np.random.default_rng(2)
     gaze_dir = directions.dir_of_tangents(rng.uniform(-0.5, 0.5, (10, 2)))
-    return GazeTrack(np.linspace(1, 2, 10), gaze_dir, EyeModel(np.array([0.03, 0.0, -0.02])))
+    return GazeTrack(np.linspace(1, 2, 10), gaze_dir, RotatingEye(np.array([0.03, 0.0, -0.02])))
 
 
 def test_the_head_is_exact_at_its_samples(head):
@@ -74,7 +74,7 @@ def test_times_must_ascend_and_be_two_at_least():
 @pytest.mark.parametrize("lead", LEADS)
 def test_a_gaze_turns_at_a_constant_rate_in_one_plane(lead):
     gaze_dir = directions.dir_of_tangents(np.array([[-0.8, 0.1], [0.9, 0.4]]))
-    track = GazeTrack(np.array([0.0, 1.0]), gaze_dir, EyeModel(np.zeros(3)))
+    track = GazeTrack(np.array([0.0, 1.0]), gaze_dir, RotatingEye(np.zeros(3)))
     fraction = np.random.default_rng(4).uniform(0, 1, lead)
     here = track.gaze_at(fraction)
     whole = directions.angle_between(*gaze_dir)

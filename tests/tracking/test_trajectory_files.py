@@ -6,7 +6,7 @@ import pytest
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.tracking import synthetic
-from wlr_render.tracking.eye_model import EyeModel
+from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory, write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory, write_head_trajectory_tum
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, ViewpointTrack
@@ -139,6 +139,6 @@ def test_a_faulty_eye_file_is_refused(tmp_path, text, complaint):
 
 def test_one_file_cannot_hold_two_kinds_of_eye(tmp_path):
     time_s, xyz = np.array([0.0, 1.0]), np.array([[0, 0, -1.0], [0, 0, -1.0]])
-    mixed = {"left": ViewpointTrack(time_s, xyz), "right": GazeTrack(time_s, xyz, EyeModel(np.zeros(3)))}
+    mixed = {"left": ViewpointTrack(time_s, xyz), "right": GazeTrack(time_s, xyz, RotatingEye(np.zeros(3)))}
     with pytest.raises(BadInputError, match="of one kind"):
         write_eye_trajectory(tmp_path / "eyes.txt", EyeTrajectory(mixed))

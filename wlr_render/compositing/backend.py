@@ -7,31 +7,31 @@ from typing import Any, Generic, Protocol, TypeVar
 from wlr_render.compositing.composed_frame import ComposedEye
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.mappings import planar_parts
+from wlr_render.mappings import require_planar
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 
-FieldT = TypeVar("FieldT", covariant=True)
+RayMapT = TypeVar("RayMapT", covariant=True)
 
 
-class FieldSolve(Protocol[FieldT]):
-    """`pixel_solve.PixelSolve` or `gpu_field.GpuSolve`."""
+class CacheableSolver(Protocol[RayMapT]):
+    """`pixel_solve.RayMapSolver` or `gpu_field.GpuRayMapSolver`."""
 
-    def solve(self, viewpoint: FloatArray) -> FieldT:
+    def solve(self, viewpoint: FloatArray) -> RayMapT:
         """The field at a viewpoint (3,)."""
 
     def forget(self) -> None:
         """Start the next solve cold."""
 
 
-class SteadyFields(Generic[FieldT]):
+class CachedRayMaps(Generic[RayMapT]):
     """The fields of an eye's channels, solved anew only where the pupil has moved."""
 
-    def __init__(self, solves: Sequence[FieldSolve[FieldT]]) -> None:
+    def __init__(self, solves: Sequence[CacheableSolver[RayMapT]]) -> None:
         self._solves = solves
-        self._solved: tuple[FloatArray, list[FieldT]] | None = None
+        self._solved: tuple[FloatArray, list[RayMapT]] | None = None
 
-    def at(self, viewpoint: FloatArray) -> list[FieldT]:
+    def at(self, viewpoint: FloatArray) -> list[RayMapT]:
         """One field for each channel; (3,) is kept to compare with, so that nobody may write into it."""
         if self._solved is None or (self._solved[0] != viewpoint).any():
             self._solved = None  # a solve that fails leaves fields of two viewpoints
@@ -56,7 +56,7 @@ class EyeBackend(Protocol):
         """See `Compositor.submit`; on an error the last picture stays."""
 
     def compose(
-        self, viewpoint: FloatArray, image_from_field: FloatArray, target: Any, with_source: bool
+        self, viewpoint: FloatArray, image_from_ray_map: FloatArray, target: Any, with_source: bool
     ) -> ComposedEye:
         """The picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `Backend.targets`."""
 
@@ -105,7 +105,7 @@ def open_backend(context: Any, plans: Sequence[EyePlan], solve: str, background:
         raise BadInputError(f"solve '{solve}': choose from {', '.join(SOLVES)}.")
     if solve == "pixels":
         for mappings in (each for plan in plans for each in plan.channels):
-            planar_parts(mappings)
+            require_planar(mappings)
     if context != "cpu":
         from wlr_render.compositing.gl_backend import GlBackend
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EYE_BOX_MARGIN, Channels, EyeBox, EyeMappings
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.cpu_ray_maps import checked_viewpoint
 
@@ -16,7 +16,7 @@ _ROTATION_SLACK = 1e-4
 _ROUNDING = _ROUNDING_M = 1e-9
 
 
-def checked_models(models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]]) -> dict[str, Channels]:
+def checked_models(models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]]) -> dict[str, EyeChannels]:
     """Channels by eye, the left eye first.
 
     Raises:
@@ -37,7 +37,7 @@ def _eye_of(models: EyeMappings | Sequence[EyeMappings]) -> str:
     return first.eye
 
 
-def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> Channels:
+def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> EyeChannels:
     channels = (models,) if isinstance(models, EyeMappings) else tuple(models)
     if len(channels) not in (1, 3):
         raise BadInputError(f"{eye} eye: {len(channels)} models are given; give one, or three for red, green and blue.")
@@ -118,7 +118,7 @@ def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
 
 
 def checked_viewpoints(
-    viewpoint: FloatArray | Mapping[str, FloatArray], models: Mapping[str, Channels]
+    viewpoint: FloatArray | Mapping[str, FloatArray], models: Mapping[str, EyeChannels]
 ) -> dict[str, FloatArray]:
     """(3,) by eye, copies.
 

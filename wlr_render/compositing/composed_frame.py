@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering.ray_map import RayField
+from wlr_render.rendering.ray_map import RayMap
 from wlr_render.rendering.warp import WarpedImage
 
 
@@ -25,8 +25,8 @@ class ComposedEye(Protocol):
     def unsolved(self) -> dict[str, int]:
         """How many points of the field have no proper answer, by what is the matter; empty if all is well."""
 
-    def read_fields(self) -> list[RayField]:
-        """Fetch the rays that the picture was made by, at the points of the lattice, one field per channel."""
+    def read_ray_maps(self) -> list[RayMap]:
+        """Fetch the rays that the picture was made by, at the points of the warp grid, one field per channel."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
-from wlr_render.rendering.view import image_from_field
+from wlr_render.rendering.view import image_from_ray_map
 
 METRES = StoredDepth()
 
@@ -220,7 +220,7 @@ class Compositor:
             targets = self._backend.targets(into, self.eyes, self.size_px)
             for eye, plan in self._plans.items():
                 view, at = frame.cameras[eye].view, viewpoints[eye]
-                moved = image_from_field(view, at, plan.device_from_camera, poses)
+                moved = image_from_ray_map(view, at, plan.device_from_camera, poses)
                 composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source)
         return ComposedFrame(composed)
 

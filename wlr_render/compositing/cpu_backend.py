@@ -7,24 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.compositing.backend import SteadyFields
+from wlr_render.compositing.backend import CachedRayMaps
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import count_unsolved
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.cpu_ray_maps import CpuNodes, CpuSolve, PixelSolve
+from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver, RayMapSolver
 from wlr_render.rendering.cpu_warp import warp_on_cpu
-from wlr_render.rendering.ray_map import FieldPlan, RayField, choose_plan
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth, picture_of_arrays
 from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warp import WarpedImage
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
 @dataclass(frozen=True, eq=False)
 class _Composed:
     image: WarpedImage
-    fields: list[RayField]
+    fields: list[RayMap]
     texture: None = None
 
     def read(self) -> WarpedImage:
@@ -33,7 +33,7 @@ class _Composed:
     def unsolved(self) -> dict[str, int]:
         return count_unsolved(field.status for field in self.fields)
 
-    def read_fields(self) -> list[RayField]:
+    def read_ray_maps(self) -> list[RayMap]:
         return self.fields
 
 
@@ -42,15 +42,15 @@ class CpuEye:
 
     def __init__(self, plan: EyePlan, solve: str, background: tuple[int, int, int]) -> None:
         self._plan, self._background = plan, background
-        pixels = Lattice.of_pixels(plan.channels[0].display.panel, plan.size_px)
+        pixels = WarpGrid.of_pixels(plan.channels[0].display.panel, plan.size_px)
         axes = plan.device_from_camera
-        solves: list[PixelSolve] = [
-            CpuSolve(mappings, pixels, axes)
+        solves: list[RayMapSolver] = [
+            CpuPixelSolver(mappings, pixels, axes)
             if solve == "pixels"
-            else CpuNodes(mappings, FieldPlan.to_lattice(pixels, choose_plan(mappings).node_count, axes))
+            else CpuNodeSolver(mappings, RayMapPlan.onto_grid(pixels, choose_plan(mappings).node_count, axes))
             for mappings in plan.channels
         ]
-        self._fields = SteadyFields(solves)
+        self._fields = CachedRayMaps(solves)
         self._picture: GeometryImage | None = None
 
     def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
@@ -62,13 +62,20 @@ class CpuEye:
             )
         self._picture = picture_of_arrays(self._plan.camera, color, depth, stored, rows or Rows.TOP_FIRST)
 
-    def compose(self, viewpoint: FloatArray, image_from_field: FloatArray, target: Any, with_source: bool) -> _Composed:
+    def compose(
+        self, viewpoint: FloatArray, image_from_ray_map: FloatArray, target: Any, with_source: bool
+    ) -> _Composed:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor sees to it that every eye is submitted"
         plan = self._plan
         fields = [field.read() for field in self._fields.at(viewpoint)]
         image = warp_on_cpu(
-            self._picture, plan.camera, [f.bend for f in fields], image_from_field, self._background, plan.taps
+            self._picture,
+            plan.camera,
+            [f.slope_offset for f in fields],
+            image_from_ray_map,
+            self._background,
+            plan.samples_per_axis,
         )
         return _Composed(image, fields)
 

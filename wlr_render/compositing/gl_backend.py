@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.compositing.backend import SteadyFields
+from wlr_render.compositing.backend import CachedRayMaps
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.compositing.targets import CallersFramebuffers
 from wlr_render.errors import BadInputError
@@ -16,14 +16,14 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_ray_maps import GlNodes, GlSolve, GpuSolve, SolvedGpuField
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMapSolver, SolvedGpuRayMap
 from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.picture_import import PictureImport
-from wlr_render.rendering.ray_map import FieldPlan, RayField, choose_plan
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.warp import WarpedImage
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class GlComposed:
     """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
 
     warped: GpuWarped | None
-    fields: list[SolvedGpuField]
+    fields: list[SolvedGpuRayMap]
 
     @property
     def texture(self) -> gl.Texture | None:
@@ -50,7 +50,7 @@ class GlComposed:
         """See `ComposedEye`."""
         return count_unsolved(field.read_status() for field in self.fields)
 
-    def read_fields(self) -> list[RayField]:
+    def read_ray_maps(self) -> list[RayMap]:
         """See `ComposedEye`."""
         return [field.read() for field in self.fields]
 
@@ -68,7 +68,7 @@ class GlEye:
     ) -> None:
         self._context, self._framebuffers = context, framebuffers
         self._plan, self._background = plan, background
-        self._fields = SteadyFields([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
+        self._fields = CachedRayMaps([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
         self._warp = GlWarp(context, len(plan.channels))
         self._import = PictureImport(context)
         self._picture: GpuImage | None = None
@@ -95,17 +95,17 @@ class GlEye:
         )
 
     def compose(
-        self, viewpoint: FloatArray, image_from_field: FloatArray, target: WarpTarget | None, with_source: bool
+        self, viewpoint: FloatArray, image_from_ray_map: FloatArray, target: WarpTarget | None, with_source: bool
     ) -> GlComposed:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor sees to it that every eye is submitted"
         fields = self._fields.at(viewpoint)
-        drawn = (self._picture, fields, image_from_field)
+        drawn = (self._picture, fields, image_from_ray_map)
         if target is not None:
             with self._framebuffers.draw_buffers_kept(target.framebuffer):
-                self._warp.draw_into(target, *drawn, self._background, self._plan.taps)
+                self._warp.draw_into(target, *drawn, self._background, self._plan.samples_per_axis)
             return GlComposed(None, fields)
-        warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.taps, with_source)
+        warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.samples_per_axis, with_source)
         return GlComposed(warped, fields)
 
     def forget(self) -> None:
@@ -169,16 +169,16 @@ def _context(context: Any) -> gl.GlContext:
     return gl.adopt_context(context)
 
 
-def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> GpuSolve:
+def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> GpuRayMapSolver:
     planar = isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough)
     axes = plan.device_from_camera
     if solve == "pixels" or (solve == "auto" and planar and not context.is_software):
-        return GlSolve(context, mappings, Lattice.of_pixels(mappings.display.panel, plan.size_px), axes)
-    lattice = plan.lattice.lattice
+        return GlPlanarSolver(context, mappings, WarpGrid.of_pixels(mappings.display.panel, plan.size_px), axes)
+    warp_grid = plan.warp_grid.warp_grid
     if planar:
-        return GlSolve(context, mappings, lattice, axes)
+        return GlPlanarSolver(context, mappings, warp_grid, axes)
     count = choose_plan(mappings).node_count
-    return GlNodes(context, mappings, FieldPlan.to_lattice(lattice, count, axes))
+    return GlNodeSolver(context, mappings, RayMapPlan.onto_grid(warp_grid, count, axes))
 
 
 def checked_image(image: GpuImage, camera: Pinhole, context: gl.GlContext) -> GpuImage:

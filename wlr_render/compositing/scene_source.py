@@ -1,4 +1,4 @@
-"""Our own rasteriser as the engine that feeds a compositor."""
+"""Our own raster_backend as the engine that feeds a compositor."""
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.eye_plan import EyeCamera
@@ -14,9 +14,9 @@ class SceneSource:
         """Upload the scene."""
         self._compositor = compositor
         if compositor.context is None:
-            from wlr_render.rendering.raster_backends import CpuRaster
+            from wlr_render.rendering.raster_backends import EmbreeRaster
 
-            self._on_cpu: CpuRaster | None = CpuRaster(scene)
+            self._on_cpu: EmbreeRaster | None = EmbreeRaster(scene)
             return
         from wlr_render.rendering.gl_raster import GlRaster
 

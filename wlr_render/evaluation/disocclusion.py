@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import RayField
+from wlr_render.rendering.ray_map import RayMap
 
 SAME_POINT = 0.01
 """What lies nearer to a point than this share of its distance does not hide it: it is the surface it belongs to."""
@@ -18,7 +18,7 @@ SAME_POINT = 0.01
 def disoccluded(
     tracer: SceneTracer,
     camera_in_world: NDArray[np.float64],
-    field: RayField,
+    field: RayMap,
     world_from_device: NDArray[np.float64],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene
@@ -64,15 +64,15 @@ def run(options: Options, progress: Progress = SILENT) -> Result:
     viewpoint = mappings.eye_box.centre + 1e-3 * np.asarray(options.viewpoint_offset_mm)
     require_in_eye_box(mappings, viewpoint, "--viewpoint-offset-mm")
     scene = load_scene(options.scene)
-    rasteriser = open_rasteriser(scene, options.backend)
+    raster_backend = open_raster_backend(scene, options.backend)
     renderer = RayRenderer(scene)
     folder = output_folder(options.out)
     traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
     ways: dict[str, Painter] = {
-        "raster + warp": WarpedPainter(mappings, rasteriser),
-        "raster camera at the viewpoint": WarpedPainter(mappings, rasteriser, at_viewpoint=True),
-        "twice the raster resolution": WarpedPainter(mappings, rasteriser, resolution=2.0),
-        "map from the mesh": MeshWarpedPainter(mappings, rasteriser, renderer),
+        "raster + warp": WarpedPainter(mappings, raster_backend),
+        "raster camera at the viewpoint": WarpedPainter(mappings, raster_backend, at_viewpoint=True),
+        "twice the raster resolution": WarpedPainter(mappings, raster_backend, resolution=2.0),
+        "map from the mesh": MeshWarpedPainter(mappings, raster_backend, renderer),
     }
     rows: list[list[Cell]] = []
     plain: tuple[Frame, _Compared] | None = None

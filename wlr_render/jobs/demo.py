@@ -40,7 +40,7 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.raster_backends import Rasteriser, open_rasteriser
+from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
@@ -100,10 +100,10 @@ def run(options: Options, progress: Progress = SILENT) -> Result:
     scene = load_scene(options.scene)
     if np.all(scene.bounds[:, 2] >= truth.eye_box.centre[2]):
         raise BadInputError(f"The scene '{scene.name}' lies wholly behind the head; place it at negative z, in front.")
-    rasteriser = open_rasteriser(scene, options.backend)
+    raster_backend = open_raster_backend(scene, options.backend)
     folder = output_folder(options.out)
     renderer = RayRenderer(scene)
-    painters = _painters(truth, renderer, rasteriser, options.seed)
+    painters = _painters(truth, renderer, raster_backend, options.seed)
     places = judged_viewpoints(truth, options.viewpoints)
     seen = list(progress(_sights(truth, painters, places), len(places), "viewpoints"))
     tables = [_overall(truth, scene, seen), _by_viewpoint(seen)]
@@ -120,7 +120,9 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
     return truth.eye_box.at(unit)
 
 
-def _painters(truth: EyeMappings, renderer: RayRenderer, rasteriser: Rasteriser, seed: int) -> dict[str, Painter]:
+def _painters(
+    truth: EyeMappings, renderer: RayRenderer, raster_backend: RasterBackend, seed: int
+) -> dict[str, Painter]:
     captures = simulated_captures(truth, seed)
     planar = fit_eye(captures, "planar", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
     static = fit_eye(captures, "static", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
@@ -129,7 +131,7 @@ def _painters(truth: EyeMappings, renderer: RayRenderer, rasteriser: Rasteriser,
     return {
         "naive": TracedPainter(naive, renderer),
         "static": TracedPainter(static, renderer),
-        "raster + warp": WarpedPainter(planar, rasteriser),
+        "raster + warp": WarpedPainter(planar, raster_backend),
         "ray traced": TracedPainter(planar, renderer),
     }
 

@@ -19,7 +19,7 @@ They stand for a panel's light by our choice; sRGB's primaries lie within 5 nm o
 tens of nanometres wide, of which one map serves the middle.
 """
 
-Channels = tuple[EyeMappings, EyeMappings, EyeMappings]
+RgbMappings = tuple[EyeMappings, EyeMappings, EyeMappings]
 """One eye in red, green and blue light, with one panel and one eye box."""
 
 
@@ -34,7 +34,7 @@ def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
     return load_eye_model(spec, eye).mappings
 
 
-def open_channels(specs: Sequence[str | Path], eye: str = "right") -> Channels:
+def open_channels(specs: Sequence[str | Path], eye: str = "right") -> RgbMappings:
     """Mappings of one eye for each colour of its panel.
 
     Args:

@@ -15,12 +15,12 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.headset import open_channels, open_eye, require_in_eye_box
-from wlr_render.mappings import Channels, EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarmStarts, WarpedPainter
-from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene
@@ -167,7 +167,7 @@ def _files_per_eye(options: Options) -> int:
     return len(COLOURS) if options.per_colour else 1
 
 
-def _open_channels(options: Options, number: int) -> Channels:
+def _open_channels(options: Options, number: int) -> EyeChannels:
     count, eye = _files_per_eye(options), options.eyes[number]
     first = number * count if len(options.headset) > 1 else 0
     specs = options.headset[first : first + count]
@@ -267,17 +267,17 @@ def _is_done(folder: Path, moment: Moment, options: Options) -> bool:
     return all(path.exists() for path in (*maps, *beside, _picture_file(folder, moment)))
 
 
-def _painters(options: Options, channels: dict[str, Channels], scene: Scene) -> dict[str, Painter]:
+def _painters(options: Options, channels: dict[str, EyeChannels], scene: Scene) -> dict[str, Painter]:
     if options.method == "raytrace":
         renderer = RayRenderer(scene)
         return {
             eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
         }
-    rasteriser, resolution = open_rasteriser(scene, options.backend, options.materials), options.resolution
+    raster_backend, resolution = open_raster_backend(scene, options.backend, options.materials), options.resolution
     if options.map_from == "depth":
-        return {eye: WarpedPainter(each, rasteriser, resolution) for eye, each in channels.items()}
+        return {eye: WarpedPainter(each, raster_backend, resolution) for eye, each in channels.items()}
     renderer = RayRenderer(scene)
-    return {eye: MeshWarpedPainter(each, rasteriser, renderer, resolution) for eye, each in channels.items()}
+    return {eye: MeshWarpedPainter(each, raster_backend, renderer, resolution) for eye, each in channels.items()}
 
 
 def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments: list[Moment]) -> Iterator[Moment]:

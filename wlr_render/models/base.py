@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.geometry.directions import tangents_of_dir
-from wlr_render.mappings import EyeBox, Mapped
+from wlr_render.mappings import EyeBox, QueryResult
 from wlr_render.models.queries import Answer, Forms, answer_in_chunks, require_forms
 from wlr_render.numerics.arrays import FloatArray
 
@@ -39,13 +39,13 @@ class FittedDisplay(FittedModel):
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Forward; see `mappings.DisplayMapping`."""
         return answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box, warm_start)
 
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Backward; see `mappings.DisplayMapping`."""
         tangents = tangents_of_dir(np.asarray(view_dir))
         return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
@@ -56,14 +56,14 @@ class FittedSeeThrough(FittedModel):
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Forward; see `mappings.SeeThroughMapping`."""
         tangents = tangents_of_dir(np.asarray(view_dir))
         return answer_in_chunks(self._forward, tangents, viewpoint, self.eye_box, warm_start)
 
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """Backward; see `mappings.SeeThroughMapping`."""
         in_front = _points_in_front(point, viewpoint)
         return answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start)

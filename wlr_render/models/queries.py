@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Mapped, Status
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, QueryResult, Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial, term_count
 
@@ -40,7 +40,7 @@ def answer_in_chunks(
     viewpoint: FloatArray,
     eye_box: EyeBox,
     warm_start: FloatArray | None = None,
-) -> Mapped:
+) -> QueryResult:
     """Broadcast `subject` (..., j) against `viewpoint` (..., 3), ask chunk by chunk, and give each element its status.
 
     A subject that is not finite (a direction that looks backwards, a point behind the eye) is a MISS; a solve that
@@ -64,7 +64,7 @@ def answer_in_chunks(
             answer = query(subject[rows], viewpoint[rows], None if start is None else start[rows])
             parts.append(_mapped(answer, subject[rows], viewpoint[rows], eye_box))
     value = np.concatenate([part.value for part in parts])
-    return Mapped(
+    return QueryResult(
         value.reshape(*lead, value.shape[1]),
         np.concatenate([part.status for part in parts]).reshape(lead),
         _joined_starts(parts, lead),
@@ -75,12 +75,12 @@ def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
     return np.broadcast_to(array, (*lead, array.shape[-1])).reshape(-1, array.shape[-1])
 
 
-def _joined_starts(parts: list[Mapped], lead: tuple[int, ...]) -> FloatArray | None:
+def _joined_starts(parts: list[QueryResult], lead: tuple[int, ...]) -> FloatArray | None:
     starts = [part.warm_start for part in parts if part.warm_start is not None]
     return np.concatenate(starts).reshape(*lead, 2) if starts else None
 
 
-def _mapped(answer: Answer, subject: FloatArray, viewpoint: FloatArray, eye_box: EyeBox) -> Mapped:
+def _mapped(answer: Answer, subject: FloatArray, viewpoint: FloatArray, eye_box: EyeBox) -> QueryResult:
     inside = answer.inside & eye_box.contains(viewpoint, EYE_BOX_MARGIN)
     solved = _all_finite(answer.value)
     if answer.solved is not None:
@@ -91,7 +91,7 @@ def _mapped(answer: Answer, subject: FloatArray, viewpoint: FloatArray, eye_box:
     status[~present] = Status.MISS
     good = (solved & present)[:, None]
     start = None if answer.start is None else np.where(good, answer.start, np.nan)
-    return Mapped(np.where(good, answer.value, np.nan), status, start)
+    return QueryResult(np.where(good, answer.value, np.nan), status, start)
 
 
 def _all_finite(rows: FloatArray) -> BoolArray:

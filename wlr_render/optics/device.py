@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
-from wlr_render.mappings import EyeBox, Field, Panel
+from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Shape
@@ -123,7 +123,7 @@ class EyeOptics:
     see_through: Path
     panel: PlacedPanel
     eye_box: EyeBox
-    field: Field | None = None
+    field: FieldOfView | None = None
 
     def surfaces(self) -> tuple[PlacedSurface, ...]:
         """All surfaces that either path meets, each once, in order of first encounter."""
@@ -174,7 +174,7 @@ def mirrored(eye: EyeOptics) -> EyeOptics:
         panel=replace(eye.panel, device_from_panel=device_from_panel),
         eye_box=EyeBox(MIRROR_X[:3, :3] @ box.centre, box.size),
         field=field
-        and Field(
+        and FieldOfView(
             np.minimum(turned * field.low, turned * field.high), np.maximum(turned * field.low, turned * field.high)
         ),
     )

@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.files import Table, named_or_path, read_toml
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_about
-from wlr_render.mappings import EyeBox, Field, Panel
+from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
     ClearAperture,
@@ -288,14 +288,14 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
     return panel
 
 
-def _field(table: Table) -> Field | None:
+def _field(table: Table) -> FieldOfView | None:
     """Angles as the wearer has them, right and up positive, whatever the file's axes."""
     if not table.has("field_deg"):
         return None
     left, right, down, up = np.tan(np.deg2rad(table.vector("field_deg", 4)))
     if not (left < right and down < up):
         raise table.fail("'field_deg' must be left, right, down, up, each pair ascending; right and up are positive.")
-    return Field(np.array([left, down]), np.array([right, up]))
+    return FieldOfView(np.array([left, down]), np.array([right, up]))
 
 
 def _eye_box(table: Table, frame: FloatArray) -> EyeBox:

@@ -8,7 +8,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_toml
-from wlr_render.mappings import Field
+from wlr_render.mappings import FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
     ClearAperture,
@@ -103,7 +103,7 @@ def _path(path: Path, names: dict[Medium, str]) -> list[Content]:
     ]
 
 
-def _field(field: Field) -> list[float]:
+def _field(field: FieldOfView) -> list[float]:
     left_down, right_up = np.rad2deg(np.arctan(field.low)), np.rad2deg(np.arctan(field.high))
     return np.stack([left_down, right_up], axis=-1).ravel().tolist()
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
-from wlr_render.mappings import EyeBox, EyeMappings, Mapped, Panel, Status, StatusArray
+from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status, StatusArray
 from wlr_render.numerics import least_squares, newton
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
@@ -132,7 +132,7 @@ class TracedDisplay:
 
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """See `DisplayMapping`: one trace. CLIPPED outside the panel, MISS where it is never met."""
         pixel, status = self.plane_pixel(view_dir, viewpoint)
         outside = ~self._on_panel(pixel)
@@ -140,7 +140,7 @@ class TracedDisplay:
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """See `DisplayMapping`: solved to 1e-9 pixels; CLIPPED for pixels outside the panel."""
         lead = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
         wanted, eyes = _flat(pixel, lead), _flat(viewpoint, lead)
@@ -191,14 +191,14 @@ class TracedSeeThrough:
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """See `SeeThroughMapping`: one trace; the ray's point lies on the last surface."""
         traced = trace(self.optics.see_through, viewpoint, view_dir, self.wavelength_um)
         return _mapped(rays.pack(traced.origin, traced.direction), traced.status)
 
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> Mapped:
+    ) -> QueryResult:
         """See `SeeThroughMapping`: solved to 1e-13 rad as seen from the viewpoint, starting with the straight line.
 
         MISS for points that are not in front of the eye or not beyond the optics.
@@ -270,6 +270,6 @@ def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray,
     return tangents, converged
 
 
-def _mapped(value: FloatArray, status: NDArray[np.integer], warm_start: FloatArray | None = None) -> Mapped:
+def _mapped(value: FloatArray, status: NDArray[np.integer], warm_start: FloatArray | None = None) -> QueryResult:
     lost = np.expand_dims(status != Status.OK, -1)
-    return Mapped(np.where(lost, np.nan, value), np.asarray(status, dtype=np.uint8), warm_start)
+    return QueryResult(np.where(lost, np.nan, value), np.asarray(status, dtype=np.uint8), warm_start)

@@ -1,4 +1,4 @@
-"""How coarse a lattice may be for its bilinear reading to stay within a tolerance of the exact solve, by measurement.
+"""How coarse a warp grid may be for its bilinear reading to stay within a tolerance of the exact solve, by measurement.
 
 Between four points the reading of a smooth field errs most at the middle of the cell, by an eighth of the second
 differences there: with the square of the cell's size. What a GPU's coarse filter weights add (`gl.read_between_texels`)
@@ -13,7 +13,7 @@ from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangen
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_map import NEAREST_M, solve_pixels
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 TOLERANCE_ARCMIN = 0.02
 """A tenth of the misalignment that the composed frame may have, so that squared it is a hundredth; below what float32
@@ -28,115 +28,115 @@ _AIM = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class ChosenLattice:
-    """A lattice and what it costs in exactness.
+class ChosenWarpGrid:
+    """A warp grid and what it costs in exactness.
 
     Attributes:
-        lattice: the points.
-        bound_arcmin: the largest error found, as `lattice_error_arcmin`; no more than rounding if the points are the
+        warp_grid: the points.
+        bound_arcmin: the largest error found, as `warp_grid_error_arcmin`; no more than rounding if the points are the
             picture's pixels; infinite if no ray was found anywhere.
         hole_share: 0..1, the share of the judged places where a ray is missing, exact or read, and no error known.
     """
 
-    lattice: Lattice
+    warp_grid: WarpGrid
     bound_arcmin: float
     hole_share: float
 
     @property
     def cell_px(self) -> FloatArray:
         """(2,) panel pixels from one point to the next."""
-        return self.lattice.step_px
+        return self.warp_grid.step_px
 
 
-def choose_lattice(
+def choose_warp_grid(
     mappings: EyeMappings,
     device_from_camera: FloatArray,
     size_px: tuple[int, int],
     tolerance_arcmin: float = TOLERANCE_ARCMIN,
-) -> ChosenLattice:
-    """The coarsest lattice of square cells whose reading is within the tolerance, over the eye box.
+) -> ChosenWarpGrid:
+    """The coarsest warp grid of square cells whose reading is within the tolerance, over the eye box.
 
     Judged at the eye box's centre and at four of its corners, no two of which share an edge, at `judged_pixels`. Where
-    no lattice coarser than the picture's pixels is within the tolerance, its points are those pixels, whose rays are
+    no warp grid coarser than the picture's pixels is within the tolerance, its points are those pixels, whose rays are
     read as they are.
 
     Args:
         mappings: any pair.
         device_from_camera: (3, 3) axes in which the field is known.
         size_px: (width, height) of the picture that covers the panel.
-        tolerance_arcmin: as `lattice_error_arcmin`.
+        tolerance_arcmin: as `warp_grid_error_arcmin`.
     """
     panel = mappings.display.panel
     finest_px = float(np.min(panel.size_px / size_px))
     cell_px = float(np.min(panel.size_px)) / _COARSEST_CELLS
     while cell_px > finest_px:
         columns, rows = (np.ceil(panel.size_px / cell_px).astype(int) + 1).tolist()
-        lattice = Lattice.edge_to_edge(panel, columns, rows)
-        chosen = _judged(mappings, device_from_camera, lattice, judged_pixels(lattice))
+        warp_grid = WarpGrid.edge_to_edge(panel, columns, rows)
+        chosen = _judged(mappings, device_from_camera, warp_grid, judged_pixels(warp_grid))
         if chosen.bound_arcmin <= tolerance_arcmin:
             return chosen
         cell_px *= min(0.9, float(np.sqrt(_AIM * tolerance_arcmin / chosen.bound_arcmin)))
-    pixels = Lattice.of_pixels(panel, size_px)
+    pixels = WarpGrid.of_pixels(panel, size_px)
     return _judged(mappings, device_from_camera, pixels, _some_points(pixels))
 
 
 def _judged(
-    mappings: EyeMappings, device_from_camera: FloatArray, lattice: Lattice, pixel: FloatArray
-) -> ChosenLattice:
+    mappings: EyeMappings, device_from_camera: FloatArray, warp_grid: WarpGrid, pixel: FloatArray
+) -> ChosenWarpGrid:
     error = np.stack(
         [
-            lattice_error_arcmin(mappings, device_from_camera, lattice, mappings.eye_box.at(unit), pixel)
+            warp_grid_error_arcmin(mappings, device_from_camera, warp_grid, mappings.eye_box.at(unit), pixel)
             for unit in _JUDGED_VIEWPOINTS
         ]
     )
     known = np.isfinite(error)
     bound = float(error[known].max()) if known.any() else np.inf
-    return ChosenLattice(lattice, bound, 1.0 - float(known.mean()))
+    return ChosenWarpGrid(warp_grid, bound, 1.0 - float(known.mean()))
 
 
-def judged_pixels(lattice: Lattice) -> FloatArray:
+def judged_pixels(warp_grid: WarpGrid) -> FloatArray:
     """Panel positions (n, 2): middles of cells out to the panel's corners, and fixed pseudo-random ones."""
-    columns, rows = (np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round()) + 0.5 for count in lattice.size)
-    middles = lattice.first_px + lattice.step_px * np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    columns, rows = (np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round()) + 0.5 for count in warp_grid.size)
+    middles = warp_grid.first_px + warp_grid.step_px * np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     rng = np.random.default_rng(20250102)
-    return np.concatenate([middles, rng.uniform(0.5, lattice.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))])
+    return np.concatenate([middles, rng.uniform(0.5, warp_grid.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))])
 
 
-def _some_points(lattice: Lattice) -> FloatArray:
-    """Fixed pseudo-random points of the lattice itself, (n, 2)."""
-    return np.random.default_rng(20250102).choice(lattice.panel_pixel().reshape(-1, 2), _JUDGED_PIXELS)
+def _some_points(warp_grid: WarpGrid) -> FloatArray:
+    """Fixed pseudo-random points of the warp grid itself, (n, 2)."""
+    return np.random.default_rng(20250102).choice(warp_grid.panel_pixel().reshape(-1, 2), _JUDGED_PIXELS)
 
 
-def lattice_error_arcmin(
+def warp_grid_error_arcmin(
     mappings: EyeMappings,
     device_from_camera: FloatArray,
-    lattice: Lattice,
+    warp_grid: WarpGrid,
     viewpoint: FloatArray,
     pixel: FloatArray,
 ) -> FloatArray:
-    """Error of the rays read bilinearly between exact ones at a lattice's points, against the exact solve.
+    """Error of the rays read bilinearly between exact ones at a warp grid's points, against the exact solve.
 
     Args:
         mappings: any pair.
         device_from_camera: (3, 3) axes in which the field is read.
-        lattice: judged.
+        warp_grid: judged.
         viewpoint: (3,) device frame.
         pixel: (n, 2) panel positions.
 
     Returns:
-        (n,) arcminutes, as `bend_error_arcmin`; NaN where a ray that the comparison needs is missing.
+        (n,) arcminutes, as `ray_error_arcmin`; NaN where a ray that the comparison needs is missing.
     """
-    place = np.clip((pixel - lattice.first_px) / lattice.step_px, 0, np.array(lattice.size) - 1)
-    cell = np.minimum(place.astype(int), np.array(lattice.size) - 2)
+    place = np.clip((pixel - warp_grid.first_px) / warp_grid.step_px, 0, np.array(warp_grid.size) - 1)
+    cell = np.minimum(place.astype(int), np.array(warp_grid.size) - 2)
     corner = cell[:, None] + _CORNERS
     weight = np.prod(1.0 - np.abs(place[:, None] - corner), axis=-1)
-    asked = np.concatenate([pixel[:, None], lattice.first_px + lattice.step_px * corner], axis=1)
-    bend = solve_pixels(mappings, device_from_camera, asked, viewpoint).bend
-    exact, read = bend[:, 0], np.einsum("nc,nck->nk", weight, bend[:, 1:])
-    return bend_error_arcmin(read, exact)
+    asked = np.concatenate([pixel[:, None], warp_grid.first_px + warp_grid.step_px * corner], axis=1)
+    slope_offset = solve_pixels(mappings, device_from_camera, asked, viewpoint).slope_offset
+    exact, read = slope_offset[:, 0], np.einsum("nc,nck->nk", weight, slope_offset[:, 1:])
+    return ray_error_arcmin(read, exact)
 
 
-def bend_error_arcmin(bend: FloatArray, exact: FloatArray) -> FloatArray:
+def ray_error_arcmin(slope_offset: FloatArray, exact: FloatArray) -> FloatArray:
     """How far rays (..., 4) are off: the angle at infinity plus the offset's angle at the nearest depth, (...)."""
-    angle = arcmin_between(dir_of_tangents(bend[..., :2]), dir_of_tangents(exact[..., :2]))
-    return np.asarray(angle + np.linalg.norm(bend[..., 2:] - exact[..., 2:], axis=-1) / NEAREST_M / ARCMIN)
+    angle = arcmin_between(dir_of_tangents(slope_offset[..., :2]), dir_of_tangents(exact[..., :2]))
+    return np.asarray(angle + np.linalg.norm(slope_offset[..., 2:] - exact[..., 2:], axis=-1) / NEAREST_M / ARCMIN)

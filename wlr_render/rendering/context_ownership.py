@@ -10,17 +10,17 @@ from wlr_render.rendering.gl_state import GlState
 from wlr_render.rendering.native_contexts import CurrentContext
 
 
-class Host(Protocol):
+class ContextOwner(Protocol):
     """Whose the context is."""
 
-    def entered(self, by_others: bool) -> contextlib.AbstractContextManager[None]:
-        """A block in which the context is current; `by_others` as in `GlState.kept`."""
+    def entered(self, third_party: bool) -> contextlib.AbstractContextManager[None]:
+        """A block in which the context is current; `third_party` as in `GlState.kept`."""
 
     def release(self, objects: list[Any]) -> None:
         """Destroy our objects, those of ModernGL's that are given and those that Python has dropped."""
 
 
-class Own:
+class OwnContext:
     """A context that this library opened: each outermost block makes it current, and restores the previous one.
 
     Between blocks it is current on no thread, so any thread may use it, one at a time.
@@ -33,8 +33,8 @@ class Own:
         self._in_use = threading.RLock()
 
     @contextlib.contextmanager
-    def entered(self, by_others: bool) -> Iterator[None]:
-        """See `Host`; makes the context current, and the previous one when the block ends.
+    def entered(self, third_party: bool) -> Iterator[None]:
+        """See `ContextOwner`; makes the context current, and the previous one when the block ends.
 
         Raises:
             BadInputError: another thread is inside a block, or the context cannot be made current.
@@ -57,21 +57,21 @@ class Own:
             yield
 
     def release(self, objects: list[Any]) -> None:
-        """See `Host`; destroys the context with all its objects, and leaves any other current."""
+        """See `ContextOwner`; destroys the context with all its objects, and leaves any other current."""
         restore = self._save()
         self._ctx.release()
         restore()
 
 
-class Foreign:
+class AdoptedContext:
     """A context of somebody else's program: its state outlives each block, and it outlives us."""
 
     def __init__(self, current: CurrentContext, state: GlState, ctx: Any) -> None:
         self._current, self._state, self._ctx = current, state, ctx
 
     @contextlib.contextmanager
-    def entered(self, by_others: bool) -> Iterator[None]:
-        """See `Host`.
+    def entered(self, third_party: bool) -> Iterator[None]:
+        """See `ContextOwner`.
 
         Raises:
             BadInputError: it is not current.
@@ -81,13 +81,13 @@ class Foreign:
                 "The adopted OpenGL context is not current on this thread: make it current before drawing."
             )
         outermost = not self._state.inside
-        with self._state.kept(by_others):
+        with self._state.kept(third_party):
             if outermost:
                 self._ctx.screen.use()  # what ModernGL takes to be bound from now on
             yield
 
     def release(self, objects: list[Any]) -> None:
-        """See `Host`; the context stays."""
+        """See `ContextOwner`; the context stays."""
         # In a context that is gone its objects are, too.
         if self._current.is_current():
             with self._state.kept():

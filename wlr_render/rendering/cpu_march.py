@@ -34,9 +34,9 @@ class Lines:
     missing: BoolArray
 
     @classmethod
-    def of(cls, camera: Pinhole, bend: Float32Array) -> "Lines":
+    def of(cls, camera: Pinhole, slope_offset: Float32Array) -> "Lines":
         """Of rays (4, ...) in the image's camera frame."""
-        flat = bend.reshape(4, -1)
+        flat = slope_offset.reshape(4, -1)
         missing = np.asarray(~np.isfinite(flat).all(axis=0))
         if missing.any():
             flat = np.where(missing, np.float32(0), flat)

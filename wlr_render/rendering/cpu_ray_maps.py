@@ -8,21 +8,21 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_map import FieldPlan, RayField, WarmStart, ray_field, solve_pixels
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, ray_map, solve_pixels
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
-class SolvedField(Protocol):
+class SolvedRayMap(Protocol):
     """World rays of all points at one viewpoint, wherever they lie."""
 
-    def read(self) -> RayField:
+    def read(self) -> RayMap:
         """As numpy arrays; without a warm start, which the solver keeps."""
 
 
-class PixelSolve(Protocol):
-    """Solves every point of a lattice for one viewpoint after the other, each from the last one's solution."""
+class RayMapSolver(Protocol):
+    """Solves every point of a warp grid for one viewpoint after the other, each from the last one's solution."""
 
-    def solve(self, viewpoint: FloatArray) -> SolvedField:
+    def solve(self, viewpoint: FloatArray) -> SolvedRayMap:
         """The field at a viewpoint (3,), device frame, metres.
 
         Raises:
@@ -52,53 +52,53 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class CpuSolvedField:
+class CpuSolvedRayMap:
     """A field that already is in numpy arrays."""
 
-    field: RayField
+    field: RayMap
 
-    def read(self) -> RayField:
+    def read(self) -> RayMap:
         """The field."""
         return self.field
 
 
-class CpuSolve:
-    """`PixelSolve` for any mappings, planar or not: every point is asked."""
+class CpuPixelSolver:
+    """`RayMapSolver` for any mappings, planar or not: every point is asked."""
 
-    def __init__(self, mappings: EyeMappings, lattice: Lattice, device_from_camera: FloatArray) -> None:
-        """Prepare for the points of a lattice on the mappings' panel, and for tangents in these axes (3, 3)."""
+    def __init__(self, mappings: EyeMappings, warp_grid: WarpGrid, device_from_camera: FloatArray) -> None:
+        """Prepare for the points of a warp grid on the mappings' panel, and for tangents in these axes (3, 3)."""
         self._mappings = mappings
         self._device_from_camera = device_from_camera
-        self._pixel = lattice.panel_pixel()
+        self._pixel = warp_grid.panel_pixel()
         self._last: WarmStart | None = None
 
-    def solve(self, viewpoint: FloatArray) -> CpuSolvedField:
-        """See `PixelSolve.solve`."""
+    def solve(self, viewpoint: FloatArray) -> CpuSolvedRayMap:
+        """See `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         axes = self._device_from_camera
         solved = solve_pixels(self._mappings, axes, self._pixel, viewpoint, self._last)
         self._last = solved.warm_start
-        bend = np.ascontiguousarray(np.moveaxis(solved.bend, -1, 0), dtype=np.float32)
-        return CpuSolvedField(RayField(viewpoint, axes, bend, solved.status))
+        slope_offset = np.ascontiguousarray(np.moveaxis(solved.slope_offset, -1, 0), dtype=np.float32)
+        return CpuSolvedRayMap(RayMap(viewpoint, axes, slope_offset, solved.status))
 
     def forget(self) -> None:
         """Start the next solve cold."""
         self._last = None
 
 
-class CpuNodes:
-    """`PixelSolve` for any mappings by the nodes of a plan: `ray_field` that keeps its own warm start."""
+class CpuNodeSolver:
+    """`RayMapSolver` for any mappings by the nodes of a plan: `ray_map` that keeps its own warm start."""
 
-    def __init__(self, mappings: EyeMappings, plan: FieldPlan) -> None:
-        """Prepare for the plan's lattice and axes; the plan is of the mappings' panel."""
+    def __init__(self, mappings: EyeMappings, plan: RayMapPlan) -> None:
+        """Prepare for the plan's warp grid and axes; the plan is of the mappings' panel."""
         self._mappings, self._plan = mappings, plan
         self._last: WarmStart | None = None
 
-    def solve(self, viewpoint: FloatArray) -> CpuSolvedField:
-        """See `PixelSolve.solve`."""
-        field = ray_field(self._mappings, checked_viewpoint(viewpoint), self._plan, self._last)
+    def solve(self, viewpoint: FloatArray) -> CpuSolvedRayMap:
+        """See `RayMapSolver.solve`."""
+        field = ray_map(self._mappings, checked_viewpoint(viewpoint), self._plan, self._last)
         self._last = field.warm_start
-        return CpuSolvedField(replace(field, warm_start=None))
+        return CpuSolvedRayMap(replace(field, warm_start=None))
 
     def forget(self) -> None:
         """Start the next solve cold."""

@@ -10,7 +10,7 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import sampling
 from wlr_render.rendering.cpu_march import InverseDepths, Lines, follow
 from wlr_render.rendering.thread_pool import for_blocks
-from wlr_render.rendering.view import GeometryImage, seen_from
+from wlr_render.rendering.view import GeometryImage, in_camera_frame
 from wlr_render.rendering.warp import WarpedImage, WarpStatus
 
 _PIXELS_PER_BLOCK = 1 << 15
@@ -19,31 +19,33 @@ _PIXELS_PER_BLOCK = 1 << 15
 def warp_on_cpu(
     image: GeometryImage,
     camera: Pinhole,
-    bends: Sequence[Float32Array],
-    image_from_field: FloatArray | None = None,
+    slope_offsets: Sequence[Float32Array],
+    image_from_ray_map: FloatArray | None = None,
     background: tuple[int, int, int] = (0, 0, 0),
-    taps: int = 1,
+    samples_per_axis: int = 1,
 ) -> WarpedImage:
     """The picture that the display must show, and its pull map.
 
     Args:
         image: colour and inverse depth.
         camera: of the image.
-        bends: one for all colours, or three: of red, green and blue. Each (4, height, width) float32, (a, b, c, d) of
-            each display pixel; NaN where there is no ray.
-        image_from_field: rigid, from the camera frame of the rays to that of the image, (4, 4), or (height, 4, 4) with
-            one for each row of the display; the same frame if None.
+        slope_offsets: one for all colours, or three: of red, green and blue. Each (4, height, width) float32,
+            (a, b, c, d) of each display pixel; NaN where there is no ray.
+        image_from_ray_map: rigid, from the camera frame of the rays to that of the image, (4, 4), or (height, 4, 4)
+            with one for each row of the display; the same frame if None.
         background: sRGB for pixels that show nothing of the image.
-        taps: samples per pixel along each axis, see `map_shrink.taps_for`.
+        samples_per_axis: samples per pixel along each axis, see `raster_camera.samples_for`.
     """
     depths = InverseDepths.of(image.inverse_depth)
-    if len(bends) == 1:
-        return _warp_channel(image.colour, depths, camera, bends[0], image_from_field, background, taps)
+    if len(slope_offsets) == 1:
+        return _warp_channel(
+            image.colour, depths, camera, slope_offsets[0], image_from_ray_map, background, samples_per_axis
+        )
     greys = (np.ascontiguousarray(image.colour[..., k]) for k in range(3))
     return WarpedImage.of_channels(
         [
-            _warp_channel(grey, depths, camera, bend, image_from_field, code, taps)
-            for grey, bend, code in zip(greys, bends, background, strict=True)
+            _warp_channel(grey, depths, camera, slope_offset, image_from_ray_map, code, samples_per_axis)
+            for grey, slope_offset, code in zip(greys, slope_offsets, background, strict=True)
         ]
     )
 
@@ -57,13 +59,13 @@ def _warp_channel(
     picture: NDArray[np.uint8],
     depths: InverseDepths,
     camera: Pinhole,
-    bend: Float32Array,
-    image_from_field: FloatArray | None,
+    slope_offset: Float32Array,
+    image_from_ray_map: FloatArray | None,
     background: int | tuple[int, int, int],
-    taps: int,
+    samples_per_axis: int,
 ) -> WarpedImage:
     """All channels of a picture (height, width) or (height, width, 3) along one field."""
-    _, height, width = bend.shape
+    _, height, width = slope_offset.shape
     warped = WarpedImage(
         np.empty((height, width, *picture.shape[2:]), np.uint8),
         np.empty((height, width), np.uint8),
@@ -71,7 +73,7 @@ def _warp_channel(
     )
 
     def warp(rows: slice) -> None:
-        lines = Lines.of(camera, _moved(bend, image_from_field, rows))
+        lines = Lines.of(camera, _moved(slope_offset, image_from_ray_map, rows))
         pixel, status = follow(depths, lines)
         status[_outside(pixel, camera)] = WarpStatus.OUTSIDE
         status[lines.missing] = WarpStatus.NO_RAY
@@ -79,7 +81,7 @@ def _warp_channel(
         lost = np.flatnonzero(status >= WarpStatus.OUTSIDE)
         # What is lost is sampled at a harmless place and painted over.
         pixel[:, lost] = 0.5
-        colour = _filtered(picture, pixel.reshape(2, *shape), lines, taps)
+        colour = _filtered(picture, pixel.reshape(2, *shape), lines, samples_per_axis)
         pixel[:, lost] = np.nan
         colour.reshape(-1, *picture.shape[2:])[lost] = background
         assert warped.source is not None
@@ -91,10 +93,12 @@ def _warp_channel(
     return warped
 
 
-def _moved(bend: Float32Array, image_from_field: FloatArray | None, rows: slice) -> Float32Array:
-    if image_from_field is None:
-        return bend[:, rows]
-    return seen_from(bend[:, rows], image_from_field if image_from_field.ndim == 2 else image_from_field[rows])
+def _moved(slope_offset: Float32Array, image_from_ray_map: FloatArray | None, rows: slice) -> Float32Array:
+    if image_from_ray_map is None:
+        return slope_offset[:, rows]
+    return in_camera_frame(
+        slope_offset[:, rows], image_from_ray_map if image_from_ray_map.ndim == 2 else image_from_ray_map[rows]
+    )
 
 
 def _outside(pixel: Float32Array, camera: Pinhole) -> NDArray[np.bool_]:
@@ -102,21 +106,23 @@ def _outside(pixel: Float32Array, camera: Pinhole) -> NDArray[np.bool_]:
     return np.asarray((u < 0) | (u > camera.width_px) | (v < 0) | (v > camera.height_px))
 
 
-def _filtered(picture: NDArray[np.uint8], pixel: Float32Array, lines: Lines, taps: int) -> NDArray[np.uint8]:
+def _filtered(
+    picture: NDArray[np.uint8], pixel: Float32Array, lines: Lines, samples_per_axis: int
+) -> NDArray[np.uint8]:
     """Colour at positions (2, rows, columns): the mean over what a display pixel covers in the image."""
-    if taps == 1:
+    if samples_per_axis == 1:
         return sampling.bilinear_at(picture, pixel[0], pixel[1])
     at_infinity = np.where(lines.missing, np.float32(np.nan), lines.at_infinity).reshape(pixel.shape)
     across, down = _differences(at_infinity, 2), _differences(at_infinity, 1)
     at_hole = np.isnan(across + down).any(axis=0)
     across, down = (np.where(at_hole, np.float32(0), side) for side in (across, down))
-    places = ((np.arange(taps) + 0.5) / taps - 0.5).astype(np.float32)
+    places = ((np.arange(samples_per_axis) + 0.5) / samples_per_axis - 0.5).astype(np.float32)
     total = np.zeros((*pixel.shape[1:], *picture.shape[2:]), np.float32)
     for y in places:
         for x in places:
             u, v = pixel + x * across + y * down
             total += sampling.bilinear_at(picture, u, v)
-    return np.rint(total / np.float32(taps**2)).astype(np.uint8)
+    return np.rint(total / np.float32(samples_per_axis**2)).astype(np.uint8)
 
 
 def _differences(values: Float32Array, axis: int) -> Float32Array:

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from wlr_render import files
 from wlr_render.errors import MissingGlError
-from wlr_render.rendering.context_ownership import Foreign, Host, Own
+from wlr_render.rendering.context_ownership import AdoptedContext, ContextOwner, OwnContext
 from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.native_contexts import CurrentContext, EglBinding, NoCurrentContextError, OsMesaContext
 
@@ -55,16 +55,20 @@ class GlContext:
     """
 
     def __init__(
-        self, ctx: moderngl.Context, current: CurrentContext, host: Host, caller: moderngl.Context | None = None
+        self,
+        ctx: moderngl.Context,
+        current: CurrentContext,
+        owner: ContextOwner,
+        caller: moderngl.Context | None = None,
     ) -> None:
         """Wrap ModernGL's context of the current one; `caller` is another of ModernGL's for the same."""
-        self._ctx, self._current, self._host, self._caller = ctx, current, host, caller
+        self._ctx, self._current, self._owner, self._caller = ctx, current, owner, caller
         self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
         # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
         self.backend = current.platform
-        with host.entered(by_others=False):
+        with owner.entered(third_party=False):
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
         for path in files.resource("shaders").glob("*.glsl"):
@@ -84,20 +88,20 @@ class GlContext:
         return any(name in self.renderer.lower() for name in _SOFTWARE)
 
     @contextlib.contextmanager
-    def drawing(self, by_others: bool = False) -> Iterator[moderngl.Context]:
+    def drawing(self, third_party: bool = False) -> Iterator[moderngl.Context]:
         """A block of OpenGL calls: this context current, all switches off, errors raised at the end.
 
         Other users of OpenGL in the process leave their context current and blending on, and ModernGL would then
         draw silently wrong pixels.
 
         Args:
-            by_others: other software draws in the block, so that more of an adopted context's state has to be kept.
+            third_party: other software draws in the block, so that more of an adopted context's state has to be kept.
 
         Raises:
             GlError: a call in the block failed.
             BadInputError: an adopted context is not current.
         """
-        with self._host.entered(by_others):
+        with self._owner.entered(third_party):
             _free_dropped(self._ctx)
             self._ctx.enable_only(moderngl.NOTHING)
             self._ctx.clear_errors()
@@ -128,18 +132,18 @@ class GlContext:
             program = self._ctx.program(
                 vertex_shader=_source(vertex, constants), fragment_shader=_source(fragment, constants, functions)
             )
-            self._programs[key] = self._mine(program)
+            self._programs[key] = self._tracked(program)
         return self._programs[key]
 
     def full_screen(
         self, fragment: str, vertex: str = "full_screen.vert", functions: str = "", /, **constants: float
     ) -> VertexArray:
         """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
-        return self._mine(self._ctx.vertex_array(self.program(vertex, fragment, functions, **constants), []))
+        return self._tracked(self._ctx.vertex_array(self.program(vertex, fragment, functions, **constants), []))
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
         """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "f2", "f4", "i4" or "u1"."""
-        texture = self._mine(self._ctx.texture(size, components, dtype=dtype))
+        texture = self._tracked(self._ctx.texture(size, components, dtype=dtype))
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         texture.repeat_x = texture.repeat_y = False
         return texture
@@ -151,7 +155,7 @@ class GlContext:
         """
         height, width = image.shape[:2]
         pixels = np.ascontiguousarray(image)
-        texture = self._mine(self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8))
+        texture = self._tracked(self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8))
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
         texture.repeat_x = texture.repeat_y = True
         return texture
@@ -159,7 +163,7 @@ class GlContext:
     def plain_sampler(self) -> Sampler:
         """Reads what a texture holds, whatever its settings say: the nearest texel, undecoded and uncompared."""
         nearest = moderngl.NEAREST, moderngl.NEAREST
-        sampler = self._mine(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
+        sampler = self._tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
         if "GL_EXT_texture_sRGB_decode" in self._ctx.extensions:
             number = vars(sampler)["_glo"]
             self.function("glSamplerParameteri", *[ctypes.c_uint] * 3)(number, _SRGB_DECODE, _SKIP_DECODE)
@@ -167,13 +171,13 @@ class GlContext:
 
     def depth_target(self, size: tuple[int, int]) -> Texture:
         """An empty depth texture of (width, height), 24 bits, read as plain values."""
-        texture = self._mine(self._ctx.depth_texture(size))
+        texture = self._tracked(self._ctx.depth_texture(size))
         texture.compare_func = ""
         return texture
 
     def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
         """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
-        return self._mine(self._ctx.framebuffer(textures, depth))
+        return self._tracked(self._ctx.framebuffer(textures, depth))
 
     def triangles(
         self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]
@@ -184,7 +188,7 @@ class GlContext:
             for name, values in attributes.items()
             if name in program
         ]
-        return self._mine(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
+        return self._tracked(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
 
     def depth_test(self) -> None:
         """Draw what is nearest, and at equal depth what comes last, until the end of the `drawing` block."""
@@ -194,12 +198,12 @@ class GlContext:
     def release(self) -> None:
         """Destroy an own context and everything in it; of an adopted one, what this object has made."""
         self._programs.clear()
-        self._host.release(list(self._objects))
+        self._owner.release(list(self._objects))
 
     def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:
-        return self._mine(self._ctx.buffer(np.ascontiguousarray(values, dtype)))
+        return self._tracked(self._ctx.buffer(np.ascontiguousarray(values, dtype)))
 
-    def _mine(self, made: _Object) -> _Object:
+    def _tracked(self, made: _Object) -> _Object:
         self._objects.add(made)
         return made
 
@@ -304,7 +308,7 @@ def open_context(backend: str = "auto") -> GlContext:
                 current = CurrentContext((name,))
             finally:
                 restore()
-            return GlContext(ctx, current, Own(ctx, current, save))
+            return GlContext(ctx, current, OwnContext(ctx, current, save))
         except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
@@ -340,11 +344,11 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
     _check_version(current.version())
     state = GlState(current)
     loader: Any = current
-    with state.kept(by_others=True), _default_context_kept():
+    with state.kept(third_party=True), _default_context_kept():
         ctx = moderngl.create_context(require=_VERSION_CODE, context=loader)
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
-    return GlContext(ctx, current, Foreign(current, state, ctx), context)
+    return GlContext(ctx, current, AdoptedContext(current, state, ctx), context)
 
 
 def _save_nothing() -> Callable[[], None]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
-from wlr_render.rendering.gpu_image import GpuImage, lens_of, rgb_of_rgba
+from wlr_render.rendering.gpu_image import GpuImage, rgb_of_rgba, shader_intrinsics
 from wlr_render.rendering.scene import Mesh, Scene
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.view import GeometryImage, View
@@ -135,7 +135,7 @@ class GlRaster:
         gl.set_array(program, "directional_light_colour", [light.colour for light in self._suns])
         gl.set_uniforms(
             program,
-            lens=lens_of(camera),
+            lens=shader_intrinsics(camera),
             size_px=(camera.width_px, camera.height_px),
             near=NEAR_M,
             viewpoint_in_world=_triple(view.viewpoint_in_world),

@@ -15,58 +15,58 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, Status, StatusArray, planar_parts
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, Status, StatusArray, require_planar
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.cpu_ray_maps import CpuNodes, checked_viewpoint
-from wlr_render.rendering.ray_map import FieldPlan, RayField
+from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, checked_viewpoint
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan
 from wlr_render.rendering.shader_polynomial import held_source, value_source
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
 @dataclass(frozen=True, eq=False)
-class GpuField:
-    """World rays at the points of a lattice, as a texture that its maker's next field overwrites.
+class GpuRayMap:
+    """World rays at the points of a warp grid, as a texture that its maker's next field overwrites.
 
     Attributes:
         context: whose texture it is.
         viewpoint_in_device: (3,) metres.
-        device_from_camera: (3, 3) axes of `bend`.
-        lattice: the points.
-        bend: RGBA32F of the lattice's size, (a, b, c, d) as `RayField.bend`, NaN where there is no ray; read with
-            linear filtering between the points.
+        device_from_camera: (3, 3) axes of `slope_offset`.
+        warp_grid: the points.
+        slope_offset: RGBA32F of the warp grid's size, (a, b, c, d) as `RayMap.slope_offset`, NaN where there is no ray;
+            read with linear filtering between the points.
     """
 
     context: gl.GlContext
     viewpoint_in_device: FloatArray
     device_from_camera: FloatArray
-    lattice: Lattice
-    bend: gl.Texture
+    warp_grid: WarpGrid
+    slope_offset: gl.Texture
 
     def read_bend(self) -> Float32Array:
         """Fetch (4, rows, columns)."""
         with self.context.drawing():
-            return np.ascontiguousarray(np.moveaxis(gl.read(self.bend, np.float32), -1, 0))
+            return np.ascontiguousarray(np.moveaxis(gl.read(self.slope_offset, np.float32), -1, 0))
 
 
 @dataclass(frozen=True, eq=False)
-class SolvedGpuField(GpuField, ABC):
+class SolvedGpuRayMap(GpuRayMap, ABC):
     """A field whose maker can say what became of each point."""
 
     @abstractmethod
     def read_status(self) -> StatusArray:
         """(rows, columns), one `mappings.Status` each."""
 
-    def read(self) -> RayField:
+    def read(self) -> RayMap:
         """Fetch rays and status."""
-        return RayField(self.viewpoint_in_device, self.device_from_camera, self.read_bend(), self.read_status())
+        return RayMap(self.viewpoint_in_device, self.device_from_camera, self.read_bend(), self.read_status())
 
 
-class GpuSolve(Protocol):
-    """As `pixel_solve.PixelSolve`, with the field on the GPU."""
+class GpuRayMapSolver(Protocol):
+    """As `pixel_solve.RayMapSolver`, with the field on the GPU."""
 
-    def solve(self, viewpoint: FloatArray) -> SolvedGpuField:
-        """See `PixelSolve.solve`; the field is overwritten by the next."""
+    def solve(self, viewpoint: FloatArray) -> SolvedGpuRayMap:
+        """See `RayMapSolver.solve`; the field is overwritten by the next."""
 
     def forget(self) -> None:
         """Start the next solve cold."""
@@ -89,7 +89,7 @@ class _Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class GlSolvedField(SolvedGpuField):
+class GlSolvedRayMap(SolvedGpuRayMap):
     """A field with what else the shader found; the solver's next solves overwrite all of it.
 
     Attributes:
@@ -101,7 +101,7 @@ class GlSolvedField(SolvedGpuField):
     status_and_iterations: gl.Texture
 
     def read_status(self) -> StatusArray:
-        """See `SolvedGpuField`."""
+        """See `SolvedGpuRayMap`."""
         return np.ascontiguousarray(self._read(self.status_and_iterations, np.uint8)[..., 0])
 
     def read_view_tangents(self) -> NDArray[np.float32]:
@@ -117,23 +117,23 @@ class GlSolvedField(SolvedGpuField):
             return gl.read(texture, dtype)
 
 
-class GlSolve:
-    """`GpuSolve` of one eye in a shader compiled for its models."""
+class GlPlanarSolver:
+    """`GpuRayMapSolver` of one eye in a shader compiled for its models."""
 
     def __init__(
         self,
         context: gl.GlContext,
         mappings: EyeMappings,
-        lattice: Lattice,
+        warp_grid: WarpGrid,
         device_from_camera: FloatArray,
     ) -> None:
-        """Prepare for the points of a lattice on the mappings' panel, and for tangents in these axes (3, 3).
+        """Prepare for the points of a warp grid on the mappings' panel, and for tangents in these axes (3, 3).
 
         Raises:
             BadInputError: the mappings are not planar models.
         """
-        self._display, self._see_through = planar_parts(mappings)
-        self._context, self._lattice, self._device_from_camera = context, lattice, device_from_camera
+        self._display, self._see_through = require_planar(mappings)
+        self._context, self._warp_grid, self._device_from_camera = context, warp_grid, device_from_camera
         functions = held_source("display", self._display.forward) + value_source(
             "deviation", self._see_through.deviation
         )
@@ -141,21 +141,21 @@ class GlSolve:
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
         with context.drawing():
             self._solve = context.full_screen("solve.frag", "full_screen.vert", functions, **constants)
-            self._bend = context.target(lattice.size, 4, "f4")
+            self._bend = context.target(warp_grid.size, 4, "f4")
             gl.read_between_texels(self._bend)
-            self._status_and_iterations = context.target(lattice.size, 2, "u1")
+            self._status_and_iterations = context.target(warp_grid.size, 2, "u1")
             # The shader reads one while it writes the other.
             self._new, self._last = (self._solution() for _ in range(2))
         self._last_viewpoint: FloatArray | None = None
 
     def _solution(self) -> _Solution:
-        tangents = self._context.target(self._lattice.size, 2, "f4")
-        slopes = self._context.target(self._lattice.size, 4, "f2")  # only a start comes of them
+        tangents = self._context.target(self._warp_grid.size, 2, "f4")
+        slopes = self._context.target(self._warp_grid.size, 4, "f2")  # only a start comes of them
         textures = [self._bend, tangents, self._status_and_iterations, slopes]
         return _Solution(tangents, slopes, self._context.framebuffer(textures))
 
-    def solve(self, viewpoint: FloatArray) -> GlSolvedField:
-        """See `PixelSolve.solve`."""
+    def solve(self, viewpoint: FloatArray) -> GlSolvedRayMap:
+        """See `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         inside = all(
             box.contains(viewpoint, EYE_BOX_MARGIN) for box in (self._display.eye_box, self._see_through.eye_box)
@@ -170,11 +170,11 @@ class GlSolve:
             self._solve.render(vertices=3)
         # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
         self._last_viewpoint = viewpoint if inside else None
-        return GlSolvedField(
+        return GlSolvedRayMap(
             self._context,
             viewpoint,
             self._device_from_camera,
-            self._lattice,
+            self._warp_grid,
             self._bend,
             self._new.tangents,
             self._status_and_iterations,
@@ -186,8 +186,8 @@ class GlSolve:
             program,
             has_last=started_from is not None,
             moved=(0.0, 0.0, 0.0) if started_from is None else tuple(viewpoint - started_from),
-            first_px=tuple(self._lattice.first_px),
-            step_px=tuple(self._lattice.step_px),
+            first_px=tuple(self._warp_grid.first_px),
+            step_px=tuple(self._warp_grid.step_px),
             viewpoint=tuple(viewpoint),
             behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
             behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),
@@ -201,7 +201,7 @@ class GlSolve:
 
 
 @dataclass(frozen=True, eq=False)
-class GlNodesField(SolvedGpuField):
+class GlSpreadRayMap(SolvedGpuRayMap):
     """A field that was solved on the CPU.
 
     Attributes:
@@ -211,33 +211,33 @@ class GlNodesField(SolvedGpuField):
     status: StatusArray
 
     def read_status(self) -> StatusArray:
-        """See `SolvedGpuField`."""
+        """See `SolvedGpuRayMap`."""
         return self.status
 
 
-class GlNodes:
-    """`GpuSolve` for any mappings by the nodes of a plan, which has the lattice and the axes too."""
+class GlNodeSolver:
+    """`GpuRayMapSolver` for any mappings by the nodes of a plan, which has the warp grid and the axes too."""
 
-    def __init__(self, context: gl.GlContext, mappings: EyeMappings, plan: FieldPlan) -> None:
+    def __init__(self, context: gl.GlContext, mappings: EyeMappings, plan: RayMapPlan) -> None:
         self._context, self._plan = context, plan
-        self._nodes = CpuNodes(mappings, plan)
-        columns, rows = plan.lattice.size
+        self._nodes = CpuNodeSolver(mappings, plan)
+        columns, rows = plan.warp_grid.size
         self._interleaved = np.empty((rows, columns, 4), np.float32)
         with context.drawing():
-            self._bend = context.target(plan.lattice.size, 4, "f4")
+            self._bend = context.target(plan.warp_grid.size, 4, "f4")
             gl.read_between_texels(self._bend)
 
-    def solve(self, viewpoint: FloatArray) -> GlNodesField:
-        """See `GpuSolve`."""
+    def solve(self, viewpoint: FloatArray) -> GlSpreadRayMap:
+        """See `GpuRayMapSolver`."""
         field = self._nodes.solve(viewpoint).field
         # One texture of four components costs a shader much less to read than four textures.
         with self._context.drawing():
-            self._bend.write(cv2.merge(list(field.bend), self._interleaved))
-        return GlNodesField(
+            self._bend.write(cv2.merge(list(field.slope_offset), self._interleaved))
+        return GlSpreadRayMap(
             self._context,
             field.viewpoint_in_device,
             field.device_from_camera,
-            self._plan.lattice,
+            self._plan.warp_grid,
             self._bend,
             field.status,
         )

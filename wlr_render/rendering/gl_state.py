@@ -237,16 +237,16 @@ class GlState:
         self.inside = False
 
     @contextlib.contextmanager
-    def kept(self, by_others: bool = False) -> Iterator[None]:
+    def kept(self, third_party: bool = False) -> Iterator[None]:
         """A block that starts from OpenGL's usual state and leaves, also by an exception, the state that it found.
 
         Errors that OpenGL holds are dropped. A block within a block is a part of it and costs nothing.
 
         Args:
-            by_others: software that draws in the block, ModernGL's start or pyrender, sets more than we do.
+            third_party: software that draws in the block, ModernGL's start or pyrender, sets more than we do.
         """
         outer = self.inside
-        parts: list[_Part] = [*([] if outer else self._parts), *(self._parts_of_others if by_others else [])]
+        parts: list[_Part] = [*([] if outer else self._parts), *(self._parts_of_others if third_party else [])]
         found = [part.read() for part in parts]
         self.inside = True
         try:

@@ -12,7 +12,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_ray_maps import GpuField
+from wlr_render.rendering.gl_ray_maps import GpuRayMap
 from wlr_render.rendering.gpu_image import GlDepthRanges, GpuImage, rgb_of_rgba
 from wlr_render.rendering.warp import (
     MAX_MARCH,
@@ -24,7 +24,7 @@ from wlr_render.rendering.warp import (
     WarpedImage,
     WarpStatus,
 )
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "STEP_PX": STEP_PX,
@@ -92,11 +92,11 @@ class GlWarp:
     def draw(
         self,
         image: GpuImage,
-        fields: Sequence[GpuField],
-        image_from_field: FloatArray,
+        fields: Sequence[GpuRayMap],
+        image_from_ray_map: FloatArray,
         size_px: tuple[int, int],
         background: tuple[int, int, int] = (0, 0, 0),
-        taps: int = 1,
+        samples_per_axis: int = 1,
         with_source: bool = False,
     ) -> GpuWarped:
         """The picture that the display must show, left on the GPU.
@@ -104,11 +104,11 @@ class GlWarp:
         Args:
             image: in this object's context.
             fields: world rays, one for each channel.
-            image_from_field: rigid, from the camera frame of the fields to that of the image, (4, 4), or
+            image_from_ray_map: rigid, from the camera frame of the fields to that of the image, (4, 4), or
                 (height, 4, 4) with one for each row of the display.
             size_px: (width, height) of the picture, which covers the panel.
             background: sRGB for pixels that show nothing of the image.
-            taps: samples per pixel along each axis, see `map_shrink.taps_for`.
+            samples_per_axis: samples per pixel along each axis, see `raster_camera.samples_for`.
             with_source: make the pull map as well.
 
         Raises:
@@ -118,73 +118,77 @@ class GlWarp:
             warped, framebuffer = self._outputs_for(size_px, with_source)
             target = WarpTarget(framebuffer, (0, 0), size_px, True)
             outputs = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
-            self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
+            self._draw(
+                image, fields, image_from_ray_map, target, background, SAMPLES_PER_AXIS=samples_per_axis, **outputs
+            )
         return warped
 
     def draw_into(
         self,
         target: WarpTarget,
         image: GpuImage,
-        fields: Sequence[GpuField],
-        image_from_field: FloatArray,
+        fields: Sequence[GpuRayMap],
+        image_from_ray_map: FloatArray,
         background: tuple[int, int, int] = (0, 0, 0),
-        taps: int = 1,
+        samples_per_axis: int = 1,
     ) -> None:
         """The colour of the same picture into a caller's framebuffer; arguments and faults as `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
             outputs = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
             try:
-                self._draw(image, fields, image_from_field, target, background, TAPS=taps, **outputs)
+                self._draw(
+                    image, fields, image_from_ray_map, target, background, SAMPLES_PER_AXIS=samples_per_axis, **outputs
+                )
             finally:
                 target.framebuffer.viewport = before
 
     def warp(
         self,
         image: GpuImage,
-        bend: NDArray[np.float32] | Sequence[NDArray[np.float32]],
-        image_from_field: FloatArray | None = None,
+        slope_offset: NDArray[np.float32] | Sequence[NDArray[np.float32]],
+        image_from_ray_map: FloatArray | None = None,
         background: tuple[int, int, int] = (0, 0, 0),
-        taps: int = 1,
+        samples_per_axis: int = 1,
         with_source: bool = False,
     ) -> WarpedImage:
         """As `draw` along rays (4, height, width) of each display pixel, of all channels or of one each; fetched.
 
-        The rays are in the image's own frame if `image_from_field` is None.
+        The rays are in the image's own frame if `image_from_ray_map` is None.
         """
-        bends = [bend] if isinstance(bend, np.ndarray) else bend
-        fields = [self._uploaded(f"bend {channel}", each) for channel, each in enumerate(bends)]
+        slope_offsets = [slope_offset] if isinstance(slope_offset, np.ndarray) else slope_offset
+        fields = [self._uploaded(f"ray {channel}", each) for channel, each in enumerate(slope_offsets)]
         if len(fields) == 1:
             fields *= self._channels
-        moved = np.eye(4) if image_from_field is None else image_from_field
-        size_px = bends[0].shape[2], bends[0].shape[1]
-        return self.draw(image, fields, moved, size_px, background, taps, with_source).read()
+        moved = np.eye(4) if image_from_ray_map is None else image_from_ray_map
+        size_px = slope_offsets[0].shape[2], slope_offsets[0].shape[1]
+        return self.draw(image, fields, moved, size_px, background, samples_per_axis, with_source).read()
 
-    def _uploaded(self, name: str, bend: NDArray[np.float32]) -> GpuField:
-        _, height, width = bend.shape
+    def _uploaded(self, name: str, slope_offset: NDArray[np.float32]) -> GpuRayMap:
+        _, height, width = slope_offset.shape
         with self._context.drawing():
             texture = self._texture(name, (width, height), 4, "f4")
             # One read of four components costs the shader much less than four reads.
-            texture.write(cv2.merge(list(bend)))
-        return GpuField(self._context, np.zeros(3), np.eye(3), Lattice.of_pixels(Panel(width, height)), texture)
+            texture.write(cv2.merge(list(slope_offset)))
+        return GpuRayMap(self._context, np.zeros(3), np.eye(3), WarpGrid.of_pixels(Panel(width, height)), texture)
 
     def _draw(
         self,
         image: GpuImage,
-        fields: Sequence[GpuField],
-        image_from_field: FloatArray,
+        fields: Sequence[GpuRayMap],
+        image_from_ray_map: FloatArray,
         target: WarpTarget,
         background: tuple[int, int, int],
         **constants: int,
     ) -> None:
-        _check(len(fields), self._channels, image_from_field, target.size_px)
+        _check(len(fields), self._channels, image_from_ray_map, target.size_px)
         ranges = self._ranges.of(image)
-        by_rows = image_from_field.ndim == 3
+        by_rows = image_from_ray_map.ndim == 3
         warp = self._pass(ROWS=int(by_rows), FIELD_BY_TEXELS=self._by_texels(fields, target.size_px), **constants)
         from_fragment = _display_from_fragment(target)
-        matrices = _camera_matrices(image.camera, image_from_field)
+        matrices = _camera_matrices(image.camera, image_from_ray_map)
         textures: dict[str, gl.Texture | Sequence[gl.Texture]] = {
-            "bend": [_sampled(field, target.size_px) for field in fields],
+            "slope_offset": [_sampled(field, target.size_px) for field in fields],
             "picture": image.colour,
             "inverse_depth": image.inverse_depth,
             "ranges": ranges.around_tiles,
@@ -204,9 +208,9 @@ class GlWarp:
         target.framebuffer.use()
         warp.render(vertices=3)
 
-    def _by_texels(self, fields: Sequence[GpuField], size_px: tuple[int, int]) -> int:
+    def _by_texels(self, fields: Sequence[GpuRayMap], size_px: tuple[int, int]) -> int:
         """1 if a field is read between its points where filters have weights of 8 bits, which costs some 0.1'."""
-        between = not all(field.lattice.is_of_pixels(size_px) for field in fields)
+        between = not all(field.warp_grid.has_pixel_centres_of(size_px) for field in fields)
         return int(between and not self._context.is_software)
 
     def _pass(self, **constants: int) -> gl.VertexArray:
@@ -238,27 +242,27 @@ class GlWarp:
         return texture
 
 
-def _check(fields: int, channels: int, image_from_field: FloatArray, size_px: tuple[int, int]) -> None:
+def _check(fields: int, channels: int, image_from_ray_map: FloatArray, size_px: tuple[int, int]) -> None:
     if fields != channels:
         raise BadInputError(f"{fields} ray fields for a warp of {channels} channels; give one field for each channel.")
-    if image_from_field.shape not in ((4, 4), (size_px[1], 4, 4)):
+    if image_from_ray_map.shape not in ((4, 4), (size_px[1], 4, 4)):
         raise BadInputError(
-            f"image_from_field has the shape {image_from_field.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with one "
-            "transform for each row of the display."
+            f"image_from_ray_map has the shape {image_from_ray_map.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with "
+            "one transform for each row of the display."
         )
 
 
-def _sampled(field: GpuField, size_px: tuple[int, int]) -> gl.Texture:
+def _sampled(field: GpuRayMap, size_px: tuple[int, int]) -> gl.Texture:
     # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.
-    (gl.read_at_texels if field.lattice.is_of_pixels(size_px) else gl.read_between_texels)(field.bend)
-    return field.bend
+    (gl.read_at_texels if field.warp_grid.has_pixel_centres_of(size_px) else gl.read_between_texels)(field.slope_offset)
+    return field.slope_offset
 
 
-def _camera_matrices(camera: Pinhole, image_from_field: FloatArray) -> FloatArray:
+def _camera_matrices(camera: Pinhole, image_from_ray_map: FloatArray) -> FloatArray:
     """(..., 3, 4): from a point (x, y, z, 1) of the field's frame to (u depth, v depth, depth) in the image."""
     (focal_u, focal_v), (centre_u, centre_v) = camera.focal_px, camera.centre_px
     lens = np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]])
-    return np.asarray(lens @ image_from_field)
+    return np.asarray(lens @ image_from_ray_map)
 
 
 def _display_from_fragment(target: WarpTarget) -> FloatArray:
@@ -267,7 +271,7 @@ def _display_from_fragment(target: WarpTarget) -> FloatArray:
     return np.array([[1.0, 1.0], [-x, -y]]) if target.top_row_first else np.array([[1.0, -1.0], [-x, y + height]])
 
 
-def _chained(field: GpuField, target: WarpTarget, display_from_fragment: FloatArray) -> FloatArray:
+def _chained(field: GpuRayMap, target: WarpTarget, display_from_fragment: FloatArray) -> FloatArray:
     """Scale and offset (4,) from window coordinates to where the field's texture is read."""
-    scale, offset = field.lattice.texture_from_picture(target.size_px)
+    scale, offset = field.warp_grid.texture_from_picture(target.size_px)
     return np.concatenate([scale * display_from_fragment[0], scale * display_from_fragment[1] + offset])

@@ -39,7 +39,7 @@ def rgb_of_rgba(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB))
 
 
-def lens_of(camera: Pinhole) -> tuple[float, float, float, float]:
+def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:
     """The shaders' `lens`: focal_u, focal_v, centre_u, centre_v in pixels."""
     (focal_u, focal_v), (centre_u, centre_v) = camera.focal_px, camera.centre_px
     return float(focal_u), float(focal_v), float(centre_u), float(centre_v)

@@ -22,7 +22,7 @@ from wlr_render.files import write_bytes
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.scene import Instance, Light, Mesh, Scene
+from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
 from wlr_render.rendering.srgb import decode_srgb
 
 EXTENSION = "KHR_lights_punctual"
@@ -32,7 +32,7 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 _UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_texture_webp"}
 
 
-def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[Light, ...]:
+def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[LightSource, ...]:
     """The lights of a scene graph that trimesh has read, world frame.
 
     Raises:
@@ -51,11 +51,11 @@ def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[L
         matrix = np.array(graph.get(node)[0], dtype=np.float64)
         vector = matrix[:3, 3] if kind == "point" else normalised(-matrix[:3, 2])
         colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
-        lights.append(Light(kind, vector, colour.astype(np.float32)))
+        lights.append(LightSource(kind, vector, colour.astype(np.float32)))
     return tuple(lights)
 
 
-def scene_extension(lights: tuple[Light, ...]) -> dict[str, Any]:
+def scene_extension(lights: tuple[LightSource, ...]) -> dict[str, Any]:
     """The scene's extensions: the list of lights that nodes refer to."""
     return {EXTENSION: {"lights": [_stated(light) for light in lights]}}
 
@@ -65,13 +65,13 @@ def node_extension(index: int) -> dict[str, Any]:
     return {"gltf_extensions": {EXTENSION: {"light": index}}}
 
 
-def _stated(light: Light) -> dict[str, Any]:
+def _stated(light: LightSource) -> dict[str, Any]:
     """Colours are 0..1 in glTF; what is beyond goes into the intensity."""
     peak = max(float(light.colour.max()), 1e-9)
     return {"type": light.kind, "color": (light.colour / peak).tolist(), "intensity": peak * np.pi}
 
 
-def world_from_light(light: Light) -> NDArray[np.float64]:
+def world_from_light(light: LightSource) -> NDArray[np.float64]:
     """(4, 4) of a node that carries the light."""
     if light.kind == "point":
         return transforms.rigid(np.eye(3), light.vector)
@@ -92,7 +92,7 @@ class MeshFile:
 
     meshes: tuple[Mesh, ...]
     instances: tuple[Instance, ...]
-    lights: tuple[Light, ...]
+    lights: tuple[LightSource, ...]
 
 
 def load_meshes(path: str | Path) -> MeshFile:

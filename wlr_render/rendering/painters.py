@@ -9,11 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import Channels, EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.raster_backends import Rasteriser
-from wlr_render.rendering.raster_camera import RasterEye, covering_camera, shrink_over_eye_box, taps_for
-from wlr_render.rendering.ray_map import FieldPlan, RayField, WarmStart, choose_plan, middle_axes, ray_field
+from wlr_render.rendering.raster_backends import RasterBackend
+from wlr_render.rendering.raster_camera import (
+    RasterPosition,
+    intermediate_camera,
+    minification_over_eye_box,
+    samples_for,
+)
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, choose_plan, middle_axes, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
@@ -40,7 +45,7 @@ class Frame:
     """
 
     colour: NDArray[np.uint8]
-    fields: tuple[RayField, ...]
+    fields: tuple[RayMap, ...]
     warp_status: NDArray[np.uint8] | None = None
     traced: tuple[Float32Array, ...] = ()
     sources: tuple[Float32Array, ...] = ()
@@ -48,7 +53,7 @@ class Frame:
     intermediate: GeometryImage | None = None
 
     @property
-    def field(self) -> RayField:
+    def field(self) -> RayMap:
         """The only or the green channel's."""
         return self.fields[len(self.fields) // 2]
 
@@ -93,7 +98,7 @@ class Painter(Protocol):
         """
 
 
-def _channels(mappings: EyeMappings | Sequence[EyeMappings]) -> Channels:
+def _channels(mappings: EyeMappings | Sequence[EyeMappings]) -> EyeChannels:
     return (mappings,) if isinstance(mappings, EyeMappings) else tuple(mappings)
 
 
@@ -103,11 +108,11 @@ def _by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
 
 
 def _fields(
-    channels: Channels, plans: Sequence[FieldPlan], viewpoint: FloatArray, warm_start: WarmStarts | None
-) -> tuple[RayField, ...]:
+    channels: EyeChannels, plans: Sequence[RayMapPlan], viewpoint: FloatArray, warm_start: WarmStarts | None
+) -> tuple[RayMap, ...]:
     starts = warm_start or (None,) * len(channels)
     each = zip(channels, plans, starts, strict=True)
-    return tuple(ray_field(mappings, viewpoint, plan, start) for mappings, plan, start in each)
+    return tuple(ray_map(mappings, viewpoint, plan, start) for mappings, plan, start in each)
 
 
 class TracedPainter:
@@ -153,19 +158,19 @@ class TracedPainter:
                 if image.position is not None:
                     traced.append(image.position)
             if sample_plans:
-                samples = (ray_field(mappings, viewpoint, plan, field.warm_start) for plan in sample_plans)
+                samples = (ray_map(mappings, viewpoint, plan, field.warm_start) for plan in sample_plans)
                 sampled = (partial(each.world_rays, world_from_device) for each in samples)
                 colour = self._renderer.render_supersampled(field.shape, sampled, self._shadows)
             colours.append(colour)
         return Frame(_by_colour(colours), fields, traced=tuple(traced))
 
 
-def _sample_plans(plan: FieldPlan, supersample: int) -> list[FieldPlan]:
+def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
     if supersample == 1:
         return []
     steps = (np.arange(supersample) + 0.5) / supersample - 0.5
     return [
-        FieldPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, np.array([u, v]))
+        RayMapPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, np.array([u, v]))
         for v in steps
         for u in steps
     ]
@@ -180,7 +185,7 @@ class WarpedPainter:
     def __init__(
         self,
         mappings: EyeMappings | Sequence[EyeMappings],
-        rasteriser: Rasteriser,
+        raster_backend: RasterBackend,
         resolution: float = 1.0,
         at_viewpoint: bool = False,
     ) -> None:
@@ -188,21 +193,21 @@ class WarpedPainter:
 
         Args:
             mappings: any pair, or one each for red, green and blue.
-            rasteriser: of the scene.
+            raster_backend: of the scene.
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
             at_viewpoint: draw the intermediate image from the viewpoint itself, as the paper does, and not from where
                 the bent rays come (`raster_camera.py`), from where less is hidden.
         """
         self._channels = _channels(mappings)
-        self._rasteriser = rasteriser
+        self._rasteriser = raster_backend
         middle = self._channels[len(self._channels) // 2]
         panel = middle.display.panel
         self._device_from_camera = axes = middle_axes(middle)
-        self._plans = [FieldPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
-        self._camera = covering_camera(self._channels, axes, resolution)
-        self._raster_eye = None if at_viewpoint else RasterEye(middle, axes)
+        self._plans = [RayMapPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
+        self._camera = intermediate_camera(self._channels, axes, resolution)
+        self._raster_eye = None if at_viewpoint else RasterPosition(middle, axes)
         size_px = panel.width_px, panel.height_px
-        self._taps = taps_for(shrink_over_eye_box(middle, axes, self._camera, size_px))
+        self._taps = samples_for(minification_over_eye_box(middle, axes, self._camera, size_px))
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
@@ -236,14 +241,14 @@ class MeshWarpedPainter:
     def __init__(
         self,
         mappings: EyeMappings | Sequence[EyeMappings],
-        rasteriser: Rasteriser,
+        raster_backend: RasterBackend,
         renderer: RayRenderer,
         resolution: float = 1.0,
     ) -> None:
         """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
-        self._plain = WarpedPainter(mappings, rasteriser, resolution)
+        self._plain = WarpedPainter(mappings, raster_backend, resolution)
         self._traced = TracedPainter(mappings, renderer)
-        self._rasteriser = rasteriser
+        self._rasteriser = raster_backend
         self._background = encode_srgb(renderer.scene.background)
 
     def paint(

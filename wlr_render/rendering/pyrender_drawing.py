@@ -21,7 +21,7 @@ from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import NEAR_M
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.picture_import import PictureImport
-from wlr_render.rendering.scene import Light, Mesh, Scene
+from wlr_render.rendering.scene import LightSource, Mesh, Scene
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 from wlr_render.rendering.view import GeometryImage, View
@@ -60,7 +60,7 @@ class PyrenderDrawing:
         """
         with _standing_at(self._pyrender, self._graph, self._node, view) as planes:
             self._renderer.viewport_width, self._renderer.viewport_height = view.camera.width_px, view.camera.height_px
-            with self._context.drawing(by_others=True), _without_multisampling(self._pyrender.renderer):
+            with self._context.drawing(third_party=True), _without_multisampling(self._pyrender.renderer):
                 self._renderer.render(self._graph, self._pyrender.RenderFlags.OFFSCREEN)
         return self._imports[name].from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
 
@@ -206,13 +206,13 @@ def _mesh(pyrender: Any, mesh: Mesh) -> Any:
     )
 
 
-def _light(pyrender: Any, light: Light) -> Any:
+def _light(pyrender: Any, light: LightSource) -> Any:
     strength = max(float(light.colour.max()), 1e-12)
     kind = pyrender.PointLight if light.kind == "point" else pyrender.DirectionalLight
     return kind(color=light.colour / strength, intensity=strength * _BRDF_NORMALISATION)
 
 
-def _world_from_light(light: Light) -> NDArray[np.float64]:
+def _world_from_light(light: LightSource) -> NDArray[np.float64]:
     """A pose at a point light, or one whose -z axis a directional light follows."""
     if light.kind == "point":
         return transforms.rigid(np.eye(3), light.vector)

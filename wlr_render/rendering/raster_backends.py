@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.ray_map import RayField
+from wlr_render.rendering.ray_map import RayMap
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.srgb import encode_srgb
-from wlr_render.rendering.view import GeometryImage, View, image_from_field
+from wlr_render.rendering.view import GeometryImage, View, image_from_ray_map
 from wlr_render.rendering.warp import WarpedImage
 
 BACKENDS = ("auto", "egl", "osmesa", "cpu")
@@ -39,7 +39,7 @@ class Warped:
     intermediate: GeometryImage | None = None
 
 
-class Rasteriser(Protocol):
+class RasterBackend(Protocol):
     """Draws one scene from any view and pulls the picture into display pixels."""
 
     @property
@@ -49,17 +49,19 @@ class Rasteriser(Protocol):
     def draw(self, view: View) -> GeometryImage:
         """Draw `view` and fetch colour and inverse depth."""
 
-    def draw_warped(self, view: View, fields: Sequence[RayField], taps: int = 1, with_geometry: bool = False) -> Warped:
+    def draw_warped(
+        self, view: View, fields: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+    ) -> Warped:
         """Draw `view` once and warp it along the bent rays of one field, or of one each for red, green and blue.
 
-        The fields have a viewpoint, which need not be that of the view, and a camera frame in common. `taps` samples
-        per pixel along each axis, see `map_shrink.taps_for`; `with_geometry` also gives the pull maps and the
-        intermediate image.
+        The fields have a viewpoint, which need not be that of the view, and a camera frame in common. `samples_per_axis`
+        samples per pixel along each axis, see `raster_camera.samples_for`; `with_geometry` also gives the pull maps and
+        the intermediate image.
         """
 
 
-def open_rasteriser(scene: Scene, backend: str = "auto", materials: str = "own") -> Rasteriser:
-    """A rasteriser for one scene.
+def open_raster_backend(scene: Scene, backend: str = "auto", materials: str = "own") -> RasterBackend:
+    """A raster_backend for one scene.
 
     Args:
         scene: what to draw.
@@ -104,12 +106,16 @@ class _GlRasteriser:
     def draw(self, view: View) -> GeometryImage:
         return self._draw_on_gpu(view).read()
 
-    def draw_warped(self, view: View, fields: Sequence[RayField], taps: int = 1, with_geometry: bool = False) -> Warped:
+    def draw_warped(
+        self, view: View, fields: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+    ) -> Warped:
         image = self._draw_on_gpu(view)
         moved = _image_from_field(view, fields[0])
 
-        def warp(bends: Sequence[Float32Array]) -> WarpedImage:
-            return self._warps[len(bends)].warp(image, bends, moved, self._background, taps, with_source=with_geometry)
+        def warp(slope_offsets: Sequence[Float32Array]) -> WarpedImage:
+            return self._warps[len(slope_offsets)].warp(
+                image, slope_offsets, moved, self._background, samples_per_axis, with_source=with_geometry
+            )
 
         return _warped(warp, fields, image.read() if with_geometry else None)
 
@@ -119,39 +125,41 @@ class _CpuRasteriser:
 
     def __init__(self, scene: Scene) -> None:
         self._background = _background_code(scene)
-        self._raster = CpuRaster(scene)
+        self._raster = EmbreeRaster(scene)
 
     def draw(self, view: View) -> GeometryImage:
         return self._raster.draw(view)
 
-    def draw_warped(self, view: View, fields: Sequence[RayField], taps: int = 1, with_geometry: bool = False) -> Warped:
+    def draw_warped(
+        self, view: View, fields: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+    ) -> Warped:
         from wlr_render.rendering.cpu_warp import warp_on_cpu
 
         image = self._raster.draw(view)
         moved = _image_from_field(view, fields[0])
 
-        def warp(bends: Sequence[Float32Array]) -> WarpedImage:
-            return warp_on_cpu(image, view.camera, bends, moved, self._background, taps)
+        def warp(slope_offsets: Sequence[Float32Array]) -> WarpedImage:
+            return warp_on_cpu(image, view.camera, slope_offsets, moved, self._background, samples_per_axis)
 
         return _warped(warp, fields, image if with_geometry else None)
 
 
 def _warped(
     warp: Callable[[Sequence[Float32Array]], WarpedImage],
-    fields: Sequence[RayField],
+    fields: Sequence[RayMap],
     intermediate: GeometryImage | None,
 ) -> Warped:
     """The picture in one warp of all channels; with its geometry, in one warp for each pull map."""
-    bends = [field.bend for field in fields]
+    slope_offsets = [field.slope_offset for field in fields]
     if intermediate is None:
-        return Warped(warp(bends))
-    images = [warp([bend]) for bend in bends]
+        return Warped(warp(slope_offsets))
+    images = [warp([slope_offset]) for slope_offset in slope_offsets]
     sources = tuple(image.source for image in images if image.source is not None)
     return Warped(WarpedImage.of_channels(images), sources, intermediate)
 
 
-def _image_from_field(view: View, field: RayField) -> NDArray[np.float64]:
-    return image_from_field(view, field.viewpoint_in_device, field.device_from_camera, view.world_from_device)
+def _image_from_field(view: View, field: RayMap) -> NDArray[np.float64]:
+    return image_from_ray_map(view, field.viewpoint_in_device, field.device_from_camera, view.world_from_device)
 
 
 def _background_code(scene: Scene) -> tuple[int, int, int]:
@@ -159,7 +167,7 @@ def _background_code(scene: Scene) -> tuple[int, int, int]:
     return red, green, blue
 
 
-class CpuRaster:
+class EmbreeRaster:
     """Draws one scene from any view, as `raster.GlRaster` does."""
 
     def __init__(self, scene: Scene) -> None:

@@ -16,11 +16,11 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
-from wlr_render.rendering.ray_map import asked_tangents, solve_pixels
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.ray_map import required_tangents, solve_pixels
+from wlr_render.rendering.warp_grid import WarpGrid
 
 
-def covering_camera(
+def intermediate_camera(
     channels: Sequence[EyeMappings],
     device_from_camera: FloatArray,
     resolution: float = 1.0,
@@ -42,7 +42,7 @@ def covering_camera(
     corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
     tangents = np.concatenate(
         [
-            asked_tangents(mappings, device_from_camera, box.at(unit))
+            required_tangents(mappings, device_from_camera, box.at(unit))
             for mappings in channels
             for unit in [np.zeros(3), *corners]
         ]
@@ -56,19 +56,19 @@ _GRID = 7
 _DEGREE = 2
 
 
-def nearest_point_to_rays(bend: FloatArray) -> FloatArray:
+def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
     """The point (3,) that minimises the squares of the rays' offsets from it, in the rays' camera frame.
 
     A ray is at (c - a z, d - b z, z); its offset from (x, y, z) is measured across the viewing axis, so that the
     point is a regression of (c, d) on (a, b): (c, d) = (x, y) + z (a, b).
 
     Args:
-        bend: (4, ...), (a, b, c, d) as `RayField.bend`; rays with a NaN do not count.
+        slope_offset: (4, ...), (a, b, c, d) as `RayMap.slope_offset`; rays with a NaN do not count.
 
     Returns:
         The point; the origin where no ray counts, and z = 0 where all are parallel.
     """
-    rays = np.asarray(bend, dtype=np.float64).reshape(4, -1)
+    rays = np.asarray(slope_offset, dtype=np.float64).reshape(4, -1)
     rays = rays[:, np.isfinite(rays).all(axis=0)]
     if rays.shape[1] == 0:
         return np.zeros(3)
@@ -79,7 +79,7 @@ def nearest_point_to_rays(bend: FloatArray) -> FloatArray:
     return np.array([*(mean[2:] - z * mean[:2]), z])
 
 
-class RasterEye:
+class RasterPosition:
     """The best place of a raster camera for any viewpoint: a polynomial fitted to some of them over the eye box."""
 
     def __init__(self, mappings: EyeMappings, device_from_camera: FloatArray) -> None:
@@ -89,7 +89,9 @@ class RasterEye:
         self._box = Box(eye_box.centre - half, eye_box.centre + half)
         viewpoints = eye_box.centre + half * np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
         shift_in_camera = [
-            nearest_point_to_rays(np.moveaxis(solve_pixels(mappings, device_from_camera, pixel, each).bend, -1, 0))
+            nearest_point_to_rays(
+                np.moveaxis(solve_pixels(mappings, device_from_camera, pixel, each).slope_offset, -1, 0)
+            )
             for each in viewpoints
         ]
         shift = transforms.rotate(device_from_camera, np.array(shift_in_camera))
@@ -106,24 +108,26 @@ class RasterEye:
 
 SPACING_PX = 1.25
 """Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""
-MAX_TAPS = 4
+MAX_SAMPLES = 4
 _POINTS = 33
 
 
-def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_px: tuple[int, int]) -> float:
+def largest_minification(
+    slope_offset: Float32Array, warp_grid: WarpGrid, camera: Pinhole, size_px: tuple[int, int]
+) -> float:
     """Image pixels that one pixel of the display picture covers, in the direction and at the place where it is most.
 
-    The largest singular value of the map's derivative for points at infinity, by differences between lattice points; 0
-    if no ray is known.
+    The largest singular value of the map's derivative for points at infinity, by differences between warp grid points;
+    0 if no ray is known.
 
     Args:
-        bend: (4, rows, columns) in the image's camera frame, at the points of `lattice`; at least 2 x 2.
-        lattice: where.
+        slope_offset: (4, rows, columns) in the image's camera frame, at the points of `warp_grid`; at least 2 x 2.
+        warp_grid: where.
         camera: of the image.
         size_px: (width, height) of the display picture, which covers the panel.
     """
-    points_per_pixel = lattice.panel.size_px / size_px / lattice.step_px
-    at_infinity = camera.pixel_of_tangents(np.moveaxis(bend[:2].astype(np.float64), 0, -1))
+    points_per_pixel = warp_grid.panel.size_px / size_px / warp_grid.step_px
+    at_infinity = camera.pixel_of_tangents(np.moveaxis(slope_offset[:2].astype(np.float64), 0, -1))
     down, across = np.gradient(at_infinity, axis=(0, 1))
     across, down = across * points_per_pixel[0], down * points_per_pixel[1]
     squares = (across**2 + down**2).sum(axis=-1)
@@ -132,10 +136,10 @@ def largest_shrink(bend: Float32Array, lattice: Lattice, camera: Pinhole, size_p
     return float(np.sqrt(np.max(largest_squared, initial=0.0, where=np.isfinite(largest_squared))))
 
 
-def shrink_over_eye_box(
+def minification_over_eye_box(
     mappings: EyeMappings, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
 ) -> float:
-    """`largest_shrink` of an eye's field at the centre of the eye box and at its nearest and farthest corners.
+    """`largest_minification` of an eye's field at the centre of the eye box and at its nearest and farthest corners.
 
     Args:
         mappings: any pair.
@@ -143,15 +147,18 @@ def shrink_over_eye_box(
         camera: of the image.
         size_px: (width, height) of the display picture.
     """
-    lattice = Lattice.edge_to_edge(mappings.display.panel, _POINTS, _POINTS)
-    box, pixel = mappings.eye_box, lattice.panel_pixel()
-    bends = [
-        solve_pixels(mappings, device_from_camera, pixel, box.at(unit)).bend
+    warp_grid = WarpGrid.edge_to_edge(mappings.display.panel, _POINTS, _POINTS)
+    box, pixel = mappings.eye_box, warp_grid.panel_pixel()
+    slope_offsets = [
+        solve_pixels(mappings, device_from_camera, pixel, box.at(unit)).slope_offset
         for unit in np.array([[0.0, 0, 0], [1, 1, 1], [-1, -1, -1]])
     ]
-    return max(largest_shrink(np.moveaxis(bend, -1, 0).astype(np.float32), lattice, camera, size_px) for bend in bends)
+    return max(
+        largest_minification(np.moveaxis(slope_offset, -1, 0).astype(np.float32), warp_grid, camera, size_px)
+        for slope_offset in slope_offsets
+    )
 
 
-def taps_for(shrink: float) -> int:
-    """Samples per display pixel along each axis, 1 to MAX_TAPS, for `largest_shrink`."""
-    return min(max(math.ceil(shrink / SPACING_PX), 1), MAX_TAPS)
+def samples_for(minification: float) -> int:
+    """Samples per display pixel along each axis, 1 to MAX_SAMPLES, for `largest_minification`."""
+    return min(max(math.ceil(minification / SPACING_PX), 1), MAX_SAMPLES)

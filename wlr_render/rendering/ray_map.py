@@ -1,8 +1,8 @@
 """The world ray of every display pixel at one viewpoint: display forward, then see-through forward.
 
 The field is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to the
-points of a lattice, mostly all pixels, by two thin matrix products per component. `choose_plan` finds the number of
-nodes from a measured error; `exact_field` is the slow plain version, which solves every pixel.
+points of a warp grid, mostly all pixels, by two thin matrix products per component. `choose_plan` finds the number of
+nodes from a measured error; `solve_every_pixel` is the slow plain version, which solves every pixel.
 """
 
 from dataclasses import dataclass, replace
@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import EyeMappings, Panel, Status, StatusArray, worst
+from wlr_render.mappings import EyeMappings, Panel, Status, StatusArray, worst_status
 from wlr_render.numerics import chebyshev
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64
@@ -23,20 +23,20 @@ NEAREST_M = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class FieldPlan:
-    """How to get from nodes to the points of a lattice; made once per panel.
+class RayMapPlan:
+    """How to get from nodes to the points of a warp grid; made once per panel.
 
     Attributes:
         device_from_camera: (3, 3) rotation to the axes in which tangents are taken. They look at the middle of the
             field, so that a field far off the device's axis is not stretched.
-        lattice: the points where rays are wanted.
+        warp_grid: the points where rays are wanted.
         node_pixel: (rows, columns, 2) pixel positions of the nodes.
-        from_rows: (lattice rows, rows) float32, node rows -> lattice rows.
-        from_columns: (columns, lattice columns) float32, node columns -> lattice columns.
+        from_rows: (warp grid rows, rows) float32, node rows -> warp grid rows.
+        from_columns: (columns, warp grid columns) float32, node columns -> warp grid columns.
     """
 
     device_from_camera: FloatArray
-    lattice: Lattice
+    warp_grid: WarpGrid
     node_pixel: FloatArray
     from_rows: Float32Array
     from_columns: Float32Array
@@ -44,28 +44,28 @@ class FieldPlan:
     @classmethod
     def with_nodes(
         cls, panel: Panel, count: int, device_from_camera: FloatArray, offset_px: FloatArray | None = None
-    ) -> "FieldPlan":
+    ) -> "RayMapPlan":
         """A plan of count x count nodes for all pixels; `offset_px` (2,) moves their centres (for supersampling)."""
-        pixels = Lattice.of_pixels(panel)
+        pixels = WarpGrid.of_pixels(panel)
         if offset_px is not None:
             pixels = replace(pixels, first_px=pixels.first_px + offset_px)
-        return cls.to_lattice(pixels, count, device_from_camera)
+        return cls.onto_grid(pixels, count, device_from_camera)
 
     @classmethod
-    def to_lattice(cls, lattice: Lattice, count: int, device_from_camera: FloatArray) -> "FieldPlan":
-        """A plan of count x count nodes for the points of a lattice."""
-        panel, (u, v) = lattice.panel, lattice.axes_px()
+    def onto_grid(cls, warp_grid: WarpGrid, count: int, device_from_camera: FloatArray) -> "RayMapPlan":
+        """A plan of count x count nodes for the points of a warp grid."""
+        panel, (u, v) = warp_grid.panel, warp_grid.axes_px()
         columns = chebyshev.interpolation_matrix(count, 0, panel.width_px, u)
         rows = chebyshev.interpolation_matrix(count, 0, panel.height_px, v)
         nodes = chebyshev.nodes(count, 0, panel.width_px), chebyshev.nodes(count, 0, panel.height_px)
         node_pixel = np.stack(np.meshgrid(*nodes), axis=-1)
         from_columns = np.ascontiguousarray(columns.T, dtype=np.float32)
-        return cls(device_from_camera, lattice, node_pixel, rows.astype(np.float32), from_columns)
+        return cls(device_from_camera, warp_grid, node_pixel, rows.astype(np.float32), from_columns)
 
     @property
     def panel(self) -> Panel:
         """Whose pixels are meant."""
-        return self.lattice.panel
+        return self.warp_grid.panel
 
     @property
     def node_count(self) -> int:
@@ -82,28 +82,28 @@ class WarmStart:
 
 
 @dataclass(frozen=True, eq=False)
-class RayField:
-    """World rays of all points of a lattice, mostly the pixels, at one viewpoint; camera frame, origin there.
+class RayMap:
+    """World rays of all points of a warp grid, mostly the pixels, at one viewpoint; camera frame, origin there.
 
     Attributes:
         viewpoint_in_device: (3,) metres.
         device_from_camera: (3, 3) rotation of the camera frame.
-        bend: (4, height, width) float32, (a, b, c, d): the ray passes through (c, d, 0) with tangents (a, b); at depth
-            Z in front of the viewpoint it is at (a Z + c, b Z + d, -Z). NaN where the status has no value.
+        slope_offset: (4, height, width) float32, (a, b, c, d): the ray passes through (c, d, 0) with tangents (a, b);
+            at depth Z in front of the viewpoint it is at (a Z + c, b Z + d, -Z). NaN where the status has no value.
         status: (height, width) uint8, see `mappings.Status`.
         warm_start: pass it to the next frame.
     """
 
     viewpoint_in_device: FloatArray
     device_from_camera: FloatArray
-    bend: Float32Array
+    slope_offset: Float32Array
     status: StatusArray
     warm_start: WarmStart | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
-        return self.bend.shape[1], self.bend.shape[2]
+        return self.slope_offset.shape[1], self.slope_offset.shape[2]
 
     def world_rays(self, world_from_device: FloatArray, rows: slice = slice(None)) -> tuple[Float32Array, Float32Array]:
         """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
@@ -111,7 +111,7 @@ class RayField:
         Origins lie beside the viewpoint, where the straight continuation of the bent ray passes it; NaN where the
         field has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
         """
-        a, b, c, d = self.bend[:, rows].reshape(4, -1)
+        a, b, c, d = self.slope_offset[:, rows].reshape(4, -1)
         # Named rows of the rotation keep this in float32 and free of (n, 3) temporaries.
         r = (world_from_device[:3, :3] @ self.device_from_camera).astype(np.float32)
         eye = transforms.apply(world_from_device, self.viewpoint_in_device).astype(np.float32)
@@ -124,10 +124,10 @@ class RayField:
 
 
 @dataclass(frozen=True, eq=False)
-class Bends:
-    """Exact solutions at some pixels: `bend` (..., 4) as `RayField.bend`, `status` (...)."""
+class SolvedRays:
+    """Exact solutions at some pixels: `slope_offset` (..., 4) as `RayMap.slope_offset`, `status` (...)."""
 
-    bend: FloatArray
+    slope_offset: FloatArray
     status: StatusArray
     warm_start: WarmStart
 
@@ -138,7 +138,7 @@ def solve_pixels(
     pixel: FloatArray,
     viewpoint: FloatArray,
     warm_start: WarmStart | None = None,
-) -> Bends:
+) -> SolvedRays:
     """Ask the mappings at pixels (..., 2) for one viewpoint (3,), in axes (3, 3).
 
     A pixel that the display has no direction for keeps the display's status.
@@ -146,20 +146,20 @@ def solve_pixels(
     warm_start = warm_start or WarmStart(None, None)
     view = mappings.display.view_dir_of_pixel(pixel, viewpoint, warm_start.display)
     real = mappings.see_through.real_ray_of_view_dir(view.value, viewpoint, warm_start.see_through)
-    status = np.where(view.usable, worst(view.status, real.status), view.status)
+    status = np.where(view.usable, worst_status(view.status, real.status), view.status)
     in_camera = rays.transformed(transforms.inverse(transforms.rigid(device_from_camera, viewpoint)), real.value)
     at_viewpoint = rays.at_z(in_camera, 0.0)
-    bend = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), at_viewpoint[..., :2]], axis=-1)
+    slope_offset = np.concatenate([directions.tangents_of_dir(at_viewpoint[..., 3:]), at_viewpoint[..., :2]], axis=-1)
     # A ray that does not lead forwards has no tangents: there is nothing to see along it.
-    lost = ~np.isfinite(bend).all(axis=-1)
-    bend = np.where(lost[..., None], np.nan, bend)
+    lost = ~np.isfinite(slope_offset).all(axis=-1)
+    slope_offset = np.where(lost[..., None], np.nan, slope_offset)
     status = np.where(lost & (status <= Status.OUTSIDE_FIT), Status.MISS, status).astype(np.uint8)
-    return Bends(bend, status, WarmStart(view.warm_start, real.warm_start))
+    return SolvedRays(slope_offset, status, WarmStart(view.warm_start, real.warm_start))
 
 
-def exact_field(
+def solve_every_pixel(
     mappings: EyeMappings, viewpoint: FloatArray, device_from_camera: FloatArray, pixel: FloatArray | None = None
-) -> RayField:
+) -> RayMap:
     """Solve every pixel: minutes of work for the sake of a reference, or where the field has holes.
 
     Args:
@@ -170,22 +170,22 @@ def exact_field(
     """
     pixel = mappings.display.panel.pixel_centres() if pixel is None else pixel
     height, width = pixel.shape[:2]
-    bend = np.empty((4, height, width), np.float32)
+    slope_offset = np.empty((4, height, width), np.float32)
     status = np.empty((height, width), np.uint8)
     for start in range(0, height, _ROWS_PER_BLOCK):
         rows = slice(start, start + _ROWS_PER_BLOCK)
         solved = solve_pixels(mappings, device_from_camera, pixel[rows], viewpoint)
-        bend[:, rows] = np.moveaxis(solved.bend, -1, 0)
+        slope_offset[:, rows] = np.moveaxis(solved.slope_offset, -1, 0)
         status[rows] = solved.status
-    return RayField(viewpoint, device_from_camera, bend, status)
+    return RayMap(viewpoint, device_from_camera, slope_offset, status)
 
 
-def ray_field(
-    mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan, warm_start: WarmStart | None = None
-) -> RayField:
+def ray_map(
+    mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, warm_start: WarmStart | None = None
+) -> RayMap:
     """The field at a new viewpoint, by the nodes of `plan`.
 
-    Where a node has no answer the polynomial through the nodes means nothing; then every lattice point is solved.
+    Where a node has no answer the polynomial through the nodes means nothing; then every warp grid point is solved.
 
     Args:
         mappings: any pair, with the plan's panel.
@@ -195,25 +195,25 @@ def ray_field(
     """
     axes = plan.device_from_camera
     solved = solve_pixels(mappings, axes, plan.node_pixel, viewpoint, warm_start)
-    if not np.isfinite(solved.bend).all():
-        field = exact_field(mappings, viewpoint, axes, plan.lattice.panel_pixel())
+    if not np.isfinite(solved.slope_offset).all():
+        field = solve_every_pixel(mappings, viewpoint, axes, plan.warp_grid.panel_pixel())
         return replace(field, warm_start=solved.warm_start)
     status = _spread_status(plan, solved.status)
-    return RayField(viewpoint, axes, _spread(plan, solved.bend), status, solved.warm_start)
+    return RayMap(viewpoint, axes, _spread(plan, solved.slope_offset), status, solved.warm_start)
 
 
-def _spread(plan: FieldPlan, at_nodes: FloatArray) -> Float32Array:
-    """(rows, columns, k) at the nodes -> (k, rows, columns) at the lattice's points."""
+def _spread(plan: RayMapPlan, at_nodes: FloatArray) -> Float32Array:
+    """(rows, columns, k) at the nodes -> (k, rows, columns) at the warp grid's points."""
     components = np.moveaxis(at_nodes, -1, 0).astype(np.float32)
     return np.asarray(np.matmul(plan.from_rows @ components, plan.from_columns))
 
 
-def _spread_status(plan: FieldPlan, at_nodes: StatusArray) -> StatusArray:
+def _spread_status(plan: RayMapPlan, at_nodes: StatusArray) -> StatusArray:
     """A point's status is the worst of the nodes around it."""
-    columns, rows = plan.lattice.size
+    columns, rows = plan.warp_grid.size
     if not at_nodes.any():
         return np.zeros((rows, columns), np.uint8)
-    last, (u, v) = plan.node_count - 1, plan.lattice.axes_px()
+    last, (u, v) = plan.node_count - 1, plan.warp_grid.axes_px()
     row, column = np.searchsorted(plan.node_pixel[:, 0, 1], v), np.searchsorted(plan.node_pixel[0, :, 0], u)
     below, above = np.maximum(row - 1, 0), np.minimum(row, last)
     left, right = np.maximum(column - 1, 0), np.minimum(column, last)
@@ -221,7 +221,7 @@ def _spread_status(plan: FieldPlan, at_nodes: StatusArray) -> StatusArray:
     return np.asarray(np.maximum(across[below], across[above]))
 
 
-def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan, pixel: FloatArray) -> FloatArray:
+def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> FloatArray:
     """Error of the interpolated field at some pixels against the exact solve there, in display pixels.
 
     Args:
@@ -236,12 +236,12 @@ def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan
     """
     count, panel = plan.node_count, plan.panel
     axes = plan.device_from_camera
-    nodes = solve_pixels(mappings, axes, plan.node_pixel, viewpoint).bend
+    nodes = solve_pixels(mappings, axes, plan.node_pixel, viewpoint).slope_offset
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
     down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
     interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
     exact, right, lower = (
-        solve_pixels(mappings, axes, pixel + step, viewpoint).bend for step in ([0, 0], [-1, 0], [0, -1])
+        solve_pixels(mappings, axes, pixel + step, viewpoint).slope_offset for step in ([0, 0], [-1, 0], [0, -1])
     )
     pixel_size = np.minimum(
         np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
@@ -252,12 +252,12 @@ def field_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: FieldPlan
     )
 
 
-def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int = 150) -> FieldPlan:
+def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int = 150) -> RayMapPlan:
     """The least number of nodes that keeps the field within `tolerance_px` at the centre and corners of the eye box.
 
     Judged on `samples` fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
     If no count reaches the tolerance the largest is taken: a map with kinks is not for interpolation, and
-    `field_error_px` says how far off it is.
+    `ray_map_error_px` says how far off it is.
     """
     panel, box = mappings.display.panel, mappings.eye_box
     rng = np.random.default_rng(20250102)
@@ -266,8 +266,8 @@ def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int
     viewpoints = [box.centre, box.at(np.array([1.0, 1.0, 1.0])), box.at(np.array([-1.0, -1.0, -1.0]))]
     axes = middle_axes(mappings)
     for count in NODE_COUNTS:
-        plan = FieldPlan.with_nodes(panel, count, axes)
-        if all(_worst_px(field_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
+        plan = RayMapPlan.with_nodes(panel, count, axes)
+        if all(_worst_px(ray_map_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
             return plan
     return plan
 
@@ -278,17 +278,17 @@ def _worst_px(error_px: FloatArray) -> float:
     return float(known.max()) if known.size else np.inf
 
 
-def asked_tangents(mappings: EyeMappings, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
+def required_tangents(mappings: EyeMappings, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
     """Tangents (n, 2) under which a viewpoint sees the rays' points at infinity and at the nearest depth.
 
     What a raster camera must cover, from a grid of pixels that reaches the panel's borders; NaN where there is no ray.
     """
     panel = mappings.display.panel
     u, v = (np.linspace(0.5, size - 0.5, _GRID) for size in (panel.width_px, panel.height_px))
-    bend = solve_pixels(mappings, device_from_camera, np.stack(np.meshgrid(u, v), axis=-1), viewpoint).bend.reshape(
-        -1, 4
-    )
-    return np.concatenate([bend[:, :2], bend[:, :2] + bend[:, 2:] / NEAREST_M])
+    slope_offset = solve_pixels(
+        mappings, device_from_camera, np.stack(np.meshgrid(u, v), axis=-1), viewpoint
+    ).slope_offset.reshape(-1, 4)
+    return np.concatenate([slope_offset[:, :2], slope_offset[:, :2] + slope_offset[:, 2:] / NEAREST_M])
 
 
 def middle_axes(mappings: EyeMappings) -> FloatArray:

@@ -54,7 +54,7 @@ class Instance:
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class LightSource:
     """A directional or point light.
 
     Attributes:
@@ -83,7 +83,7 @@ class Scene:
     name: str
     meshes: tuple[Mesh, ...]
     instances: tuple[Instance, ...]
-    lights: tuple[Light, ...]
+    lights: tuple[LightSource, ...]
     ambient: Float32Array = field(default_factory=lambda: np.full(3, 0.25, np.float32))
     background: Float32Array = field(default_factory=lambda: np.zeros(3, np.float32))
 

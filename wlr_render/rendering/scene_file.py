@@ -13,19 +13,19 @@ from wlr_render.files import Table
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.rendering.mesh_file import SUFFIXES, load_meshes
-from wlr_render.rendering.scene import Instance, Light, Mesh, Scene
+from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
 from wlr_render.rendering.shapes.construction import turn
 from wlr_render.rendering.shapes.objects import SHAPES
 
 FORMAT, VERSION, FRAME = "wlr-scene", 1, "openxr"
 _PLACEMENT = ("name", "mesh", "shape", "position_m", "rotation_deg", "quaternion_xyzw", "scale", "scale_xyz")
 _DEFAULT_LIGHTS = (
-    Light("directional", normalised(np.array([0.4, -0.8, -0.6])), np.array([0.75, 0.73, 0.7], np.float32)),
-    Light("directional", normalised(np.array([-0.7, -0.1, -0.5])), np.array([0.2, 0.22, 0.25], np.float32)),
+    LightSource("directional", normalised(np.array([0.4, -0.8, -0.6])), np.array([0.75, 0.73, 0.7], np.float32)),
+    LightSource("directional", normalised(np.array([-0.7, -0.1, -0.5])), np.array([0.2, 0.22, 0.25], np.float32)),
 )
 _DEFAULT_DISTANCE_M = 1.0
 
-Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[Light, ...]]
+Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...]]
 
 
 def load_scene(spec: str | Path) -> Scene:
@@ -76,7 +76,7 @@ def _with(scene: Scene, placed: Placed) -> Scene:
     )
 
 
-def _light(table: Table) -> Light:
+def _light(table: Table) -> LightSource:
     kind = table.text("kind", choices=("directional", "point"))
     if kind == "directional":
         vector = table.vector("direction", 3)
@@ -85,7 +85,7 @@ def _light(table: Table) -> Light:
         vector = normalised(vector)
     else:
         vector = table.vector("position_m", 3)
-    light = Light(kind, vector, table.vector("colour", 3).astype(np.float32))
+    light = LightSource(kind, vector, table.vector("colour", 3).astype(np.float32))
     table.finish()
     return light
 
@@ -116,7 +116,7 @@ def _mesh_object(table: Table, folder: Path, world_from_object: NDArray[np.float
     return content.meshes, instances, tuple(_moved(light, world_from_object) for light in content.lights)
 
 
-def _moved(light: Light, world_from_object: NDArray[np.float64]) -> Light:
+def _moved(light: LightSource, world_from_object: NDArray[np.float64]) -> LightSource:
     if light.kind == "point":
         return replace(light, vector=transforms.apply(world_from_object, light.vector))
     return replace(light, vector=normalised(world_from_object[:3, :3] @ light.vector))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering import sampling
 from wlr_render.rendering.ray_intersections import Hits, SceneTracer
-from wlr_render.rendering.scene import Instance, Light, Mesh, Scene, world_normals
+from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_normals
 from wlr_render.rendering.srgb import decode_srgb
 
 IndexArray = NDArray[np.intp]
@@ -230,7 +230,9 @@ def _raised(position: Float32Array, normal: Float32Array, distance: Float32Array
     return np.asarray(position + normal * height)
 
 
-def _towards_light(light: Light, position: Float32Array, normal: Float32Array) -> tuple[Float32Array, Float32Array]:
+def _towards_light(
+    light: LightSource, position: Float32Array, normal: Float32Array
+) -> tuple[Float32Array, Float32Array]:
     """Vectors to the light, (3, m) or (3, 1), and the light's falloff times n.l, (m,)."""
     vector = light.vector.astype(np.float32)[:, None]
     if light.kind == "directional":
@@ -244,7 +246,7 @@ def _towards_light(light: Light, position: Float32Array, normal: Float32Array) -
 
 
 def _hide(
-    strength: Float32Array, light: Light, to_light: Float32Array, raised: Float32Array, shadow_tracer: SceneTracer
+    strength: Float32Array, light: LightSource, to_light: Float32Array, raised: Float32Array, shadow_tracer: SceneTracer
 ) -> None:
     """Put out the light, in place, where something stands before it."""
     lit = np.flatnonzero(strength)

@@ -1,6 +1,6 @@
 """Warping an intermediate image along bent rays: the rule that all backends follow, and what it gives.
 
-For each display pixel the ray field has (a, b, c, d); `moved_rays.seen_from` tells it in the camera frame of the
+For each display pixel the ray field has (a, b, c, d); `moved_rays.in_camera_frame` tells it in the camera frame of the
 intermediate image. There the world ray passes through (c, d, 0) with tangents (a, b). A point of it at inverse depth w
 appears in the image at
 
@@ -32,9 +32,10 @@ depth is linear in the pixel), else the nearest texel; beyond the border it repe
 asked for, at a path's near end, is the nearest texel. The background has w = 0 and is met at (a, b).
 
 Colour is bilinear in the 8-bit sRGB values, as cv2.remap does, by four texel reads: the hardware's own filter has 8-bit
-weights. Where the map shrinks, `taps` > 1 takes the mean of taps x taps such samples, spread evenly over what the
-display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of a display pixel in the
-image are differences of s(0) in blocks of 2 x 2 pixels, as GPUs take them; next to a hole they count as 0.
+weights. Where the map minifies, `samples_per_axis` > 1 takes the mean of the square of that number of such samples,
+spread evenly over what the display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of
+a display pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as GPUs take them; next
+to a hole they count as 0.
 
 With one field per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
 three (the largest), the source that of green.

@@ -9,7 +9,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class WarpGrid:
     """Points in rows and columns over a panel, the top row first.
 
     Attributes:
@@ -26,14 +26,14 @@ class Lattice:
     step_px: FloatArray
 
     @classmethod
-    def of_pixels(cls, panel: Panel, size_px: tuple[int, int] | None = None) -> "Lattice":
+    def of_pixels(cls, panel: Panel, size_px: tuple[int, int] | None = None) -> "WarpGrid":
         """The pixel centres of a picture (width, height) that covers the panel; the panel's own if None."""
         columns, rows = (panel.width_px, panel.height_px) if size_px is None else size_px
         step = panel.size_px / [columns, rows]
         return cls(panel, columns, rows, 0.5 * step, step)
 
     @classmethod
-    def edge_to_edge(cls, panel: Panel, columns: int, rows: int) -> "Lattice":
+    def edge_to_edge(cls, panel: Panel, columns: int, rows: int) -> "WarpGrid":
         """Points from the panel's outer edges inwards, so that every pixel lies between some."""
         return cls(panel, columns, rows, np.zeros(2), panel.size_px / [columns - 1, rows - 1])
 
@@ -54,7 +54,7 @@ class Lattice:
         """Panel positions of all points, (rows, columns, 2)."""
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
-    def is_of_pixels(self, size_px: tuple[int, int]) -> bool:
+    def has_pixel_centres_of(self, size_px: tuple[int, int]) -> bool:
         """Whether the points are the pixel centres of a picture (width, height), and not as many points elsewhere."""
         return self.size == tuple(size_px) and np.allclose(self.first_px, 0.5 * self.step_px)
 

@@ -11,7 +11,7 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.geometry.directions import ARCMIN, normalised
-from wlr_render.mappings import EyeMappings, Field
+from wlr_render.mappings import EyeMappings, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 
 
@@ -37,7 +37,7 @@ class CaptureSetup:
     truth: EyeMappings
     camera_noise_arcmin: float = 0.0
     stage_error_m: float = 0.0
-    camera_field: Field | None = None
+    camera_field: FieldOfView | None = None
     grid: tuple[int, int] = (25, 21)
     target_depths_m: tuple[float, ...] = (0.4, 3.0)
 
@@ -54,7 +54,7 @@ class CaptureSetup:
             )
 
     @cached_property
-    def field(self) -> Field:
+    def field(self) -> FieldOfView:
         """What the camera sees of the display from the centre and the corners of the eye box.
 
         Raises:
@@ -72,7 +72,7 @@ class CaptureSetup:
             raise BadInputError(
                 f"capture setup: no panel pixel of {self.truth.name} is seen from its eye box; check the device."
             )
-        return Field(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
+        return FieldOfView(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
 
     def pixels(self) -> FloatArray:
         """Panel pixels that are decoded, (n, 2)."""

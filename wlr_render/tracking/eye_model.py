@@ -15,7 +15,7 @@ relaxed eye)."""
 
 
 @dataclass(frozen=True, eq=False)
-class EyeModel:
+class RotatingEye:
     """An eye that turns about a fixed point and carries its entrance pupil in front of it.
 
     Attributes:
@@ -27,7 +27,7 @@ class EyeModel:
     pupil_distance_m: float = PUPIL_DISTANCE_M
 
     @classmethod
-    def looking_ahead_from(cls, viewpoint_in_device: FloatArray) -> "EyeModel":
+    def looking_ahead_from(cls, viewpoint_in_device: FloatArray) -> "RotatingEye":
         """The eye whose entrance pupil is at a viewpoint (3,) when it looks straight ahead, along -z."""
         return cls(np.asarray(viewpoint_in_device, dtype=np.float64) + [0.0, 0.0, PUPIL_DISTANCE_M])
 

@@ -18,7 +18,7 @@ import numpy as np
 from wlr_render import files
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, EyeModel
+from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, RotatingEye
 from wlr_render.tracking.text_rows import Row, TextTable, read_text_table, require_ascending_rows, shortest
 from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, ViewpointTrack
 
@@ -95,11 +95,11 @@ class _Header:
             raise BadInputError(f"{self._path}: header '# {key}:' must state {count} number(s), in metres.")
         return values
 
-    def eye_model(self, eye: str) -> EyeModel:
+    def eye_model(self, eye: str) -> RotatingEye:
         """The eye that the header describes."""
         centre = np.array(self.numbers(f"rotation_centre_{eye}_m", 3))
         has_distance = "pupil_distance_m" in self._values
-        return EyeModel(centre, self.numbers("pupil_distance_m", 1)[0] if has_distance else PUPIL_DISTANCE_M)
+        return RotatingEye(centre, self.numbers("pupil_distance_m", 1)[0] if has_distance else PUPIL_DISTANCE_M)
 
 
 def write_eye_trajectory(path: str | Path, trajectory: EyeTrajectory) -> Path:

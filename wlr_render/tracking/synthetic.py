@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from wlr_render.geometry import directions
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.tracking.eye_model import EyeModel
+from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.minimum_jerk import minimum_jerk
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, HeadTrajectory
 
@@ -52,7 +52,7 @@ def eye_motion(
     point_in_device = _fixated_point(rng, time_s)
     tracks = {}
     for eye, viewpoint in viewpoints_in_device.items():
-        model = EyeModel.looking_ahead_from(viewpoint)
+        model = RotatingEye.looking_ahead_from(viewpoint)
         gaze_dir = directions.normalised(point_in_device - model.rotation_centre_in_device)
         tracks[eye] = GazeTrack(time_s, gaze_dir, model, f"synthetic {eye} eye, seed {seed}")
     return EyeTrajectory(tracks, f"synthetic eyes, seed {seed}")

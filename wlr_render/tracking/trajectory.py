@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.tracking.eye_model import EyeModel
+from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.samples import bracket, require_ascending
 
 EYES = ("left", "right")
@@ -98,7 +98,7 @@ class GazeTrack:
 
     time_s: FloatArray
     gaze_dir: FloatArray
-    eye_model: EyeModel
+    eye_model: RotatingEye
     name: str = "eye trajectory"
 
     def __post_init__(self) -> None:

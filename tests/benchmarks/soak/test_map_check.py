@@ -4,37 +4,37 @@ import numpy as np
 
 from benchmarks.soak.map_check import arcmin_apart
 from wlr_render.geometry import transforms
-from wlr_render.rendering.ray_map import NEAREST_M, RayField
+from wlr_render.rendering.ray_map import NEAREST_M, RayMap
 
 AXES = transforms.rotation_about("y", 0.2)
 
 
-def field(viewpoint=(0.0, 0.0, 0.0), bend=None):
+def field(viewpoint=(0.0, 0.0, 0.0), slope_offset=None):
     rng = np.random.default_rng(4)
     some = rng.uniform(-0.5, 0.5, (4, 3, 5)) * np.array([1.0, 1.0, 0.01, 0.01])[:, None, None]
-    return RayField(np.array(viewpoint), AXES, some if bend is None else bend, np.zeros((3, 5), np.uint8))
+    return RayMap(np.array(viewpoint), AXES, some if slope_offset is None else slope_offset, np.zeros((3, 5), np.uint8))
 
 
 def test_the_same_rays_told_from_two_viewpoints_are_not_apart():
     one, step = field(), np.array([0.002, -0.003, 0.004])
-    origin = np.stack([one.bend[2], one.bend[3], np.zeros((3, 5))]) - (AXES.T @ step)[:, None, None]
-    slope = np.stack([one.bend[0], one.bend[1], -np.ones((3, 5))])
+    origin = np.stack([one.slope_offset[2], one.slope_offset[3], np.zeros((3, 5))]) - (AXES.T @ step)[:, None, None]
+    slope = np.stack([one.slope_offset[0], one.slope_offset[1], -np.ones((3, 5))])
     a, b, c, d = *slope[:2], *(origin + origin[2] * slope)[:2]
     assert arcmin_apart(one, field(step, np.stack([a, b, c, d]))) < 1e-6
-    assert arcmin_apart(one, field(step, one.bend)) > 10.0
+    assert arcmin_apart(one, field(step, one.slope_offset)) > 10.0
 
 
 def test_turned_rays_are_apart_by_the_turn_and_shifted_ones_by_the_shift_at_the_nearest_depth():
-    straight = field(bend=np.zeros((4, 3, 5)))
+    straight = field(slope_offset=np.zeros((4, 3, 5)))
     for component, amount, arcmin in ((0, 1e-3, 3.4377), (3, 1e-3 * NEAREST_M, 3.4377)):
-        bend = np.zeros((4, 3, 5))
-        bend[component, 1, 2] = amount
-        np.testing.assert_allclose(arcmin_apart(field(bend=bend), straight), arcmin, rtol=1e-4)
+        slope_offset = np.zeros((4, 3, 5))
+        slope_offset[component, 1, 2] = amount
+        np.testing.assert_allclose(arcmin_apart(field(slope_offset=slope_offset), straight), arcmin, rtol=1e-4)
 
 
 def test_points_without_a_ray_do_not_count_and_none_at_all_is_told():
     one = field()
-    spoilt = one.bend.copy()
+    spoilt = one.slope_offset.copy()
     spoilt[:, 0, 0] = np.nan
-    assert arcmin_apart(dataclasses.replace(one, bend=spoilt), one) < 1e-9
-    assert np.isnan(arcmin_apart(dataclasses.replace(one, bend=np.full_like(spoilt, np.nan)), one))
+    assert arcmin_apart(dataclasses.replace(one, slope_offset=spoilt), one) < 1e-9
+    assert np.isnan(arcmin_apart(dataclasses.replace(one, slope_offset=np.full_like(spoilt, np.nan)), one))

@@ -15,7 +15,7 @@ from benchmarks.soak.wearer import Wearer
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import MissingGlError
-from wlr_render.mappings import Mapped, Status
+from wlr_render.mappings import QueryResult, Status
 from wlr_render.rendering.scene_file import load_scene
 
 GL_OBJECTS = (
@@ -44,7 +44,7 @@ class FailsLeftWhenFarRight:
         x_mm = 1e3 * (np.asarray(viewpoint)[..., 0] - BOX.centre[0])
         failed = (np.asarray(pixel)[..., 0] < self.panel.width_px / 3) & (x_mm > 2.5) & (x_mm < 3.5)
         status = np.where(failed, np.uint8(Status.NOT_CONVERGED), good.status)
-        return Mapped(np.where(failed[..., None], np.nan, good.value), status)
+        return QueryResult(np.where(failed[..., None], np.nan, good.value), status)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +60,7 @@ class TrustsItsStart:
     def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
         good = self.whole.view_dir_of_pixel(pixel, viewpoint)
         value = good.value if warm_start is None else warm_start
-        return Mapped(value, good.status, value)
+        return QueryResult(value, good.status, value)
 
 
 def options(scene_file, wearer, frames, **others):

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.soak import report, study
-from benchmarks.soak.records import Cost, EyeMoment, FrameNote, MapCheck, Moment, Stream
+from benchmarks.soak.records import Cost, EyeMoment, FrameNote, MapCheck, Stream, StreamFrame
 from benchmarks.soak.wearer import Wearer
 from wlr_render.errors import BadInputError
 from wlr_render.tracking.tracked_viewpoint import TrackingState
@@ -26,7 +26,7 @@ def stream_of(states, *, frame_ms=None, failed=None, x_mm=None, resident_mb=None
         if frame_ms is not None:
             cost = dataclasses.replace(cost, compose_ms=0.75 * frame_ms[k])
         unsolved = {"not converged": failed[k]} if failed and failed.get(k) else {}
-        frames.append(FrameNote(Moment(0.01 * k, np.eye(4), np.eye(4), {"right": eye}), cost, {"right": unsolved}))
+        frames.append(FrameNote(StreamFrame(0.01 * k, np.eye(4), np.eye(4), {"right": eye}), cost, {"right": unsolved}))
     return Stream(frames, (), 100.0, 0.0, "nobody", (5, 4))
 
 

@@ -8,11 +8,11 @@ from benchmarks.speed.accuracy import Moment, disoccluded_at_pupil, landing, sub
 from benchmarks.speed.workload import bench_model
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Panel
-from wlr_render.rendering.choose_warp_grid import lattice_error_arcmin
-from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.choose_warp_grid import warp_grid_error_arcmin
+from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 PLACE = np.array([0.6, -0.5, 0.4])
 TURN = transforms.rigid(transforms.rotation_about("y", np.deg2rad(0.5)), np.zeros(3))
@@ -101,17 +101,17 @@ def test_late_rows_are_of_each_movement(on):
 
 @pytest.mark.gl
 def test_the_shaders_error_is_that_of_its_lattice(gl_context, small_panel_model):
-    """At pixels next to nothing; between few points what the choice of lattices measures without a shader."""
+    """At pixels next to nothing; between few points what the choice of warp grids measures without a shader."""
     eye, axes = small_panel_model, middle_axes(small_panel_model)
-    pixels, few = Lattice.of_pixels(eye.display.panel), Lattice.edge_to_edge(eye.display.panel, 12, 13)
+    pixels, few = WarpGrid.of_pixels(eye.display.panel), WarpGrid.edge_to_edge(eye.display.panel, 12, 13)
     at_pixels, between = (
-        accuracy_tables.field_error_arcmin(GlSolve(gl_context, eye, lattice, axes), eye, lattice)
-        for lattice in (pixels, few)
+        accuracy_tables.field_error_arcmin(GlPlanarSolver(gl_context, eye, warp_grid, axes), eye, warp_grid)
+        for warp_grid in (pixels, few)
     )
     assert np.nanmax(at_pixels) < accuracy_tables.SHADER_GOAL_ARCMIN
     centres = eye.display.panel.pixel_centres().reshape(-1, 2)
     expected = [
-        np.nanmax(lattice_error_arcmin(eye, axes, few, viewpoint, centres))
+        np.nanmax(warp_grid_error_arcmin(eye, axes, few, viewpoint, centres))
         for viewpoint in eye.eye_box.at(accuracy_tables.JUDGED_PLACES)
     ]
     np.testing.assert_allclose(np.nanmax(between, axis=1), expected, rtol=1e-3)
@@ -121,7 +121,7 @@ def test_the_shaders_error_is_that_of_its_lattice(gl_context, small_panel_model)
 @pytest.mark.gl
 def test_the_field_table_has_a_bound_where_there_is_a_lattice(gl_context, small_panel_model):
     table = accuracy_tables.field_table({"northstar": small_panel_model}, "auto")
-    every_pixel, lattice = table.rows
+    every_pixel, warp_grid = table.rows
     assert every_pixel[1] is None
-    assert lattice[1] >= 0
-    assert max(every_pixel[3], lattice[3]) <= accuracy_tables.SHADER_GOAL_ARCMIN
+    assert warp_grid[1] >= 0
+    assert max(every_pixel[3], warp_grid[3]) <= accuracy_tables.SHADER_GOAL_ARCMIN

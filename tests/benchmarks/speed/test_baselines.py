@@ -10,8 +10,8 @@ from wlr_render.errors import MissingGlError
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.painters import WarpedPainter
-from wlr_render.rendering.raster_backends import open_rasteriser
-from wlr_render.rendering.ray_map import choose_plan, ray_field
+from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.view import View
 
@@ -22,7 +22,7 @@ def scene():
 
 
 def test_raw_embree_finds_what_our_tracer_finds(scene, small_panel_model):
-    field = ray_field(small_panel_model, small_panel_model.eye_box.centre, choose_plan(small_panel_model))
+    field = ray_map(small_panel_model, small_panel_model.eye_box.centre, choose_plan(small_panel_model))
     origin, direction = field.world_rays(HEAD_POSE)
     shares = raw_embree(scene, origin, direction)()
     raw = {key: np.concatenate([share[key] for share in shares]) for key in ("tfar", "primID")}
@@ -43,7 +43,7 @@ def test_the_bare_opengl_frame_draws_our_silhouette(scene, small_panel_model):
         context = gl.open_context("egl")
     except MissingGlError as error:
         pytest.skip(str(error))
-    camera = WarpedPainter(eye, open_rasteriser(scene, "cpu")).view(centre, HEAD_POSE).camera
+    camera = WarpedPainter(eye, open_raster_backend(scene, "cpu")).view(centre, HEAD_POSE).camera
     axes = choose_plan(eye).device_from_camera
     view = View(offline._at_display_size(camera, eye.display.panel), centre, HEAD_POSE, axes)
     with context:

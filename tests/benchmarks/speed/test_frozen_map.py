@@ -18,7 +18,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.headset import open_eye
-from wlr_render.mappings import Mapped, Status
+from wlr_render.mappings import QueryResult, Status
 from wlr_render.rendering.ray_map import middle_axes, solve_pixels
 
 PANEL_DEPTH_M = 0.5
@@ -68,7 +68,7 @@ def test_at_its_own_viewpoint_only_interpolation_is_wrong(small_panel_model, sch
     rms = []
     for points in (9, 17, 33):
         shown = frozen_map(eye, replace(scheme, points=points), viewpoint, axes, depth_m)
-        at_points = frozen_map_error_arcmin(eye, shown, viewpoint, shown.lattice.panel_pixel(), depth_m)
+        at_points = frozen_map_error_arcmin(eye, shown, viewpoint, shown.warp_grid.panel_pixel(), depth_m)
         assert np.nanmax(at_points) < 1e-5
         error = frozen_map_error_arcmin(eye, shown, viewpoint, pixel, depth_m)
         rms.append(np.sqrt(np.mean(error**2)))
@@ -81,10 +81,10 @@ def test_a_map_for_infinity_is_wrong_nearby_by_the_rays_offset(small_panel_model
     eye = small_panel_model
     viewpoint, axes = eye.eye_box.centre, middle_axes(eye)
     shown = frozen_map(eye, MESH, viewpoint, axes)
-    pixel = shown.lattice.panel_pixel()[8:-8:16, 8:-8:16]
-    bend = solve_pixels(eye, axes, pixel, viewpoint).bend
-    beside = 0.5 * np.concatenate([bend[..., :2], -np.ones((*bend.shape[:-1], 1))], axis=-1)
-    on_ray = beside + np.concatenate([bend[..., 2:], np.zeros((*bend.shape[:-1], 1))], axis=-1)
+    pixel = shown.warp_grid.panel_pixel()[8:-8:16, 8:-8:16]
+    slope_offset = solve_pixels(eye, axes, pixel, viewpoint).slope_offset
+    beside = 0.5 * np.concatenate([slope_offset[..., :2], -np.ones((*slope_offset.shape[:-1], 1))], axis=-1)
+    on_ray = beside + np.concatenate([slope_offset[..., 2:], np.zeros((*slope_offset.shape[:-1], 1))], axis=-1)
     seen = [
         eye.see_through.view_dir_of_real_point(transforms.apply(transforms.rigid(axes, viewpoint), point), viewpoint)
         for point in (on_ray, beside)
@@ -122,7 +122,7 @@ def test_a_panel_with_a_hole_is_refused(flat_image_headset):
             value = super().view_dir_of_pixel(pixel, viewpoint).value
             hole = np.asarray(pixel)[..., 0] > 100
             status = np.where(hole, Status.MISS, Status.OK).astype(np.uint8)
-            return Mapped(np.where(hole[..., None], np.nan, value), status)
+            return QueryResult(np.where(hole[..., None], np.nan, value), status)
 
     holed = replace(flat_image_headset, display=Holed(flat_image_headset.display.panel))
     with pytest.raises(BadInputError, match="parts of the panel have no ray"):
@@ -138,7 +138,7 @@ def test_the_table_says_what_the_map_and_what_the_pupil_costs(bare_panel):
 
 
 def test_a_map_that_follows_the_eye_is_right_where_a_frozen_one_is_not(small_panel_model):
-    """So few pixels are points of the lattice themselves."""
+    """So few pixels are points of the warp grid themselves."""
     *_, frozen, followed = frozen_map_table(small_panel_model).rows
     assert max(followed[1:]) < 1e-6
     assert min(frozen[1:]) > 10

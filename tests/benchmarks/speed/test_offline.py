@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import offline
-from wlr_render.rendering.ray_map import NEAREST_M, ray_field
+from wlr_render.rendering.ray_map import NEAREST_M, ray_map
 
 
 def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model):
@@ -20,13 +20,13 @@ def test_the_maps_error_is_that_of_its_worst_pixel(small_panel_model, monkeypatc
     """One pixel is moved by a third of a pixel, at infinity by its tangent or at 0.25 m by its offset."""
 
     def with_a_fault(mappings, viewpoint, plan):
-        field = ray_field(mappings, viewpoint, plan)
-        a, b = field.bend[0, 40, 30:32], field.bend[1, 40:42, 30]
+        field = ray_map(mappings, viewpoint, plan)
+        a, b = field.slope_offset[0, 40, 30:32], field.slope_offset[1, 40:42, 30]
         pixel_size = min(abs(np.diff(a)[0]), abs(np.diff(b)[0]))
-        field.bend[component, 40, 30] += pixel_size / 3 * (1.0 if component == 0 else NEAREST_M)
+        field.slope_offset[component, 40, 30] += pixel_size / 3 * (1.0 if component == 0 else NEAREST_M)
         return field
 
-    monkeypatch.setattr(offline, "ray_field", with_a_fault)
+    monkeypatch.setattr(offline, "ray_map", with_a_fault)
     error = offline.map_error_px(small_panel_model, small_panel_model.eye_box.centre)
     assert error == pytest.approx(1 / 3, rel=0.1)
 

@@ -8,10 +8,10 @@ from fitted_eyes import fitted_polynomial
 from speed_work import ROUNDS, TRIANGLES, needs_gl, small_work
 
 from benchmarks.speed import eye_tracking, fixed_maps, growth, stages
-from wlr_render.mappings import planar_parts
-from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.mappings import require_planar
+from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 from wlr_render.rendering.ray_map import middle_axes
-from wlr_render.rendering.warp_grid import Lattice
+from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
 
@@ -58,8 +58,8 @@ def test_the_price_of_both_solves_is_told(work):
 def test_where_the_last_solution_is_the_solution_one_evaluation_is_enough(work):
     mappings = work.mappings
     with eye_tracking.Running.of(work) as on:
-        lattice = Lattice.of_pixels(mappings.display.panel)
-        solve = GlSolve(on.gl_context, mappings, lattice, middle_axes(mappings))
+        warp_grid = WarpGrid.of_pixels(mappings.display.panel)
+        solve = GlPlanarSolver(on.gl_context, mappings, warp_grid, middle_axes(mappings))
         cold, warm = eye_tracking.iterations(solve, work.viewpoints, work.viewpoints)
     assert (warm.mean, warm.largest) == (1.0, 1)
     assert 1.5 < cold.mean <= cold.largest
@@ -90,7 +90,7 @@ def test_all_warps_are_timed(work):
 
 
 def test_growth_is_over_pixels_terms_and_triangles(work, monkeypatch):
-    display = planar_parts(work.mappings)[0]
+    display = require_planar(work.mappings)[0]
 
     def refitted(panel, display_degree):
         forward = fitted_polynomial(display.forward, display.forward.box, display_degree)

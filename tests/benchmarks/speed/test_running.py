@@ -5,7 +5,7 @@ import pytest
 from speed_work import needs_gl, small_work
 
 from benchmarks.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
-from wlr_render.rendering.gl_ray_maps import GlSolve
+from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 
 
 def test_a_later_pose_is_as_late_as_its_speeds_say():
@@ -18,8 +18,10 @@ def test_a_later_pose_is_as_late_as_its_speeds_say():
 def test_a_second_frame_in_a_round_is_the_same_without_its_solve(small_panel_model, monkeypatch):
     needs_gl()
     solved = []
-    solve = GlSolve.solve
-    monkeypatch.setattr(GlSolve, "solve", lambda self, viewpoint: solved.append(viewpoint) or solve(self, viewpoint))
+    solve = GlPlanarSolver.solve
+    monkeypatch.setattr(
+        GlPlanarSolver, "solve", lambda self, viewpoint: solved.append(viewpoint) or solve(self, viewpoint)
+    )
     with Running.of(small_work(small_panel_model), solve="pixels") as on:
         first = on.frame(0).read()
         second = on.frame(0).read()

@@ -18,7 +18,7 @@ from wlr_render.jobs.calibrate.captures import (
     calibrate_simulated,
     simulate,
 )
-from wlr_render.mappings import Field
+from wlr_render.mappings import FieldOfView
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -147,7 +147,7 @@ def display_error(model):
     """Of a model against northstar as it is, rms in arcminutes, well inside the fit."""
     truth = traced_eye(load_device("northstar"))
     viewpoint = truth.eye_box.at(np.random.default_rng(3).uniform(-0.4, 0.4, (20, 1, 3)) * [1, 1, 0])
-    middle = Field(np.full(2, -0.08), np.full(2, 0.08)).directions(5, 5)
+    middle = FieldOfView(np.full(2, -0.08), np.full(2, 0.08)).directions(5, 5)
     seen = mapping_error.sightings_of_dirs(truth.display, viewpoint, middle)
     return np.sqrt(np.mean(mapping_error.display_error(model.display, seen).forward_arcmin ** 2))
 

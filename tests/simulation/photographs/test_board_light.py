@@ -7,11 +7,11 @@ from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, r
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs import exact
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
-from wlr_render.simulation.photographs.camera import Lens
+from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.sight import Sight
 
 CAMERA = LensCamera((320, 240), np.array([400.0, 400.0]), np.array([161.0, 118.0]), np.array([-0.1, 0.02, 1e-3, 0, 0]))
-LENS = Lens(CAMERA, 0.002, 0.6)
+LENS = SimulatedLens(CAMERA, 0.002, 0.6)
 LOOKING_AHEAD = rigid(OPENXR_FROM_OPENCV, np.zeros(3))
 BOARD = DotBoard(0.03, 0.018, 0.010, 0.03, np.random.default_rng(4).random((5, 7)) < 0.5)
 TILTED = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", 0.25) @ rotation_about("x", -0.1), [0.01, -0.02, -0.6])
@@ -31,7 +31,7 @@ def test_dots_lie_where_their_middles_are_seen_and_are_as_large_as_printed():
     camera = LensCamera((320, 240), np.array([400.0, 400.0]), np.array([161.0, 118.0]))
     pose = rigid(OPENXR_FROM_OPENCV, [0.01, -0.02, -0.4])
     scene = BoardLight(board, pose, white=0.8, black=0.0)
-    light = Sight.without_headset(Lens(camera, 0.001, 0.4), LOOKING_AHEAD, samples=64).world_light(scene)
+    light = Sight.without_headset(SimulatedLens(camera, 0.001, 0.4), LOOKING_AHEAD, samples=64).world_light(scene)
     for point in board.point_of(board.indices()):
         pixel = camera.pixel_of_point(apply(inverse(LOOKING_AHEAD) @ pose, point))
         amount, middle = darkness_around(light, pixel, 0.8)

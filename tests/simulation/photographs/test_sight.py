@@ -9,7 +9,7 @@ from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_a
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs import exact
-from wlr_render.simulation.photographs.camera import Lens
+from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.sight import Sight
 
 LOOKING_AHEAD = rigid(OPENXR_FROM_OPENCV, np.zeros(3))
@@ -54,7 +54,7 @@ def test_a_bare_panel_is_photographed_pixel_by_pixel():
     # 0.25 mm pixels at 500 mm: with 2000 px per tangent each is one camera pixel, and the middles coincide.
     picture = np.zeros((720, 1280), np.uint8)
     picture[:, 640 + 5] = 255
-    light = sight("no_optics", Lens(camera((64, 48), 2000.0), 0.0)).panel_light(picture, gamma=1.0)
+    light = sight("no_optics", SimulatedLens(camera((64, 48), 2000.0), 0.0)).panel_light(picture, gamma=1.0)
     # A pixel seen through a box of one pixel and the ramp of a quarter: 1/16 of it falls into the neighbours.
     np.testing.assert_allclose(light[:, 37], 15 / 16, atol=0.01)
     np.testing.assert_allclose(light[:, [36, 38]], 1 / 32, atol=0.01)
@@ -63,7 +63,7 @@ def test_a_bare_panel_is_photographed_pixel_by_pixel():
 
 @pytest.mark.parametrize("name", ["no_optics", "flat_mirror", "freeform40"])
 def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name):
-    lens = Lens(camera((96, 64), 100.0, BROWN))
+    lens = SimulatedLens(camera((96, 64), 100.0, BROWN))
     eye = optics(name)
     light = sight(name, lens).panel_light(uniform(255, (eye.panel.pixels.height_px, eye.panel.pixels.width_px)))
     seen = exact.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((96, 64)))
@@ -77,14 +77,14 @@ def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name
 
 
 def test_a_picture_and_its_negative_add_up_to_white():
-    one = sight("flat_mirror", Lens(camera((80, 60), 150.0)))
+    one = sight("flat_mirror", SimulatedLens(camera((80, 60), 150.0)))
     picture = np.random.default_rng(2).integers(0, 256, (1080, 1920), dtype=np.uint8)
     both = one.panel_light(picture, 1.0) + one.panel_light(255 - picture, 1.0)
     np.testing.assert_allclose(both, one.panel_light(uniform(255, (1080, 1920)), 1.0), atol=2e-5)
 
 
 def test_a_panel_shines_by_its_gamma():
-    one = sight("no_optics", Lens(camera((12, 10), 2000.0)), samples=4)
+    one = sight("no_optics", SimulatedLens(camera((12, 10), 2000.0)), samples=4)
     np.testing.assert_allclose(one.panel_light(uniform(128)), (128 / 255) ** 2.2, atol=1e-6)
 
 
@@ -92,7 +92,7 @@ def test_the_mirrored_panel_stands_on_its_place():
     # The mirror image of the flat mirror's panel lies 80 mm ahead, 48 mm wide, 1920 px; u runs to the right.
     picture = np.zeros((1080, 1920), np.uint8)
     picture[:, :960] = 255
-    light = sight("flat_mirror", Lens(camera((80, 60), 400.0), 0.0)).panel_light(picture)
+    light = sight("flat_mirror", SimulatedLens(camera((80, 60), 400.0), 0.0)).panel_light(picture)
     np.testing.assert_allclose(light[:, :39], 1.0, atol=1e-5)
     np.testing.assert_allclose(light[:, 41:], 0.0, atol=1e-5)
 
@@ -102,7 +102,7 @@ def test_the_edge_of_a_mirror_cuts_the_panel_off():
         high = np.array([0.005, *surface.aperture.high[1:]])
         return replace(surface, aperture=ClearAperture(surface.aperture.low, high))
 
-    lens = Lens(camera((140, 61), 400.0), 0.0)
+    lens = SimulatedLens(camera((140, 61), 400.0), 0.0)
     one = Sight.through_optics(optics("flat_mirror").with_surfaces(narrowed), lens, LOOKING_AHEAD)
     middle = one.panel_light(uniform(255, (1080, 1920)))[30]
     # 5 mm at the mirror's 40 mm are 50 pixels right of the middle, well within the panel's picture.
@@ -113,7 +113,7 @@ def test_the_edge_of_a_mirror_cuts_the_panel_off():
 @pytest.mark.parametrize("name", ["no_optics", "freeform40", "birdbath28"])
 def test_spots_on_the_panel_land_where_exact_rays_say(name):
     eye = optics(name)
-    lens = Lens(camera((240, 180), 1200.0, BROWN), 0.0)
+    lens = SimulatedLens(camera((240, 180), 1200.0, BROWN), 0.0)
     spots = np.floor(eye.panel.pixels.grid(24, 18)).astype(int).reshape(-1, 2)
     picture = np.zeros((eye.panel.pixels.height_px, eye.panel.pixels.width_px), np.uint8)
     for u, v in spots:
@@ -133,7 +133,7 @@ def test_spots_on_the_panel_land_where_exact_rays_say(name):
 
 
 def test_the_world_through_a_plate_is_shifted_by_the_closed_form():
-    lens = Lens(camera((60, 40), 150.0, BROWN), 0.0)
+    lens = SimulatedLens(camera((60, 40), 150.0, BROWN), 0.0)
     one = sight("plane_plate", lens, samples=1)
     tangents = lens.camera.tangents_of_pixel(pixel_centres((60, 40))) * [1, -1]
     angle = np.arctan(np.linalg.norm(tangents, axis=-1))
@@ -145,7 +145,7 @@ def test_the_world_through_a_plate_is_shifted_by_the_closed_form():
 
 
 def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it_is_given():
-    lens = Lens(camera((60, 40), 100.0, BROWN), 0.001, 2.0)
+    lens = SimulatedLens(camera((60, 40), 100.0, BROWN), 0.001, 2.0)
     pose = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", 0.3), [0.1, -0.2, 0.3])
     one = Sight.without_headset(lens, pose, samples=2)
     direction = lens.camera.dir_of_pixel(pixel_centres((60, 40))) @ pose[:3, :3].T
@@ -158,7 +158,7 @@ def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it
 
 
 def test_a_uniform_world_gives_uniform_light_wherever_a_ray_comes_in():
-    lens = Lens(camera((90, 60), 60.0), 0.004, 0.5)
+    lens = SimulatedLens(camera((90, 60), 60.0), 0.004, 0.5)
     light = sight("freeform40", lens).world_light(lambda ray: np.where(np.isnan(ray[..., 0]), np.nan, 0.7))
     assert light.max() == pytest.approx(0.7, abs=1e-6)
     assert light.min() == 0.0  # beyond the combiner's edge
@@ -169,7 +169,7 @@ def test_a_uniform_world_gives_uniform_light_wherever_a_ray_comes_in():
 def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal):
     eye = optics(name)
     pose = rigid(OPENXR_FROM_OPENCV, eye.eye_box.centre)
-    lens = Lens(camera((240, 180), focal, BROWN))
+    lens = SimulatedLens(camera((240, 180), focal, BROWN))
     error = Sight.through_optics(eye, lens, pose, samples=4).interpolation_error(np.random.default_rng(0), 500)
     assert 0.0 < error.panel_px < 0.01
     assert 0.0 < error.world_arcmin < 0.01
@@ -193,7 +193,7 @@ def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m, focus_m):
             x, y = (radiance(ray) for radiance in place_at_depth(depth_m))
             return (np.hypot(x, y) < radius).astype(np.float32)
 
-        lens = Lens(camera((40, 40), focal), pupil_diameter_m, focus_m)
+        lens = SimulatedLens(camera((40, 40), focal), pupil_diameter_m, focus_m)
         light = Sight.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
         mean = np.average(np.arange(40), weights=light.sum(axis=0))
         return np.average((np.arange(40) - mean) ** 2, weights=light.sum(axis=0))
@@ -204,7 +204,7 @@ def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m, focus_m):
 
 
 def test_distortion_moves_a_spot_as_the_camera_says():
-    lens = Lens(camera((80, 60), 100.0, 3 * BROWN), 0.001, 1.0)
+    lens = SimulatedLens(camera((80, 60), 100.0, 3 * BROWN), 0.001, 1.0)
     point = np.array([0.27, 0.17])
 
     def spot(ray):
@@ -220,26 +220,26 @@ def test_distortion_moves_a_spot_as_the_camera_says():
 
 def test_a_camera_that_looks_away_takes_a_dark_picture():
     backwards = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", np.pi), np.zeros(3))
-    one = sight("flat_mirror", Lens(camera((20, 10), 30.0)), backwards, samples=2)
+    one = sight("flat_mirror", SimulatedLens(camera((20, 10), 30.0)), backwards, samples=2)
     assert not one.panel_light(uniform(255, (1080, 1920))).any()
-    through_freeform = sight("freeform40", Lens(camera((20, 10), 30.0)), backwards, samples=2)
+    through_freeform = sight("freeform40", SimulatedLens(camera((20, 10), 30.0)), backwards, samples=2)
     assert not through_freeform.world_light(lambda ray: np.ones(ray.shape[:-1])).any()
     assert through_freeform.interpolation_error(np.random.default_rng(0)) == (0.0, 0.0)
 
 
 def test_without_headset_there_is_no_panel():
-    one = Sight.without_headset(Lens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
+    one = Sight.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
     light = one.panel_light(uniform())
     assert light.shape == (10, 20)
     assert not light.any()
 
 
 def test_what_radiance_does_not_know_is_dark():
-    one = Sight.without_headset(Lens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
+    one = Sight.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
     assert not one.world_light(lambda ray: np.full(ray.shape[:-1], np.nan)).any()
 
 
 @pytest.mark.parametrize("image", [uniform(1, (1280, 720)), np.ones((720, 1280))])
 def test_an_image_that_the_panel_cannot_show_is_refused(image):
     with pytest.raises(BadInputError, match="1280 x 720"):
-        sight("no_optics", Lens(camera((12, 10), 300.0)), samples=1).panel_light(image)
+        sight("no_optics", SimulatedLens(camera((12, 10), 300.0)), samples=1).panel_light(image)

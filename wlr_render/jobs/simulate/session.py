@@ -24,7 +24,7 @@ from wlr_render.jobs.simulate.making import Making
 from wlr_render.jobs.simulate.shots import BoardShot, PanelShots, Place, take
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
-from wlr_render.simulation.photographs.camera import Lens, Sensor
+from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoPlan, plan_photographs
 
 BOARD = "board.toml"
@@ -116,7 +116,7 @@ def _session(root: Path, bench: PhotoBench, plan: PhotoPlan, pattern: Pattern, m
     )
 
 
-def _camera(folder: Path, lens: Lens, sensor: Sensor, count: int) -> SessionCamera:
+def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:
     return SessionCamera(
         lens.camera.size_px, sensor.bits, tuple(folder / f"{number:02d}.png" for number in range(count))
     )

@@ -14,7 +14,7 @@ from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
-from wlr_render.simulation.photographs.camera import Lens, Sensor
+from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.sight import Sight
 
 _DARK_ROOM = FarWall(brightness=0.03)  # while the panel is photographed
@@ -74,7 +74,7 @@ class Place:
         seed: of the noise.
     """
 
-    lens: Lens
+    lens: SimulatedLens
     sensor: Sensor
     frame_from_camera: FloatArray
     optics: EyeOptics | None

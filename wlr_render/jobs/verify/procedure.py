@@ -26,7 +26,7 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import Progress
 from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.raster_backends import open_rasteriser
+from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
 
@@ -74,7 +74,7 @@ def draw(
     """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method."""
     scene = target_scene(bench.board, target)
     painters: dict[str, Painter] = {
-        METHODS[0]: WarpedPainter(models, open_rasteriser(scene, backend), 2.0),
+        METHODS[0]: WarpedPainter(models, open_raster_backend(scene, backend), 2.0),
         METHODS[1]: TracedPainter(models, RayRenderer(scene), _SUPERSAMPLE),
     }
     for viewpoint in viewpoints:

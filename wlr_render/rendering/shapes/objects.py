@@ -195,7 +195,7 @@ def plant(leaves: int = 26, height_m: float = 0.32) -> Mesh:
 
 
 def _leaf(length: float, droop: float) -> Mesh:
-    """A blade that rises from the origin and bends over towards +z by `droop` radians."""
+    """A blade that rises from the origin and rays over towards +z by `droop` radians."""
     along = np.linspace(0, 1, 15)
     angle = 0.15 + droop * along
     step = length / along.size

@@ -20,7 +20,7 @@ _CANDIDATES = 2000  # sets of samples among which the most even one is taken
 
 
 @dataclass(frozen=True, eq=False)
-class Lens:
+class SimulatedLens:
     """A camera whose entrance pupil has a size: sharp in one plane only.
 
     Attributes:

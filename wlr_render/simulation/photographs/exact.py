@@ -2,7 +2,7 @@
 
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import inverse, rotate
-from wlr_render.mappings import Mapped
+from wlr_render.mappings import QueryResult
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
@@ -14,7 +14,7 @@ def panel_position(
     device_from_camera: FloatArray,
     pixel: FloatArray,
     wavelength_um: float = 0.55,
-) -> Mapped:
+) -> QueryResult:
     """Which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
     direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
     return TracedDisplay(optics, wavelength_um).pixel_of_view_dir(direction, device_from_camera[:3, 3])

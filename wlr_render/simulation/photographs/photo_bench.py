@@ -13,7 +13,7 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.photographs.camera import Lens, Sensor
+from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar
 
@@ -73,9 +73,9 @@ class PhotoBench:
     device: Device
     eye: str
     board: DotBoard
-    eyeball: Lens
+    eyeball: SimulatedLens
     eyeball_sensor: Sensor
-    tracking: Lens
+    tracking: SimulatedLens
     tracking_sensor: Sensor
     device_from_camera: FloatArray
     stage_axes: FloatArray
@@ -148,9 +148,9 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         device=device,
         eye=eye,
         board=_board(aim, max(options.target_depths_m), eyeball),
-        eyeball=Lens(eyeball, 1e-3 * options.pupil_mm, options.focus_m),
+        eyeball=SimulatedLens(eyeball, 1e-3 * options.pupil_mm, options.focus_m),
         eyeball_sensor=Sensor.with_snr(options.snr, options.bits, _EXPOSURE, vignetting=0.3),
-        tracking=Lens(tracking, 0.8e-3, 0.8),
+        tracking=SimulatedLens(tracking, 0.8e-3, 0.8),
         tracking_sensor=Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3),
         device_from_camera=pose,
         stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]),

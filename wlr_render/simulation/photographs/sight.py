@@ -21,7 +21,7 @@ from wlr_render.mappings import Panel, Status
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.photographs.camera import Lens
+from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.pixel_field import PixelField
 
 Radiance = Callable[[Float32Array], NDArray[np.floating]]
@@ -57,7 +57,7 @@ class Sight:
         in_world: per sample, the world's ray: x, y in the plane z = 0 of the camera, and its two tangents there.
     """
 
-    lens: Lens
+    lens: SimulatedLens
     frame_from_camera: FloatArray
     panel: Panel | None
     on_panel: tuple[PixelField, ...]
@@ -67,7 +67,7 @@ class Sight:
     def through_optics(
         cls,
         optics: EyeOptics,
-        lens: Lens,
+        lens: SimulatedLens,
         device_from_camera: FloatArray,
         samples: int = 16,
         wavelength_um: float = 0.55,
@@ -94,7 +94,7 @@ class Sight:
         return cls(lens, device_from_camera, optics.panel.pixels, panel_fields, world_fields)
 
     @classmethod
-    def without_headset(cls, lens: Lens, frame_from_camera: FloatArray, samples: int = 16) -> "Sight":
+    def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = 16) -> "Sight":
         """The lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
 
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -167,7 +167,7 @@ class Sight:
 
 
 def _fields(
-    lens: Lens,
+    lens: SimulatedLens,
     samples: int,
     exact: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]],
     tolerance: FloatArray,
