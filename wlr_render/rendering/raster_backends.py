@@ -55,8 +55,8 @@ class RasterBackend(Protocol):
         """Draw `view` once and warp it along the bent rays of one field, or of one each for red, green and blue.
 
         The fields have a viewpoint, which need not be that of the view, and a camera frame in common.
-        `samples_per_axis` samples per pixel along each axis, see `raster_camera.samples_for`; `with_geometry` also gives the pull maps and
-        the intermediate image.
+        `samples_per_axis` samples per pixel along each axis, see `raster_camera.samples_for`; `with_geometry` also
+        gives the pull maps and the intermediate image.
         """
 
 
