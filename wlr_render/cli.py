@@ -79,8 +79,8 @@ def make_app() -> App:
     for verb in VERBS:
         *folder, name = verb.words.split()
         parent = folders[folder[0]] if folder else app
-        group = None if folder else groups[verb.group]
-        parent.command(f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group)
+        group_of_verb = None if folder else groups[verb.group]
+        parent.command(f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group_of_verb)
     app.register_install_completion_command()
     return app
 

@@ -9,7 +9,7 @@ import math
 import typing
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from cyclopts import Parameter
 
@@ -48,8 +48,7 @@ class OnlyWith:
 
 def described(text: str, *, name: str | None = None, flag: bool = False) -> Parameter:
     """Help text of an option; `name` replaces the one made from the field's name."""
-    names = {"name": name} if name else {}
-    return Parameter(help=text, show_default=False if flag else None, **names)
+    return Parameter(name=name, help=text, show_default=False if flag else None)
 
 
 @Parameter(name="*")
@@ -67,7 +66,7 @@ class Options:
                     self._check_used(field.name, note)
 
     def _check_range(self, name: str, value: object, limits: Range) -> None:
-        numbers = value if isinstance(value, Sequence) else [value]
+        numbers: Sequence[Any] = value if isinstance(value, Sequence) else [value]
         for number in numbers:
             if number is not None and not limits.admits(number):
                 raise BadInputError(f"{flag_of(type(self), name)} is {number}; it must be {limits.sentence()}.")
@@ -88,7 +87,7 @@ def flag_of(options: type[Options], field: str) -> str:
     """Name of an option on the command line, e.g. "--noise-px"."""
     for note in _notes(options, field):
         if isinstance(note, Parameter) and note.name:
-            return note.name[0]
+            return str(next(iter(note.name)))
     return "--" + field.replace("_", "-")
 
 
