@@ -92,6 +92,7 @@ def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
         "rows": [{"name": "a", "cells": [{"v": 1e-300}, {"v": -2}]}, {"name": "b", "sub": {"flag": False}}, {}],
         "text": 'quote " slash \\ line\n tab\t bell\a delete\x7f umlaut \u00fc beyond \U0001f576',
         "odd key.": True,
+        "texts": ["[\n1,\n2,\n]", "a, b", "[", "1,"],
         "floats": [math.pi, -0.0, 1e16, 5e-324, 1.7976931348623157e308],
         "matrix": [[1.0, 2.0], [3.0, 4.0]],
         "none": [],
@@ -102,6 +103,21 @@ def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
     back = tomllib.loads(path.read_text(encoding="utf-8"))
     assert back == content
     assert math.copysign(1, back["floats"][1]) == -1
+
+
+def test_written_vectors_are_on_one_line_each(tmp_path):
+    content = {"v": [1.0, -2.5e-7, 3], "rows": [[1.0, 2.0], [3.0, 4.0]], "table": [{"at": [0.5, 1.0], "on": True}]}
+    assert files.write_toml(tmp_path / "thing.toml", content).read_text().splitlines() == [
+        "v = [1.0, -2.5e-07, 3]",
+        "rows = [",
+        "    [1.0, 2.0],",
+        "    [3.0, 4.0],",
+        "]",
+        "",
+        "[[table]]",
+        "at = [0.5, 1.0]",
+        "on = true",
+    ]
 
 
 def test_arrays_and_their_numbers_are_written_as_plain_ones(tmp_path):

@@ -7,7 +7,6 @@ only then: a reader never meets half a file, and a full disk or a failed run lea
 import contextlib
 import difflib
 import io
-import json
 import math
 import os
 import re
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
@@ -348,51 +348,24 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
         ValueError: a value is not finite or of no kind that TOML has; the sentence names the key.
     """
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-    return write_text(path, head + "\n".join(_toml_lines(table, ())).lstrip("\n") + "\n")
+    content = tomli_w.dumps({key: _toml_value(value, key) for key, value in table.items()})
+    # tomli_w gives each number of a vector a line of its own.
+    content = re.sub(r"\[\n([^\[\]{}\"]+),\n *\]", _on_one_line, content)
+    return write_text(path, f"{head}\n{content}".lstrip("\n"))
 
 
-def _toml_lines(table: Mapping[str, Any], place: tuple[str, ...]) -> Iterator[str]:
-    """Lines of the table at `place`: its plain values first, since what follows a header belongs to that header."""
-    headed = {key: value for key, value in table.items() if _is_table(value) or _is_table_list(value)}
-    for key, value in table.items():
-        if key not in headed:
-            yield f"{_toml_key(key)} = {_toml_value(value, '.'.join((*place, key)))}"
-    for key, value in headed.items():
-        inner = (*place, key)
-        header = ".".join(map(_toml_key, inner))
-        for each in [value] if _is_table(value) else value:
-            yield from ("", f"[{header}]" if _is_table(value) else f"[[{header}]]")
-            yield from _toml_lines(each, inner)
+def _on_one_line(numbers: re.Match[str]) -> str:
+    return "[" + ", ".join(number.strip() for number in numbers[1].split(",")) + "]"
 
 
-def _is_table(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _is_table_list(value: Any) -> bool:
-    return isinstance(value, list | tuple) and len(value) > 0 and all(map(_is_table, value))
-
-
-def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_string(key)
-
-
-def _toml_string(text: str) -> str:
-    """JSON escapes what TOML does, but for the delete character."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _toml_value(value: Any, where: str) -> str:
+def _toml_value(value: Any, where: str) -> Any:
+    """A value as `tomli_w` takes it: no arrays, and nothing that a `Table` would refuse."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
-    if isinstance(value, str):
-        return _toml_string(value)
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float) and math.isfinite(value):
-        return repr(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml_value(item, where) for item in value)}]"
+    if isinstance(value, Mapping):
+        return {key: _toml_value(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple) and len({isinstance(item, Mapping) for item in value}) < 2:
+        return [_toml_value(item, where) for item in value]
+    if isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
+        return value
     raise ValueError(f"'{where}' cannot be written as TOML: {value!r}.")

@@ -94,11 +94,15 @@ def test_axes_of_the_file_are_turned_into_the_device_frame(session):
         ("bits = 12", "bits = 7", "'bits' is 7; it must be 8 to 16"),
         ('eye = "left"', 'eye = "middle"', "must be one of left, right"),
         ('pattern = "gray-fringes"', 'pattern = "grey"', "There is no code 'grey'"),
-        ("target_pose = 0", "target_pose = 3", r"\[\[bare\]\] number 1 is of target pose 3, of which there is no"),
+        (
+            '0.png"\ntarget_pose = 0',
+            '0.png"\ntarget_pose = 3',
+            r"\[\[bare\]\] number 1 is of target pose 3, of which there is no",
+        ),
         ("device = ", "devise = ", "'device' is missing"),
         ("focal_px = .*", "focal_px = [-1.0, 5.0]", "both must be above 0"),
         ('intrinsics = "lens"', 'intrinsics = "lenses"', "there is no such folder"),
-        ("rotation = .*", "rotation = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]", "must be a rotation matrix"),
+        ("rotation = [^=]*]", "rotation = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]", "must be a rotation matrix"),
         ("version = 1", "version = 2", "this program reads version 1"),
     ],
 )
