@@ -24,7 +24,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.rays import at_z, distance_to_point, split
 from wlr_render.mappings import Status
-from wlr_render.models.bundle_projection import TOLERANCE, solve_display, solve_see_through
+from wlr_render.models.bundle import TOLERANCE, solve_display, solve_see_through
 from wlr_render.numerics.polynomial import Polynomial
 
 RNG = np.random.default_rng(3)

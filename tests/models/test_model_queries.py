@@ -8,7 +8,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.rays import distance_to_point, split
 from wlr_render.mappings import Status
-from wlr_render.models import queries
+from wlr_render.models import fitted_model
 
 RNG = np.random.default_rng(2)
 PIXEL = RNG.uniform([100, 100], [900, 700], (30, 2))
@@ -83,8 +83,8 @@ def test_pixels_and_viewpoints_broadcast(display):
 
 @displays
 def test_what_lies_outside_keeps_its_value_and_says_so(display):
-    far = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 2 * queries.EYE_BOX_MARGIN, 0, 0]
-    near = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 0.5 * queries.EYE_BOX_MARGIN, 0, 0]
+    far = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 2 * fitted_model.EYE_BOX_MARGIN, 0, 0]
+    near = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 0.5 * fitted_model.EYE_BOX_MARGIN, 0, 0]
     assert display.view_dir_of_pixel(PIXEL[0], far).status == Status.OUTSIDE_FIT
     assert display.view_dir_of_pixel(PIXEL[0], near).status == Status.OK
     off_panel = display.view_dir_of_pixel(np.array([1100.0, 400.0]), EYE_BOX.centre)
@@ -119,7 +119,7 @@ def test_directions_and_points_behind_the_eye_are_a_miss_beside_good_ones():
 def test_chunks_join_to_what_one_block_would_give(monkeypatch):
     display = bundle_display()
     whole = display.view_dir_of_pixel(PIXEL, VIEWPOINT)
-    monkeypatch.setattr(queries, "_CHUNK", 7)
+    monkeypatch.setattr(fitted_model, "_CHUNK", 7)
     parts = display.view_dir_of_pixel(PIXEL, VIEWPOINT, whole.warm_start)
     np.testing.assert_allclose(parts.value, whole.value, rtol=0, atol=1e-14)
     np.testing.assert_array_equal(parts.status, whole.status)

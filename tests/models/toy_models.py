@@ -4,9 +4,8 @@ import numpy as np
 
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.display import BundleDisplay
+from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.see_through import BundleSeeThrough
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count

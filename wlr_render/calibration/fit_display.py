@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import DisplayMapping
-from wlr_render.models.display import BundleDisplay
+from wlr_render.models.bundle import BundleDisplay
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay
 from wlr_render.models.volumetric import VolumetricDisplay

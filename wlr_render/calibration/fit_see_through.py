@@ -14,7 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import SeeThroughMapping
-from wlr_render.models.see_through import BundleSeeThrough
+from wlr_render.models.bundle import BundleSeeThrough
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import BoolArray, FloatArray

@@ -31,10 +31,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import Table, write_text
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, EyeMappings, Panel
-from wlr_render.models.display import BundleDisplay
+from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
+from wlr_render.models.fitted_model import Forms
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.queries import Forms
-from wlr_render.models.see_through import BundleSeeThrough
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.polynomial import Box, Polynomial, exponents, term_count

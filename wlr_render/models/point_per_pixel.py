@@ -10,10 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.base import FittedDisplay
-from wlr_render.models.queries import Answer, Forms
+from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
@@ -44,7 +42,7 @@ class PointPerPixelDisplay(FittedDisplay):
         point = self.point(pixel)
         shift = viewpoint - self.eye_box.centre
         tangents = (point[:, :2] - point[:, 2:] * shift[:, :2]) / (1.0 + point[:, 2:] * shift[:, 2:])
-        return Answer(dir_of_tangents(tangents), self.point.box.contains(pixel))
+        return Answer(tangents, self.point.box.contains(pixel))
 
     def _backward(self, tangents: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         shift = viewpoint - self.eye_box.centre

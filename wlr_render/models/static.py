@@ -10,10 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.base import FittedDisplay, FittedSeeThrough
-from wlr_render.models.queries import Answer, Forms
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms
 from wlr_render.models.volumetric import deviated_ray, deviated_view, straight_tangents
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
@@ -38,7 +36,7 @@ class StaticDisplay(FittedDisplay):
     FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward": (2, 2)}
 
     def _forward(self, pixel: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        return Answer(dir_of_tangents(self.forward(pixel)), self.forward.box.contains(pixel))
+        return Answer(self.forward(pixel), self.forward.box.contains(pixel))
 
     def _backward(self, tangents: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         pixel = self.backward(tangents)

@@ -6,10 +6,8 @@ Two viewpoints on one ray of a pixel may be told different directions: nothing i
 from dataclasses import dataclass
 from typing import ClassVar
 
-from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.base import FittedDisplay, FittedSeeThrough
-from wlr_render.models.queries import Answer, Forms, joined
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -34,7 +32,7 @@ class VolumetricDisplay(FittedDisplay):
 
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         inputs = joined(pixel, viewpoint)
-        return Answer(dir_of_tangents(self.forward(inputs)), self.forward.box.contains(inputs))
+        return Answer(self.forward(inputs), self.forward.box.contains(inputs))
 
     def _backward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         inputs = joined(viewpoint, tangents)
@@ -81,11 +79,11 @@ def deviated_ray(forward: Polynomial, inputs: FloatArray, tangents: FloatArray, 
     """The ray through viewpoint_xy + B at the viewpoint's z, with tangents t + A."""
     value = forward(inputs)
     origin = joined(viewpoint[:, :2] + value[:, 2:], viewpoint[:, 2:])
-    return Answer(joined(origin, dir_of_tangents(tangents + value[:, :2])), forward.box.contains(inputs))
+    return Answer(joined(origin, tangents + value[:, :2]), forward.box.contains(inputs))
 
 
 def deviated_view(backward: Polynomial, inputs: FloatArray, tangents: FloatArray, depth: FloatArray) -> Answer:
     """The view direction with tangents s + a + b / depth."""
     value = backward(inputs)
     seen = tangents + value[:, :2] + value[:, 2:] / depth
-    return Answer(dir_of_tangents(seen), backward.box.contains(inputs))
+    return Answer(seen, backward.box.contains(inputs))

@@ -1,11 +1,17 @@
-"""How every model answers a query: flat, in chunks, over any leading axes, with a status for each element."""
+"""The base of all fitted models: queries in chunks over any leading axes, by a forward and a backward formula.
 
+The formulas take and return tangents; only this module converts them from and to the protocols' unit directions.
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, QueryResult, Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial, term_count
@@ -123,3 +129,74 @@ def require_forms(model: object, forms: Forms) -> None:
             )
         if not np.isfinite(polynomial.coefficients).all():
             raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
+
+
+class FittedModel(ABC):
+    """A model made of polynomials; a subclass is a frozen dataclass and gives the two formulas.
+
+    Attributes:
+        FORMS: variables and outputs of each polynomial, by attribute name.
+        eye_box: where the pupil may be; a viewpoint outside it is OUTSIDE_FIT.
+    """
+
+    FORMS: ClassVar[Forms]
+    eye_box: EyeBox
+
+    def __post_init__(self) -> None:
+        require_forms(self, self.FORMS)
+
+    @abstractmethod
+    def _forward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
+        """Display: pixels (m, 2) -> view tangents. See-through: view tangents -> (m, 5), a ray's point and tangents."""
+
+    @abstractmethod
+    def _backward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
+        """Display: view tangents (m, 2) -> pixels. See-through: points (m, 3) -> view tangents."""
+
+
+class FittedDisplay(FittedModel):
+    """`DisplayMapping` by a forward and a backward formula."""
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        """Forward; see `mappings.DisplayMapping`."""
+        return _as_directions(answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box, warm_start))
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        """Backward; see `mappings.DisplayMapping`."""
+        tangents = tangents_of_dir(np.asarray(view_dir))
+        return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
+
+
+class FittedSeeThrough(FittedModel):
+    """`SeeThroughMapping` by a forward and a backward formula."""
+
+    def real_ray_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        """Forward; see `mappings.SeeThroughMapping`."""
+        tangents = tangents_of_dir(np.asarray(view_dir))
+        return _as_directions(answer_in_chunks(self._forward, tangents, viewpoint, self.eye_box, warm_start))
+
+    def view_dir_of_real_point(
+        self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        """Backward; see `mappings.SeeThroughMapping`."""
+        in_front = _points_in_front(point, viewpoint)
+        return _as_directions(answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start))
+
+
+def _as_directions(result: QueryResult) -> QueryResult:
+    """Replace the last two columns of the values, tangents, by the three of a unit direction."""
+    point, tangents = result.value[..., :-2], result.value[..., -2:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return replace(result, value=joined(point, dir_of_tangents(tangents)))
+
+
+def _points_in_front(point: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Real points (..., 3), NaN where they are not in front of the viewpoint (..., 3)."""
+    point, viewpoint = np.broadcast_arrays(np.asarray(point, dtype=np.float64), viewpoint)
+    return np.where(point[..., 2:] < viewpoint[..., 2:], point, np.nan)
