@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
@@ -154,7 +154,7 @@ class _Survey:
 
     @property
     def tangents(self) -> FloatArray:
-        return tangents_of_dir(self.captures.view_dir)
+        return self.captures.tangents
 
     @property
     def centres(self) -> FloatArray:

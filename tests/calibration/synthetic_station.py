@@ -1,13 +1,15 @@
 """A calibration station made of numbers: what a lab's dots would be, with faults to inject."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.poses import small_motion
-from wlr_render.calibration.station import StationPhoto, StationPhotos, find_station
+from wlr_render.calibration.station import StationPhotos, find_station
 from wlr_render.calibration.sweep_checks import RepeatedView
+from wlr_render.captures.photo_session import BoardPhotograph
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
@@ -132,7 +134,7 @@ def bench(seed, faults=Faults(), bare_targets=(0, 1), targets=(0, 1), steps=4):
             if faults.moved_photograph == len(bare):
                 camera_from_target = SHIFT @ camera_from_target
             bare.append(scaled(board_view(name, EYEBALL, camera_from_target, rng, 5), faults.printed_scale))
-            bare_photos.append(StationPhoto(name, k, reading * faults.reading_factor))
+            bare_photos.append(BoardPhotograph(Path(), name, k, reading * faults.reading_factor))
     tracking, tracking_photos, repeated = [], [], []
     identity = np.eye(4)
     for k in targets:
@@ -143,7 +145,7 @@ def bench(seed, faults=Faults(), bare_targets=(0, 1), targets=(0, 1), steps=4):
             name = f"tracking/{k}{when}.png"
             tracking_from_target = transforms.inverse(world_from_device @ DEVICE_FROM_TRACKING) @ world_from_target
             tracking.append(scaled(board_view(name, TRACKING, tracking_from_target, rng, 3), faults.printed_scale))
-            tracking_photos.append(StationPhoto(name, k, np.zeros(3)))
+            tracking_photos.append(BoardPhotograph(Path(), name, k, np.zeros(3)))
         camera = device_from_camera(grid[0])
         moved_camera = faults.camera_moved_in_sweep.get(k, identity) @ camera
         first, last = (

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +24,8 @@ from wlr_render.calibration.board_poses import poses_of
 from wlr_render.calibration.camera_calibration import calibrate_camera
 from wlr_render.calibration.check import refuse_contradictions
 from wlr_render.calibration.poses import motion_between
-from wlr_render.calibration.station import StationPhoto, StationPhotos, find_station, repeated_views
+from wlr_render.calibration.station import StationPhotos, find_station, repeated_views
+from wlr_render.captures.photo_session import BoardPhotograph
 from wlr_render.errors import BadInputError
 
 CORNER = stage_grid()[0] + [-0.002, 0.001, 0.0]
@@ -141,7 +143,7 @@ def test_a_photograph_without_a_pose_is_left_out_and_named():
 
 def test_steps_that_were_left_out_are_named():
     made = bench(1, bare_targets=(0,))
-    far = [photo for photo in made.photos.tracking if photo.target == 1]
+    far = [photo for photo in made.photos.tracking if photo.target_pose == 1]
     with pytest.raises(BadInputError, match=r"without the headset \(poses \[0\]\).*tracking camera \(poses \[1\]\)"):
         station_of(replace(made, photos=StationPhotos(made.photos.bare, far)))
     with pytest.raises(BadInputError, match="no photograph without the headset"):
@@ -165,7 +167,7 @@ def test_repeated_photographs_are_found_by_target_and_reading():
     made = bench(1)
     views = {view.name: view for view in made.bare}
     photos = [
-        StationPhoto(name, target, np.array([x, 0.0, 0.0]))
+        BoardPhotograph(Path(), name, target, np.array([x, 0.0, 0.0]))
         for name, target, x in [
             ("bare/00.png", 0, 0.0),
             ("bare/01.png", 0, 0.001),

@@ -103,7 +103,7 @@ def _mean_error(
     """Length of the mean error of one capture, predicted by the others, arcminutes."""
     others, own = np.isin(group, left) & (group != name), group == name
     predicted = predict(select(captures, others), select(captures, own), degree)
-    apart = tangents_of_dir(captures.view_dir[own]) - tangents_of_dir(predicted)
+    apart = captures.tangents[own] - tangents_of_dir(predicted)
     apart = apart[np.isfinite(apart).all(axis=1)]
     if len(apart) == 0:
         return float("inf")
@@ -123,7 +123,7 @@ def _spread(rows: IntArray) -> IntArray:
 def follow_their_photograph(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
     """(n,) which dots lie where their photograph's smooth field has them; (n,) `photograph` numbers each row's."""
     straight = normalised(captures.point - captures.viewpoint)
-    seen = tangents_of_dir(captures.view_dir)
+    seen = captures.tangents
     aside = (seen - tangents_of_dir(straight)) / ARCMIN
     follows = np.ones(len(captures), dtype=bool)
     for one in np.unique(photograph):

@@ -10,7 +10,7 @@ from wlr_render.calibration.fit_report import FitReport, Residuals
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
+from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import DisplayMapping
 from wlr_render.models.bundle import BundleDisplay
@@ -75,7 +75,7 @@ def _fitted(captures: DisplayCaptures, kind: str, degree: int | None, base_plane
 
 
 def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _Fit:
-    tangents = tangents_of_dir(captures.view_dir)
+    tangents = captures.tangents
     in_plane = plane.carry(captures.viewpoint, tangents)
     forward = _forward(captures, np.hstack([captures.pixel, in_plane]), degree)
     backward = _backward(captures, np.hstack([in_plane, tangents]), forward)
@@ -85,7 +85,7 @@ def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None)
 
 def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
     forward = _forward(captures, np.hstack([captures.pixel, captures.viewpoint]), degree)
-    backward = _backward(captures, np.hstack([captures.viewpoint, tangents_of_dir(captures.view_dir)]), forward)
+    backward = _backward(captures, np.hstack([captures.viewpoint, captures.tangents]), forward)
     mapping = VolumetricDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
     return _Fit(mapping, captures, {"forward": forward, "backward": backward})
 
@@ -93,14 +93,14 @@ def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None)
 def _fit_static(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
     centred = _nominal(captures)
     forward = _forward(centred, centred.pixel, degree, by_position=False)
-    backward = _backward(centred, tangents_of_dir(centred.view_dir), forward, by_position=False)
+    backward = _backward(centred, centred.tangents, forward, by_position=False)
     mapping = StaticDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
     return _Fit(mapping, centred, {"forward": forward, "backward": backward})
 
 
 def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
     """t = a - w q is linear in the unknown a and w: q, where the measured ray meets the nominal plane, is known."""
-    tangents = tangents_of_dir(captures.view_dir)
+    tangents = captures.tangents
     centre = captures.eye_box.centre
     crossing = BasePlane(float(centre[2])).carry(captures.viewpoint, tangents) - centre[:2]
     multiplier = np.zeros((len(captures), 2, 3))
@@ -135,7 +135,7 @@ def _nominal(captures: DisplayCaptures) -> DisplayCaptures:
 
 
 def _forward(captures: DisplayCaptures, inputs: FloatArray, degree: int | None, by_position: bool = True) -> Fitted:
-    tangents = tangents_of_dir(captures.view_dir)
+    tangents = captures.tangents
     sigma, group = relative_sigma(captures.sigma_arcmin), captures.capture if by_position else np.arange(len(captures))
     return fit(Regression.plain(inputs, tangents, angular_metric(tangents), sigma, group), degree)
 

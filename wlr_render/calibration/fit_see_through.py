@@ -11,7 +11,7 @@ from wlr_render.calibration.fit_report import FitReport, Residuals
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
+from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import SeeThroughMapping
 from wlr_render.models.bundle import BundleSeeThrough
@@ -73,12 +73,12 @@ def _fitted(captures: SeeThroughCaptures, kind: str, degree: int | None, base_pl
     try:
         return _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
-        lacks = shortage("view directions", tangents_of_dir(captures.view_dir), "xy", lowest)
+        lacks = shortage("view directions", captures.tangents, "xy", lowest)
         raise BadInputError(f"{refusal}: {lacks or _one_depth(captures)}.") from error
 
 
 def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _Fit:
-    tangents = tangents_of_dir(captures.view_dir)
+    tangents = captures.tangents
     in_plane = plane.carry(captures.viewpoint, tangents)
     depth = plane.depth_of(captures.point)[:, None]
     observed = (captures.point[:, :2] - in_plane) / depth - tangents
@@ -110,7 +110,7 @@ def _both_ways(
     captures: SeeThroughCaptures, position: FloatArray, group: NDArray[np.int64], degree: int | None
 ) -> tuple[Fitted, Fitted]:
     """Forward and backward deviation of models without a base plane; `position` (n, any) is what they know of it."""
-    tangents = tangents_of_dir(captures.view_dir)
+    tangents = captures.tangents
     depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
     straight = (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth
     backward = _deviation(captures, np.hstack([position, straight]), tangents - straight, depth, group, degree)
@@ -129,7 +129,7 @@ def _deviation(
 ) -> Fitted:
     """Fit observed (n, 2) = A(inputs) + B(inputs) / depth."""
     multiplier = np.stack([np.ones_like(depth), 1.0 / depth], axis=2)
-    metric = angular_metric(tangents_of_dir(captures.view_dir))
+    metric = angular_metric(captures.tangents)
     sigma = relative_sigma(captures.sigma_arcmin)
     return fit(Regression(inputs, observed[:, None], multiplier, metric, sigma, group), degree)
 

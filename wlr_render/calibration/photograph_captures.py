@@ -11,7 +11,7 @@ from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -136,10 +136,10 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
     Raises:
         BadInputError: no dot was.
     """
-    shown = tangents_of_dir(display.view_dir)
+    shown = display.tangents
     low, high = shown.min(axis=0), shown.max(axis=0)
     beyond = _BEYOND_FIELD * (high - low)
-    seen = tangents_of_dir(see_through.view_dir)
+    seen = see_through.tangents
     inside = np.all((seen >= low - beyond) & (seen <= high + beyond), axis=-1)
     if not inside.any():
         raise BadInputError("no dot of the target was seen in the directions of the panel; put the target before it.")

@@ -16,26 +16,12 @@ from wlr_render.calibration.poses import Pose, adjoint, motion_between
 from wlr_render.calibration.stage_fit import StageFit, fit_stage
 from wlr_render.calibration.station_checks import STEP, chain_check, lens_check, set_aside_checks, stage_checks
 from wlr_render.calibration.sweep_checks import RepeatedView, TargetChange, sweep_check
+from wlr_render.captures.photo_session import BoardPhotograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 
 _TRACKING = "photographs by the tracking camera"
-
-
-@dataclass(frozen=True, eq=False)
-class StationPhoto:
-    """Where a photograph of the target was taken.
-
-    Attributes:
-        name: as in the poses or views that were found of it.
-        target: number of the target pose.
-        reading: (3,) of the stage, metres; of no meaning for the tracking camera.
-    """
-
-    name: str
-    target: int
-    reading: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,24 +34,24 @@ class StationPhotos:
         repeated: through the optics, pairs at one stage reading.
     """
 
-    bare: Sequence[StationPhoto]
-    tracking: Sequence[StationPhoto]
+    bare: Sequence[BoardPhotograph]
+    tracking: Sequence[BoardPhotograph]
     repeated: Sequence[RepeatedView] = ()
 
 
-def repeated_views(photos: Sequence[StationPhoto], views: Mapping[str, BoardView]) -> tuple[RepeatedView, ...]:
+def repeated_views(photos: Sequence[BoardPhotograph], views: Mapping[str, BoardView]) -> tuple[RepeatedView, ...]:
     """The first and the last of photographs through the optics at one target pose and stage reading, where repeated.
 
     Args:
         photos: through the optics, in the order of taking.
         views: name of a photograph -> what was found of the board in it; photographs that are not here are left out.
     """
-    places: dict[tuple[float, ...], list[StationPhoto]] = {}
+    places: dict[tuple[float, ...], list[BoardPhotograph]] = {}
     for photo in photos:
         if photo.name in views:
-            places.setdefault((photo.target, *np.asarray(photo.reading).tolist()), []).append(photo)
+            places.setdefault((photo.target_pose, *np.asarray(photo.stage).tolist()), []).append(photo)
     return tuple(
-        RepeatedView(taken[0].target, taken[0].reading, views[taken[0].name], views[taken[-1].name])
+        RepeatedView(taken[0].target_pose, taken[0].stage, views[taken[0].name], views[taken[-1].name])
         for taken in places.values()
         if len(taken) > 1
     )
@@ -134,8 +120,8 @@ def find_station(
     """
     bare = [photo for photo in photos.bare if photo.name in eyeball.names]
     seen = eyeball.only([photo.name for photo in bare])
-    readings = np.array([photo.reading for photo in bare], dtype=np.float64).reshape(-1, 3)
-    stage = fit_stage(seen, [photo.target for photo in bare], readings)
+    readings = np.array([photo.stage for photo in bare], dtype=np.float64).reshape(-1, 3)
+    stage = fit_stage(seen, [photo.target_pose for photo in bare], readings)
     by_target = _tracked(photos.tracking, tracking)
     targets = tracked_targets(tracking, by_target, device_from_tracking)
     chains = chains_through(stage, targets)
@@ -168,12 +154,12 @@ def find_station(
     return replace(station, checks=checks, unchecked=tuple(_unchecked(chains, sweeps)))
 
 
-def _tracked(photos: Sequence[StationPhoto], tracking: BoardPoses) -> dict[int, list[str]]:
+def _tracked(photos: Sequence[BoardPhotograph], tracking: BoardPoses) -> dict[int, list[str]]:
     """Number of each target pose -> the photographs by the tracking camera that show it."""
     by_target: dict[int, list[str]] = {}
     for photo in photos:
         if photo.name in tracking.names:
-            by_target.setdefault(photo.target, []).append(photo.name)
+            by_target.setdefault(photo.target_pose, []).append(photo.name)
     if not by_target:
         raise BadInputError("no photograph by the tracking camera shows the target; it ties all to the device.")
     return by_target

@@ -6,12 +6,14 @@ position it was taken at, so that held-out tests can leave out whole positions.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
@@ -50,6 +52,11 @@ class DisplayCaptures:
         _check_sightings(self)
         _set_rows(self, "pixel", 2, len(self))
 
+    @cached_property
+    def tangents(self) -> FloatArray:
+        """(n, 2) tangents of `view_dir`."""
+        return tangents_of_dir(self.view_dir)
+
     def __len__(self) -> int:
         return len(self.viewpoint)
 
@@ -83,6 +90,11 @@ class SeeThroughCaptures:
         _set_indices(self, "target_pose", len(self))
         if np.any(self.point[:, 2] >= self.viewpoint[:, 2]):
             raise BadInputError("captures: 'point' has rows that are not in front of their viewpoint (smaller z).")
+
+    @cached_property
+    def tangents(self) -> FloatArray:
+        """(n, 2) tangents of `view_dir`."""
+        return tangents_of_dir(self.view_dir)
 
     def __len__(self) -> int:
         return len(self.viewpoint)

@@ -42,14 +42,21 @@ class BoardPhotograph:
     """A photograph of the board, the target.
 
     Attributes:
-        path: of the photograph.
-        target_pose: index of the place where the target stood.
-        stage: (3,) the stage's reading; zero for the tracking camera, which is not on it.
+        folder: of the session.
+        name: path from there, by which reports name the photograph.
+        target_pose: index of the target's position.
+        stage: (3,) stage reading, metres; zero for the tracking camera, which is not on the stage.
     """
 
-    path: Path
+    folder: Path
+    name: str
     target_pose: int
     stage: FloatArray
+
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self.folder / self.name
 
 
 @dataclass(frozen=True, eq=False)

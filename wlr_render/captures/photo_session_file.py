@@ -144,12 +144,12 @@ def _camera_keys(table: Table, root: Path) -> SessionCamera:
 
 
 def _board_photograph(table: Table, root: Path, axes: FloatArray, on_stage: bool = True) -> BoardPhotograph:
-    path, pose = root / table.text("photograph"), table.number("target_pose")
+    name, pose = str(Path(table.text("photograph"))), table.number("target_pose")
     if pose < 0 or pose != int(pose):
         raise table.fail(f"'target_pose' is {pose:g}; it must be a whole number from 0.")
     stage = _stage(table, axes) if on_stage else np.zeros(3)
     table.finish()
-    return BoardPhotograph(path, int(pose), stage)
+    return BoardPhotograph(root, name, int(pose), stage)
 
 
 def _code_set(table: Table, root: Path, axes: FloatArray) -> CodeSet:
@@ -229,11 +229,9 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         "eyeball_camera": _written_camera(session.eyeball_camera, session.folder),
         "tracking_camera": _written_camera(session.tracking_camera, session.folder)
         | {"rotation": (axes.T @ pose[:3, :3]).tolist(), "translation_mm": _in_file(pose[:3, 3], axes)},
-        "bare": _written(session, session.bare, axes),
-        "tracking": [
-            {"photograph": session.name_of(each.path), "target_pose": each.target_pose} for each in session.tracking
-        ],
-        "see_through": _written(session, session.see_through, axes),
+        "bare": _written(session.bare, axes),
+        "tracking": [{"photograph": each.name, "target_pose": each.target_pose} for each in session.tracking],
+        "see_through": _written(session.see_through, axes),
         "display": [
             {"photographs": session.name_of(each.folder), "stage_mm": _in_file(each.stage, axes)}
             for each in session.display
@@ -247,10 +245,10 @@ def _in_file(value: FloatArray, axes: FloatArray) -> list[float]:
     return [float(number) for number in np.round(axes.T @ value / _MM, 9) + 0.0]
 
 
-def _written(session: PhotoSession, photographs: Iterable[BoardPhotograph], axes: FloatArray) -> list[dict[str, Any]]:
+def _written(photographs: Iterable[BoardPhotograph], axes: FloatArray) -> list[dict[str, Any]]:
     return [
         {
-            "photograph": session.name_of(each.path),
+            "photograph": each.name,
             "target_pose": each.target_pose,
             "stage_mm": _in_file(each.stage, axes),
         }

@@ -8,6 +8,7 @@ import numpy as np
 from wlr_render.calibration.capture_outliers import Moved, follow_their_photograph, moved_display, moved_see_through
 from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures, select
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession
+from wlr_render.captures.targets.dot_board import BoardSighting
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.calibrate.reading import Reading
 from wlr_render.jobs.calibrate.reading_tasks import SetAside
@@ -31,15 +32,17 @@ def sound_captures(
     assert see_through is not None
     display = captures.display
     _refuse_far_places(session, display.viewpoint)
-    see_through = select(see_through, follow_their_photograph(see_through, _photograph(see_through)))
+    keys, photograph = _photographs(see_through)
+    follows = follow_their_photograph(see_through, photograph)
+    see_through, photograph = select(see_through, follows), photograph[follows]
     moved = moved_display(display)
     sets = [session.name_of(each.folder) for each, _ in reading.decoded(session.display)]
     aside = [_aside([sets[each.group]], each) for each in moved]
     display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
-    photographs = _names(session, reading)
-    gone = moved_see_through(see_through, _photograph(see_through))
-    aside += [_aside(photographs[each.group], each) for each in gone]
-    see_through = select(see_through, ~np.isin(_photograph(see_through), [each.group for each in gone]))
+    names = _names(reading.seen(session.see_through))
+    gone = moved_see_through(see_through, photograph)
+    aside += [_aside(names[keys[each.group]], each) for each in gone]
+    see_through = select(see_through, ~np.isin(photograph, [each.group for each in gone]))
     return replace(captures, display=display, see_through=see_through), tuple(aside)
 
 
@@ -49,20 +52,18 @@ def camera_places(photographs: Sequence[BoardPhotograph]) -> list[int]:
     return [numbers.setdefault(each.stage.tobytes(), len(numbers)) for each in photographs]
 
 
-def _photograph(captures: SeeThroughCaptures) -> IntArray:
-    """(n,) one number for each target pose and camera place."""
-    return np.asarray(captures.target_pose * _PLACES + captures.capture)
+def _photographs(captures: SeeThroughCaptures) -> tuple[list[tuple[int, int]], IntArray]:
+    """Target pose and camera position of each photograph, and (n,) the index of each row's photograph."""
+    keys, index = np.unique(np.stack([captures.target_pose, captures.capture], axis=1), axis=0, return_inverse=True)
+    return [(int(pose), int(place)) for pose, place in keys], np.asarray(index.ravel())
 
 
-_PLACES = 1_000_000  # more camera places than anybody photographs from
-
-
-def _names(session: PhotoSession, reading: Reading) -> dict[int, list[str]]:
-    """The photographs through the optics by `_photograph`; one place may have been photographed twice."""
-    seen = [each for each, _ in reading.seen(session.see_through)]
-    names: dict[int, list[str]] = {}
-    for each, place in zip(seen, camera_places(seen), strict=True):
-        names.setdefault(each.target_pose * _PLACES + place, []).append(session.name_of(each.path))
+def _names(seen: Sequence[tuple[BoardPhotograph, BoardSighting]]) -> dict[tuple[int, int], list[str]]:
+    """Names of photographs by target pose and camera position; one position may have been photographed twice."""
+    photographs = [each for each, _ in seen]
+    names: dict[tuple[int, int], list[str]] = {}
+    for each, place in zip(photographs, camera_places(photographs), strict=True):
+        names.setdefault((each.target_pose, place), []).append(each.name)
     return names
 
 

@@ -16,7 +16,7 @@ from wlr_render.calibration.photograph_captures import (
     see_through_captures,
     within_field,
 )
-from wlr_render.calibration.station import Station, StationPhoto, StationPhotos, find_station, repeated_views
+from wlr_render.calibration.station import Station, StationPhotos, find_station, repeated_views
 from wlr_render.calibration.station_file import save_station
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
@@ -133,12 +133,9 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
     eyeball = _lens(session, session.eyeball_camera, "eyeball_camera", bare, reading)
     tracking = _lens(session, session.tracking_camera, "tracking_camera", tracked, reading)
     through = reading.seen(session.see_through)
-    views = {session.name_of(each.path): _view(session, each.path, sighting) for each, sighting in through}
-    photos = StationPhotos(
-        _station_photos(session, bare),
-        _station_photos(session, tracked),
-        repeated_views(_station_photos(session, through), views),
-    )
+    views = {each.name: BoardView.of_sighting(each.name, sighting, session.board) for each, sighting in through}
+    repeated = repeated_views([each for each, _ in through], views)
+    photos = StationPhotos([each for each, _ in bare], [each for each, _ in tracked], repeated)
     station = find_station(photos, eyeball.poses, tracking.poses, session.device_from_tracking)
     save_station(into / "station.json", station, eyeball.camera, tracking.camera, session.device_from_tracking)
     refuse_contradictions(station.checks)
@@ -152,23 +149,19 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
 
 def _lens(session: PhotoSession, camera: SessionCamera, name: str, seen: Seen, reading: Reading) -> Lens:
     """The camera and the board's poses: from all photographs without the headset, or by the lens that is given."""
-    views = [_view(session, each.path, sighting) for each, sighting in seen]
+    views = [BoardView.of_sighting(each.name, sighting, session.board) for each, sighting in seen]
     if camera.known is not None:
         return Lens(poses_of(camera.known, views), None)
-    views += [_view(session, path, reading.boards[path]) for path in camera.intrinsics if path in reading.boards]
+    views += [
+        BoardView.of_sighting(session.name_of(path), reading.boards[path], session.board)
+        for path in camera.intrinsics
+        if path in reading.boards
+    ]
     try:
         found = calibrate_camera(views, camera.size_px)
     except BadInputError as error:
         raise BadInputError(f"[{name}]: {error}") from error
     return Lens(found.poses, found)
-
-
-def _view(session: PhotoSession, path: Path, sighting: BoardSighting) -> BoardView:
-    return BoardView.of_sighting(session.name_of(path), sighting, session.board)
-
-
-def _station_photos(session: PhotoSession, seen: Seen) -> list[StationPhoto]:
-    return [StationPhoto(session.name_of(each.path), each.target_pose, each.stage) for each, _ in seen]
 
 
 def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, station: Station) -> EyeCaptures:

@@ -46,9 +46,9 @@ def draw_coverage(path: Path, found: SessionCalibration) -> Path:
     figure.colorbar(drawn, ax=panel, shrink=0.7, label="samples")
     panel.set(xlabel="u (px)", ylabel="v (px)", title="panel positions decoded, all places together")
     for pose in np.unique(see_through.target_pose):
-        tangents = tangents_of_dir(see_through.view_dir[see_through.target_pose == pose])
+        tangents = see_through.tangents[see_through.target_pose == pose]
         world.plot(*np.rad2deg(np.arctan(tangents)).T, ".", markersize=1, label=f"target pose {pose}")
-    seen = np.rad2deg(np.arctan(tangents_of_dir(display.view_dir)))
+    seen = np.rad2deg(np.arctan(display.tangents))
     low, high = seen.min(axis=0), seen.max(axis=0)
     world.plot(
         [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]], "k-", label="panel"
@@ -91,7 +91,7 @@ def draw_see_through_residuals(path: Path, found: SessionCalibration) -> Path:
     captures = found.captures.see_through
     assert captures is not None
     seen = found.fit.mappings.see_through.view_dir_of_real_point(captures.point, captures.viewpoint)
-    place = np.rad2deg(np.arctan(tangents_of_dir(captures.view_dir)))
+    place = np.rad2deg(np.arctan(captures.tangents))
     rows = zip(captures.target_pose, captures.capture, strict=True)
     label = np.array([f"target {pose}, place {capture:02d}" for pose, capture in rows])
     title = "See-through: direction measured minus modelled, over the field in degrees, one picture a place and target"
@@ -127,7 +127,7 @@ def _residuals(
     down: bool,
 ) -> Path:
     """Arrows of residuals at places (n, 2), one small picture for each label (n,); all have one scale."""
-    apart = tangents_of_dir(captures.view_dir) - tangents_of_dir(modelled)
+    apart = captures.tangents - tangents_of_dir(modelled)
     size = arcmin_between(captures.view_dir, modelled)
     # As long as the angle, whatever a tangent is worth so far off the axis.
     residual = apart * (size / np.maximum(np.linalg.norm(apart, axis=1), 1e-12))[:, None]

@@ -98,17 +98,17 @@ def _session(root: Path, bench: PhotoBench, plan: PhotoPlan, pattern: Pattern, m
         tracking_camera=tracking,
         device_from_tracking=bench.device_from_tracking,
         bare=tuple(
-            BoardPhotograph(root / "bare" / f"pose{pose}_{number:02d}.png", pose, stage)
+            BoardPhotograph(root, f"bare/pose{pose}_{number:02d}.png", pose, stage)
             for pose in plan.bare_poses
             for number, stage in enumerate(plan.bare)
         ),
         tracking=tuple(
-            BoardPhotograph(root / "tracking" / f"pose{pose}_{when}.png", pose, np.zeros(3))
+            BoardPhotograph(root, f"tracking/pose{pose}_{when}.png", pose, np.zeros(3))
             for pose in poses
             for when in ("before", "after")
         ),
         see_through=tuple(
-            BoardPhotograph(root / "see_through" / f"pose{pose}_{number:02d}.png", pose, stage)
+            BoardPhotograph(root, f"see_through/pose{pose}_{number:02d}.png", pose, stage)
             for pose in poses
             for number, stage in enumerate(readings)
         ),
