@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from wlr_render.jobs import render as render_sequence
 from wlr_render.jobs.headset import open_eye
+from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
 from wlr_render.tracking.synthetic import eye_motion, head_motion
@@ -12,14 +12,14 @@ pupils = {eye: open_eye("northstar", eye).eye_box.centre for eye in ("left", "ri
 write_head_trajectory_tum("head.tum", head_motion(seed=4, duration_s=1.0))
 write_eye_trajectory("eyes.txt", eye_motion(pupils, seed=4, duration_s=1.0))
 
-job = render_sequence.Options(
-    headset=("northstar",),
+options = RenderOptions(
+    headset="northstar",
     scene="sculpture",
     head=Path("head.tum"),
-    eyes_file=Path("eyes.txt"),
-    eyes=("left", "right"),
+    eye_track=Path("eyes.txt"),
+    eye="both",
     frame_limit=2,
     out=Path("frames"),
 )
-result = render_sequence.run(job)
-print(f"{result.drawn} frames in {result.folder}; again: {render_sequence.run(job).kept} kept")
+print(render(options).verdict)
+print("again:", render(options).verdict)

@@ -16,7 +16,10 @@ WORDS_AND_FILES = {
     "01_world_rays": ("2304000 rays, 100.0% of them OK", set()),
     "02_calibrate": ("against the truth, anywhere in the eye box: 0.0", {"birdbath28.model.json"}),
     "03_render_a_frame": ("pixels are disoccluded", {"raster.png", "raytrace.png", "warp.tiff"}),
-    "04_moving_wearer": ("4 frames in frames; again: 4 kept", {"head.tum", "eyes.txt", "frames"}),
+    "04_moving_wearer": (
+        "again: 0 frames drawn, 4 kept from an earlier run",
+        {"head.tum", "eyes.txt", "frames"},
+    ),
     "05_diagnose": ("Explained: printed size of the target", {"out"}),
     "06_photographs": ("81 dots found to 0.00", set()),
     "07_plug_into_pyrender": ("right eye: the drawn dot appears 0.", {"left.png", "right.png"}),

@@ -1,27 +1,30 @@
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import needs_browser, open_page
 
 from wlr_render.errors import BadInputError
-from wlr_render.jobs import compare
-from wlr_render.jobs.compare import Options
+from wlr_render.jobs.compare import CompareOptions, compare
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.image_files import read_map, read_png
+from wlr_render.report.blocks import Plot
 
 
 @pytest.fixture(scope="module")
 def comparison(tmp_path_factory, model_file, scene_file):
     """A bent headset off the centre of its eye box, before a ball that hides a part of a wall."""
     folder = tmp_path_factory.mktemp("compare")
-    options = Options(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), backend="cpu", out=folder)
-    return compare.run(options), folder
+    options = CompareOptions(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), backend="cpu", out=folder)
+    return compare(options), folder
 
 
-def test_each_way_to_rasterise_has_its_figures(comparison):
-    table = comparison[0].table
-    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+def rows_by_method(table):
+    return {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+
+
+def test_each_method_of_rasterising_has_its_figures(comparison):
+    rows = rows_by_method(comparison[0].tables[0])
     plain, double, mesh = rows["raster + warp"], rows["twice the raster resolution"], rows["map from the mesh"]
     assert 0 < plain["median (arcmin)"] < 0.01
     assert double["95 % (arcmin)"] <= plain["95 % (arcmin)"]
@@ -33,12 +36,13 @@ def test_each_way_to_rasterise_has_its_figures(comparison):
 
 
 def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison):
-    result, folder = comparison
-    names = {path.name for path in folder.iterdir()}
-    assert names == {"raster.png", "raytrace.png", "error.tiff", "compare.md", "compare.json", "compare.png"}
+    report, folder = comparison
+    pictures = {"raster.png", "raytrace.png", "error.tiff", "compare.png"}
+    assert {path.name for path in folder.iterdir()} == pictures | {"report.html", "report.md", "report.json"}
+    assert sorted(report.files) == sorted(folder.iterdir())
     error = read_map(folder / "error.tiff")
     assert error.shape == (100, 90, 3)
-    plain = dict(zip(result.table.columns, result.table.rows[0], strict=True))
+    plain = rows_by_method(report.tables[0])["raster + warp"]
     angle, disoccluded, only_one = np.moveaxis(error, -1, 0)
     kept = np.isfinite(angle) & (disoccluded == 0)
     assert np.median(angle[kept]) == pytest.approx(plain["median (arcmin)"], rel=1e-5)
@@ -48,22 +52,45 @@ def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison):
     assert 100 * disoccluded.sum() / shown == pytest.approx(plain["disoccluded (%)"])
     raster, traced = (read_png(folder / f"{name}.png").astype(int) for name in ("raster", "raytrace"))
     assert np.abs(raster - traced).mean() == pytest.approx(plain["colour difference (8 bit)"])
-    assert read_png(result.picture).std() > 10
+    assert read_png(folder / "compare.png").std() > 10
 
 
-def test_the_report_says_from_where(comparison, model_file):
-    record = json.loads((comparison[1] / "compare.json").read_text())
+def test_the_report_says_from_where_and_what_came_out(comparison, model_file):
+    report, folder = comparison
+    record = json.loads((folder / "report.json").read_text())
     centre = open_eye(model_file).eye_box.centre
-    np.testing.assert_allclose(record["viewpoint_in_device_m"], centre + [0.003, -0.002, 0.001])
+    np.testing.assert_allclose(record["record"]["viewpoint_in_device_m"]["right"], centre + [0.003, -0.002, 0.001])
     assert len(record["tables"][0]["rows"]) == 4
+    assert record["provenance"]["inputs"][0]["name"] == model_file
+    plain = rows_by_method(report.tables[0])["raster + warp"]
+    assert f"{plain['median (arcmin)']:.3g}' off in the median" in report.verdict
+    assert f"{plain['disoccluded (%)']:.3g} % of its pixels are disoccluded" in report.verdict
 
 
-def test_without_optics_both_ways_show_the_same_points(straight_device, scene_file, tmp_path):
-    table = compare.run(Options(straight_device, scene_file, backend="cpu", out=tmp_path)).table
-    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
-    assert all(row["max (arcmin)"] < 0.001 for row in rows.values())
-    assert all(row["only in one (%)"] == 0 for row in rows.values())
-    assert all(row["disoccluded (%)"] == 0 for row in rows.values())
+def test_the_error_plot_shows_the_error_map(comparison):
+    report, folder = comparison
+    (plot,) = [block for block in report.blocks if isinstance(block, Plot)]
+    angle = read_map(folder / "error.tiff")[..., 0]
+    np.testing.assert_allclose(plot.data[0]["customdata"], angle, rtol=1e-3, atol=1e-12)
+    assert np.nanmax(plot.data[0]["z"]) == pytest.approx(np.log10(np.nanmax(angle)), abs=1e-3)
+
+
+@needs_browser
+def test_the_page_opens_with_its_error_map(comparison, tmp_path):
+    page = open_page(comparison[1] / "report.html", tmp_path)
+    assert (page.console, page.plots) == ([], 1)
+
+
+def test_without_optics_both_eyes_and_all_methods_show_the_same_points(straight_device, scene_file, tmp_path):
+    report = compare(CompareOptions(straight_device, scene_file, eye="both", backend="cpu", out=tmp_path))
+    assert len(report.tables) == 2
+    for table in report.tables:
+        rows = rows_by_method(table)
+        assert all(row["max (arcmin)"] < 0.001 for row in rows.values())
+        assert all(row["only in one (%)"] == 0 for row in rows.values())
+        assert all(row["disoccluded (%)"] == 0 for row in rows.values())
+    drawn = [read_png(tmp_path / eye / "raster.png") for eye in ("left", "right")]
+    assert drawn[0].shape == drawn[1].shape
 
 
 @pytest.mark.parametrize(
@@ -80,7 +107,7 @@ def test_without_optics_both_ways_show_the_same_points(straight_device, scene_fi
     ids=str,
 )
 def test_faults_are_refused_before_anything_is_written(straight_device, scene_file, tmp_path, change, sentence):
-    options = Options(straight_device, scene_file, backend="cpu", out=tmp_path / "out")
+    options = CompareOptions(straight_device, scene_file, backend="cpu", out=tmp_path / "out")
     with pytest.raises(BadInputError, match=sentence):
-        compare.run(replace(options, **change))
+        compare(options.with_values(**change))
     assert not (tmp_path / "out").exists()

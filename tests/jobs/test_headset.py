@@ -6,7 +6,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
-from wlr_render.jobs.headset import open_channels, open_eye, require_in_eye_box
+from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -53,7 +53,7 @@ def test_the_eye_box_is_a_border_with_a_micrometre_of_slack(straight_device):
 
 
 def test_a_device_is_traced_in_red_green_and_blue():
-    channels = open_channels(["freeform40"])
+    channels = open_colours("freeform40")
     viewpoint = channels[0].eye_box.centre
     ray = np.array([0.2, -0.1, -1.0]) / np.sqrt(1.05)
     red, green, blue = (each.see_through.real_ray_of_view_dir(ray, viewpoint).value[3:] for each in channels)
@@ -72,7 +72,8 @@ def test_three_models_are_three_colours(model_file, tmp_path):
     for path in files:
         record["eyes"][0]["name"] = path.stem
         path.write_text(json.dumps(record), encoding="utf-8")
-    assert [each.name for each in open_channels(files)] == ["red", "green", "blue"]
+    red, green, blue = files
+    assert [each.name for each in open_colours(green, "right", red, blue)] == ["red", "green", "blue"]
 
 
 @pytest.mark.parametrize("part", ["panel", "eye box"])
@@ -86,10 +87,20 @@ def test_colours_of_different_headsets_are_refused(model_file, tmp_path, part):
     other = tmp_path / "other.json"
     other.write_text(json.dumps(record), encoding="utf-8")
     with pytest.raises(BadInputError, match=r"other\.json: has another panel or eye box than the green model"):
-        open_channels([model_file, model_file, other])
+        open_colours(model_file, "right", Path(model_file), other)
+    with pytest.raises(BadInputError, match=r"other\.json: has another panel or eye box than the green model"):
+        open_colours(model_file, "right", other, Path(model_file))
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 4])
-def test_another_number_of_models_is_refused(model_file, count):
-    with pytest.raises(BadInputError, match="give one device, or three model files"):
-        open_channels([model_file] * count)
+def test_models_of_red_and_blue_go_with_a_model_of_green(model_file):
+    for red, blue in ((None, None), (Path(model_file), None), (None, Path(model_file))):
+        with pytest.raises(BadInputError, match=r"is a model of one colour; give --red-model and --blue-model as well"):
+            open_colours(model_file, "right", red, blue)
+    with pytest.raises(BadInputError, match="no_optics: is a device, which is traced in all colours"):
+        open_colours("no_optics", "right", Path(model_file), Path(model_file))
+
+
+def test_a_headset_is_a_file_of_this_path(model_file, straight_device):
+    assert headset_path(model_file) == Path(model_file)
+    assert headset_path(straight_device) == Path(straight_device)
+    assert headset_path("northstar").is_file()

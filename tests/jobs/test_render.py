@@ -1,6 +1,6 @@
 import itertools
 import json
-from dataclasses import replace
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +8,8 @@ import pytest
 
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
-from wlr_render.jobs import render as render_sequence
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import Options
+from wlr_render.jobs.render import RenderOptions, planned_moments, render
 from wlr_render.rendering import gl
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.painters import WarpedPainter
@@ -32,24 +31,29 @@ def moving_pupil(path, eye, times, centre, step_m=(0.001, 0.0005, 0.0)):
     return write_eye_trajectory(path, EyeTrajectory({eye: track}))
 
 
+def counts(report):
+    """Frames drawn and kept."""
+    return report.record["frames_drawn"], report.record["frames_kept"]
+
+
 def pictures(folder):
     return {path.name: path.read_bytes() for path in sorted(Path(folder).glob("*.png"))}
 
 
 @pytest.fixture
 def options(tmp_path, straight_device, scene_file):
-    return Options((straight_device,), scene_file, backend="cpu", out=tmp_path / "frames")
+    return RenderOptions(straight_device, scene_file, backend="cpu", out=tmp_path / "frames")
 
 
 @pytest.fixture
 def moving(tmp_path, model_file, scene_file):
     """Five moments of a fitted headset whose wearer moves head and eyes."""
     centre = open_eye(model_file).eye_box.centre
-    return Options(
-        (model_file,),
+    return RenderOptions(
+        model_file,
         scene_file,
         head=still_head(tmp_path / "head.tum", [0.0, 0.3, 0.6]),
-        eyes_file=moving_pupil(tmp_path / "eyes.txt", "right", [0.1, 0.5], centre),
+        eye_track=moving_pupil(tmp_path / "eyes.txt", "right", [0.1, 0.5], centre),
         frames_per_second=10.0,
         backend="cpu",
         out=tmp_path / "whole",
@@ -57,13 +61,13 @@ def moving(tmp_path, model_file, scene_file):
 
 
 def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(moving):
-    assert render_sequence.run(moving).drawn == 5
+    assert counts(render(moving)) == (5, 0)
     record = json.loads((moving.out / "sequence.json").read_text())
     assert [frame["file"] for frame in record["frames"]] == [f"right-{k:06d}.png" for k in range(5)]
     assert sorted(pictures(moving.out)) == [frame["file"] for frame in record["frames"]]
     times = np.array([frame["time_s"] for frame in record["frames"]])
     np.testing.assert_allclose(times, [0.1, 0.2, 0.3, 0.4, 0.5])
-    centre = open_eye(moving.headset[0]).eye_box.centre
+    centre = open_eye(moving.headset).eye_box.centre
     viewpoint = np.array([frame["viewpoint_in_device_m"] for frame in record["frames"]])
     np.testing.assert_allclose(viewpoint, centre + np.outer(times - 0.1, [0.001, 0.0005, 0.0]), atol=1e-12)
     turned = transforms.rigid(transforms.rotation_about("y", 0.05 * times[3]), np.zeros(3))
@@ -72,13 +76,14 @@ def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(movi
 
 
 def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_same(moving, tmp_path):
-    render_sequence.run(moving)
-    again = replace(moving, out=tmp_path / "resumed")
-    assert render_sequence.run(replace(again, frame_limit=2)).drawn == 2
+    render(moving)
+    again = moving.with_values(out=tmp_path / "resumed")
+    assert counts(render(again.with_values(frame_limit=2))) == (2, 0)
     (again.out / "right-000000.png").unlink()
     untouched = (again.out / "right-000001.png").stat().st_mtime_ns
-    result = render_sequence.run(again)
-    assert (result.drawn, result.kept) == (4, 1)
+    report = render(again)
+    assert counts(report) == (4, 1)
+    assert report.verdict == f"4 frames drawn, 1 kept from an earlier run: {again.out}."
     assert (again.out / "right-000001.png").stat().st_mtime_ns == untouched
     assert pictures(again.out) == pictures(moving.out)
     assert (again.out / "sequence.json").read_bytes() == (moving.out / "sequence.json").read_bytes()
@@ -88,8 +93,8 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
 def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_again(moving, tmp_path):
     """The first run stops at a frame that is larger than the system lets files be."""
     resource = pytest.importorskip("resource")
-    render_sequence.run(moving)
-    again = replace(moving, out=tmp_path / "resumed")
+    render(moving)
+    again = moving.with_values(out=tmp_path / "resumed")
     before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def disk_fills_up(items, total, label):
@@ -98,10 +103,10 @@ def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_ag
 
     try:
         with pytest.raises(BadInputError, match=r"right-000000\.png: cannot be written \(File too large\)"):
-            render_sequence.run(again, disk_fills_up)
+            render(again, progress=disk_fills_up)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
-    render_sequence.run(again)
+    render(again)
     assert pictures(again.out) == pictures(moving.out)
 
 
@@ -116,7 +121,7 @@ def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monke
 
     monkeypatch.setattr(WarpedPainter, "paint", spy)
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
-    render_sequence.run(replace(options, head=head, eyes=("left", "right"), frames_per_second=10.0))
+    render(options.with_values(head=head, eye="both", frames_per_second=10.0))
     assert len(painted) == 6
     for eye in (0, 1):
         own = painted[eye::2]
@@ -132,9 +137,9 @@ def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
                 raise KeyboardInterrupt
             yield item
 
-    both = replace(options, eyes=("left", "right"))
+    both = options.with_values(eye="both")
     with pytest.raises(KeyboardInterrupt):
-        render_sequence.run(both, interrupt)
+        render(both, progress=interrupt)
     assert {path.name for path in both.out.iterdir()} == {"sequence.json", "left-000000.png", "right-000000.png"}
     assert read_png(both.out / "left-000000.png").shape == (36, 64, 3)
 
@@ -143,15 +148,15 @@ def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
 def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m, crossed_px):
     """Both panels lie in the plane z = -0.5 m, 5 mm to a pixel: what is nearer is seen crossed there."""
     device = tmp_path / "apart.toml"
-    text = Path(options.headset[0]).read_text(encoding="utf-8")
+    text = Path(options.headset).read_text(encoding="utf-8")
     device.write_text(text.replace("centre_mm = [0.0, 0.0, 0.0]", "centre_mm = [32.0, 0.0, 0.0]"), encoding="utf-8")
     scene = tmp_path / "scene.toml"
     ball = Path(options.scene).read_text(encoding="utf-8")
     scene.write_text(ball.replace("[0.03, 0.01, -0.5]", f"[0.0, 0.0, {ball_z_m}]"), encoding="utf-8")
-    job = replace(options, headset=(str(device),), scene=str(scene), eyes=("left", "right"), maps="tiff")
-    assert render_sequence.run(job).drawn == 2
+    job = options.with_values(headset=str(device), scene=str(scene), eye="both", maps="tiff")
+    assert counts(render(job)) == (2, 0)
     column = {}
-    for eye in job.eyes:
+    for eye in ("left", "right"):
         inverse_depth = read_map(options.out / f"{eye}-000000.tiff")[..., 2]
         column[eye] = np.nonzero(inverse_depth > 1.0)[1].mean()
     assert column["left"] - column["right"] == pytest.approx(crossed_px, abs=0.7)
@@ -160,23 +165,29 @@ def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m
 @pytest.mark.parametrize(
     "change",
     [
-        {"method": "raytrace"},
+        {"method": "raytrace", "backend": "auto"},
         {"frames_per_second": 5.0},
         {"maps": "tiff"},
         {"per_colour": True},
         {"head": "changed"},
+        {"headset": "changed"},
     ],
     ids=lambda change: next(iter(change)),
 )
 def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path, change):
-    job = replace(options, head=still_head(tmp_path / "head.tum", [0.0, 0.2]), frames_per_second=10.0)
-    render_sequence.run(job)
+    device = Path(shutil.copy(options.headset, tmp_path / "device.toml"))
+    head = still_head(tmp_path / "head.tum", [0.0, 0.2])
+    job = options.with_values(headset=str(device), head=head, frames_per_second=10.0)
+    render(job)
     before = {path.name: path.read_bytes() for path in job.out.iterdir()}
     if "head" in change:  # the same file name, but the head has turned
         still_head(job.head, [0.0, 0.2], turn_rate=1.0)
         change = {}
+    if "headset" in change:  # the same, but another device
+        device.write_text(device.read_text(encoding="utf-8").replace("[0.0, 0.0, 500.0]", "[0.0, 0.0, 501.0]"))
+        change = {}
     with pytest.raises(BadInputError, match="frames: holds the frames of another job; choose another folder"):
-        render_sequence.run(replace(job, **change))
+        render(job.with_values(**change))
     assert {path.name: path.read_bytes() for path in job.out.iterdir()} == before
 
 
@@ -187,19 +198,19 @@ def test_frames_of_unknown_origin_are_refused(options, record):
     if record is not None:
         (options.out / "sequence.json").write_text(record)
     with pytest.raises(BadInputError, match="holds the frames of another job"):
-        render_sequence.run(options)
+        render(options)
     assert (options.out / "right-000000.png").read_bytes() == b"a picture"
 
 
 def test_backend_and_video_may_change_between_runs(options):
-    render_sequence.run(options)
-    assert render_sequence.run(replace(options, backend="auto", video=False)).kept == 1
+    render(options)
+    assert counts(render(options.with_values(backend="auto", video=False))) == (0, 1)
 
 
 def test_map_from_the_mesh_shows_the_same_picture(options):
-    render_sequence.run(options)
-    meshed = replace(options, map_from="mesh", out=options.out.with_name("meshed"))
-    render_sequence.run(meshed)
+    render(options)
+    meshed = options.with_values(map_from="mesh", out=options.out.with_name("meshed"))
+    render(meshed)
     depth, mesh = (read_png(each.out / "right-000000.png").astype(int) for each in (options, meshed))
     differs = np.abs(depth - mesh).max(axis=-1) > 8
     assert differs.mean() < 0.02  # silhouettes
@@ -208,34 +219,45 @@ def test_map_from_the_mesh_shows_the_same_picture(options):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"method": "raytrace", "maps": "pfm"}, "no warp map"),
-        ({"method": "raytrace", "materials": "gltf"}, "our own materials"),
-        ({"supersample": 2}, "need the method raytrace"),
-        ({"shadows": True}, "need the method raytrace"),
-        ({"headset": ("a", "b")}, "2 headsets are given for 1 eyes"),
-        (
-            {"headset": ("a", "b"), "per_colour": True},
-            r"2 headsets .* give one device, or three model files \(red, green, blue\) per eye",
-        ),
-        ({"headset": ("a.json",), "per_colour": True}, "a.json: give one device, or three model files"),
-        ({"frames_per_second": 0.0}, "frame rate is 0.0"),
-        ({"frames_per_second": np.inf}, "frame rate is inf"),
-        ({"method": "raytrace", "map_from": "mesh"}, "no intermediate image"),
-        ({"method": "paint"}, "'paint' is no choice for 'method'; choose from raster, raytrace"),
-        ({"maps": "png"}, "'png' is no choice for 'maps'; choose from None, tiff, pfm"),
-        ({"map_from": "thin air"}, "choose from depth, mesh"),
-        ({"resolution": 0.0}, "resolution is 0.0"),
-        ({"headset": ("norhtstar",)}, "Did you mean northstar"),
+        ({"method": "raytrace", "maps": "pfm"}, "--maps is used with --method raster only"),
+        ({"method": "raytrace", "materials": "gltf"}, "--materials is used with --method raster only"),
+        ({"method": "raytrace", "map_from": "mesh"}, "--map-from is used with --method raster only"),
+        ({"method": "raytrace", "resolution": 2.0}, "--resolution is used with --method raster only"),
+        ({"method": "raytrace", "backend": "cpu"}, "--backend is used with --method raster only"),
+        ({"supersample": 2}, "--supersample is used with --method raytrace only"),
+        ({"shadows": True}, "--shadows is used with --method raytrace only"),
+        ({"headset": "a.json", "per_colour": True}, "a.json: is a model of one colour; give --red-model and --blue-m"),
+        ({"red_model": Path("r.json")}, "--red-model and --blue-model go together"),
+        ({"blue_model": Path("b.json")}, "--red-model and --blue-model go together"),
+        ({"red_model": Path("r.json"), "blue_model": Path("b.json")}, "is a device, which is traced in all colours"),
+        ({"frames_per_second": 0.0}, "--fps is 0.0; it must be a finite number above 0"),
+        ({"frames_per_second": np.inf}, "--fps is inf; it must be a finite number above 0"),
+        ({"frame_limit": 0}, "--frames is 0; it must be a finite number of 1 or more"),
+        ({"method": "paint"}, "--method is paint; choose from raster, raytrace"),
+        ({"maps": "png"}, "--maps is png; choose from tiff, pfm"),
+        ({"map_from": "thin air"}, "--map-from is thin air; choose from depth, mesh"),
+        ({"eye": "third"}, "--eye is third; choose from left, right, both"),
+        ({"resolution": 0.0}, "--resolution is 0.0; it must be a finite number above 0 and at most 4"),
+        ({"resolution": 5.0}, "--resolution is 5.0; it must be"),
+        ({"headset": "norhtstar"}, "Did you mean northstar"),
         ({"scene": "dosts"}, "Did you mean dots"),
-        ({"eyes": ("left",), "headset": ("no_optics",)}, "no left eye"),
+        ({"eye": "both", "headset": "no_optics"}, "no left eye"),
         ({"materials": "gltf"}, "glTF materials need OpenGL"),
     ],
     ids=str,
 )
 def test_contradictions_and_unknown_names_are_refused_before_anything_is_written(options, change, sentence):
     with pytest.raises(BadInputError, match=sentence):
-        render_sequence.run(replace(options, **change))
+        render(options.with_values(**change))
     assert not options.out.exists() or not list(options.out.iterdir())
+
+
+def test_an_eye_that_the_model_does_not_hold_is_refused_with_the_remedy(options, model_file):
+    with pytest.raises(
+        BadInputError, match="is a model of the right eye; the left eye was asked for: calibrate it into"
+    ):
+        render(options.with_values(headset=model_file, eye="both"))
+    assert not options.out.exists()
 
 
 def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
@@ -244,18 +266,18 @@ def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
 
     monkeypatch.setattr(gl, "open_context", refuse)
     with pytest.raises(MissingGlError):
-        render_sequence.run(replace(options, backend="egl"))
+        render(options.with_values(backend="egl"))
     assert list(options.out.iterdir()) == []
 
 
 def test_a_viewpoint_outside_the_eye_box_names_file_time_and_eye(options, tmp_path):
     track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.zeros(3), step_m=(0.02, 0.0, 0.0))
-    job = replace(options, eyes_file=track, frames_per_second=10.0)
+    job = options.with_values(eye_track=track, frames_per_second=10.0)
     # 20 mm/s reach the box's edge, 5 mm out, after 0.25 s.
     with pytest.raises(
         BadInputError, match=r"eyes\.txt at 0\.3000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"
     ):
-        render_sequence.run(job)
+        render(job)
     assert not options.out.exists()
 
 
@@ -263,7 +285,7 @@ def test_tracks_that_do_not_overlap_are_refused(options, tmp_path):
     head = still_head(tmp_path / "head.tum", [0.0, 1.0])
     eyes = moving_pupil(tmp_path / "eyes.txt", "right", [2.0, 3.0], np.zeros(3))
     with pytest.raises(BadInputError, match=r"head\.tum and .*eyes\.txt do not overlap in time"):
-        render_sequence.run(replace(options, head=head, eyes_file=eyes))
+        render(options.with_values(head=head, eye_track=eyes))
     assert not options.out.exists()
 
 
@@ -272,28 +294,28 @@ def test_tracks_out_of_order_are_refused_with_their_line(options, tmp_path):
     comment, first, second, third = head.read_text().splitlines()
     head.write_text("\n".join([comment, first, third, second]) + "\n")
     with pytest.raises(BadInputError, match=r"head\.tum line 4: time 0\.1 does not come after"):
-        render_sequence.run(replace(options, head=head))
+        render(options.with_values(head=head))
     assert not options.out.exists()
 
 
 def test_an_eye_that_was_not_tracked_is_refused(options, tmp_path):
     eyes = moving_pupil(tmp_path / "eyes.txt", "left", [0.0, 0.1], np.zeros(3))
     with pytest.raises(BadInputError, match=r"eyes\.txt: there is no eye 'right' in it, only left"):
-        render_sequence.run(replace(options, eyes_file=eyes))
+        render(options.with_values(eye_track=eyes))
 
 
 def test_the_last_moment_is_not_rounded_beyond_the_track(options, tmp_path):
     # 0.1 + 1 / 20 is more than 0.15 by one bit.
     head = still_head(tmp_path / "head.tum", [0.1, 0.15])
-    moments = render_sequence.planned_moments(
-        replace(options, head=head, frames_per_second=20.0), {"right": open_eye(options.headset[0])}
+    moments = planned_moments(
+        options.with_values(head=head, frames_per_second=20.0), {"right": open_eye(options.headset)}
     )
     assert [moment.time_s for moment in moments] == [0.1, 0.15]
 
 
 @pytest.mark.parametrize("suffix", ["tiff", "pfm"])
 def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
-    assert render_sequence.run(replace(options, maps=suffix)).drawn == 1
+    assert counts(render(options.with_values(maps=suffix))) == (1, 0)
     source = read_map(options.out / f"right-000000.{suffix}")
     assert (source.shape, source.dtype) == ((36, 64, 3), np.float32)
     # Without optics the map is affine in the pixel, and its third channel the inverse depth: ball and wall.
@@ -310,32 +332,32 @@ def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
     point = in_camera @ world_from_camera[:3, :3].T + world_from_camera[:3, 3]
     on_wall = source[..., 2] < 1
     np.testing.assert_allclose(point[on_wall][:, 2], point[on_wall][0, 2], atol=1e-4)
-    np.testing.assert_allclose(view["position_in_device_m"], open_eye(options.headset[0]).eye_box.centre, atol=1e-9)
+    np.testing.assert_allclose(view["position_in_device_m"], open_eye(options.headset).eye_box.centre, atol=1e-9)
     # A frame whose map, or the file beside it, is missing is drawn again.
     for lost in (f"right-000000.{suffix}", "right-000000.json"):
         (options.out / lost).unlink()
-        assert render_sequence.run(replace(options, maps=suffix)).drawn == 1
+        assert counts(render(options.with_values(maps=suffix))) == (1, 0)
 
 
 def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):
-    one = replace(options, headset=(model_file,))
-    three = replace(one, headset=(model_file,) * 3, per_colour=True, out=tmp_path / "three")
+    one = options.with_values(headset=model_file)
+    three = one.with_values(red_model=Path(model_file), blue_model=Path(model_file), out=tmp_path / "three")
     for job in (one, three):
-        render_sequence.run(job)
+        render(job)
     assert pictures(one.out) == pictures(three.out)
 
 
 def test_a_video_shows_the_frames(options, tmp_path):
     head = still_head(tmp_path / "head.tum", [0.0, 0.2], turn_rate=0.3)
-    job = replace(options, head=head, frames_per_second=10.0, video=True)
+    job = options.with_values(head=head, frames_per_second=10.0, video=True)
     try:
-        result = render_sequence.run(job)
+        report = render(job)
     except BadInputError as error:
         pytest.skip(str(error))
     import cv2
 
-    reader = cv2.VideoCapture(str(result.videos[0]))
-    assert result.videos == (options.out / "right.mp4",)
+    reader = cv2.VideoCapture(str(options.out / "right.mp4"))
+    assert options.out / "right.mp4" in report.files
     for number in range(3):
         there, frame = reader.read()
         assert there
@@ -347,12 +369,14 @@ def test_a_video_shows_the_frames(options, tmp_path):
 def test_ray_traced_frames_agree_with_rasterised_ones_and_can_be_refined(options, tmp_path):
     jobs = {
         "raster": options,
-        "raytrace": replace(options, method="raytrace", out=tmp_path / "traced"),
-        "fine": replace(options, method="raytrace", supersample=3, shadows=True, out=tmp_path / "fine"),
+        "raytrace": options.with_values(method="raytrace", backend="auto", out=tmp_path / "traced"),
+        "fine": options.with_values(
+            method="raytrace", backend="auto", supersample=3, shadows=True, out=tmp_path / "fine"
+        ),
     }
     drawn = {}
     for name, job in jobs.items():
-        render_sequence.run(job)
+        render(job)
         drawn[name] = read_png(job.out / "right-000000.png").astype(int)
     difference = np.abs(drawn["raster"] - drawn["raytrace"])
     assert (np.median(difference), difference.mean() < 2) == (0, True)

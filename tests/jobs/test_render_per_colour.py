@@ -1,13 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from wlr_render.evaluation.lateral_colour import lateral_colour
 from wlr_render.geometry import directions
-from wlr_render.jobs import render as render_sequence
-from wlr_render.jobs.headset import open_channels
-from wlr_render.jobs.render import Options
+from wlr_render.jobs.headset import open_colours
+from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.painters import WarpedPainter
 from wlr_render.rendering.raster_backends import open_raster_backend
@@ -34,7 +31,7 @@ def colourful(tmp_path, prism_of_plastic):
     """A white disc near a corner of what a prism shows."""
     scene = tmp_path / "disc.toml"
     scene.write_text(WHITE_DISC, encoding="utf-8")
-    return Options((prism_of_plastic,), str(scene), backend="cpu", out=tmp_path / "colours")
+    return RenderOptions(prism_of_plastic, str(scene), backend="cpu", out=tmp_path / "colours")
 
 
 def seen_middles(picture, channels):
@@ -54,17 +51,17 @@ def seen_middles(picture, channels):
     [
         # Edges are sampled once a pixel, each colour's elsewhere: a twentieth of a pixel is seen of that.
         ({"method": "raster", "resolution": 2.0}, 0.25),
-        ({"method": "raytrace", "supersample": 4}, 0.05),
+        ({"method": "raytrace", "backend": "auto", "supersample": 4}, 0.05),
     ],
     ids=["raster", "raytrace"],
 )
 def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way, unseen_arcmin):
     """Seen through the prism, whose glass spreads the colours of one pixel."""
-    channels = open_channels(colourful.headset)
+    channels = open_colours(colourful.headset)
     fringe = {}
     for per_colour in (False, True):
-        job = replace(colourful, per_colour=per_colour, out=colourful.out / str(per_colour), **way)
-        render_sequence.run(job)
+        job = colourful.with_values(per_colour=per_colour, out=colourful.out / str(per_colour), **way)
+        render(job)
         red, green, blue = seen_middles(read_png(job.out / "right-000000.png"), channels)
         fringe[per_colour] = directions.arcmin_between(np.stack([red, blue]), green)
     centre = channels[1].eye_box.centre
@@ -77,8 +74,8 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
 
 @pytest.mark.parametrize("maps", [None, "tiff"])
 def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, maps):
-    render_sequence.run(replace(colourful, per_colour=True, maps=maps))
-    channels, raster_backend = open_channels(colourful.headset), open_raster_backend(load_scene(colourful.scene), "cpu")
+    render(colourful.with_values(per_colour=True, maps=maps))
+    channels, raster_backend = open_colours(colourful.headset), open_raster_backend(load_scene(colourful.scene), "cpu")
     drawn = read_png(colourful.out / "right-000000.png")
     painter = WarpedPainter(channels, raster_backend)
     frame = painter.paint(channels[0].eye_box.centre, np.eye(4), with_geometry=True)
@@ -87,5 +84,5 @@ def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, maps
     if maps is not None:
         for colour, source in zip(("red", "green", "blue"), frame.sources, strict=True):
             np.testing.assert_array_equal(read_map(colourful.out / f"right-000000-{colour}.tiff"), source)
-    # Frame and record; maps and from where they were drawn.
-    assert len(list(colourful.out.iterdir())) == (2 if maps is None else 6)
+    # Frame, record and the report as three files; maps and from where they were drawn.
+    assert len(list(colourful.out.iterdir())) == (5 if maps is None else 9)

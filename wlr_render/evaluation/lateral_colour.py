@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
@@ -48,7 +48,7 @@ def _met(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> 
     return rays.split(rays.at_z(real, viewpoint[2] - DEPTH_M))[0]
 
 
-def lateral_colour_table(headsets: Sequence[tuple[EyeMappings, EyeMappings, EyeMappings]]) -> ReportTable:
+def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
     """For headsets in red, green and blue: rms and largest angles over the field from the eye box's centre."""
     rows: list[list[Cell]] = []
     for red, green, blue in headsets:

@@ -1,7 +1,8 @@
 """The error that rasterisation brings: the same frame rastered and ray traced, compared pixel by pixel."""
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,93 +10,26 @@ from numpy.typing import NDArray
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import RasterError, raster_error
-from wlr_render.files import output_folder, write_figure, write_text
+from wlr_render.files import output_folder, write_figure
 from wlr_render.geometry import transforms
-from wlr_render.jobs.headset import open_eye, require_in_eye_box
+from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
+from wlr_render.jobs.options import Backend, Eyes, Options, ProgressArgument, described, eyes_of, folder_of_eye
+from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
-from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene_file import load_scene
-from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.rendering.scene_file import load_scene, scene_path
+from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
+from wlr_render.report.plots import heat_map
+from wlr_render.report.save import save_report
 
 HEAD_POSE = np.eye(4)
-
-
-@dataclass(frozen=True)
-class Options:
-    """What to compare.
-
-    Attributes:
-        headset: a device or a model file.
-        scene: a shipped scene, a scene file or a mesh.
-        eye: "left" or "right".
-        viewpoint_offset_mm: (x, y, z) from the eye box's centre, device frame.
-        backend: who rasterises.
-        out: folder.
-    """
-
-    headset: str
-    scene: str
-    eye: str = "right"
-    viewpoint_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    backend: str = "auto"
-    out: Path = Path("out/compare")
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """Figures by way of rasterising, and the map of the plain one's error."""
-
-    table: ReportTable
-    picture: Path
-
-
-def run(options: Options, progress: Progress = SILENT) -> Result:
-    """Draw both ways and compare; writes both frames, the error map (.tiff), a picture and the table.
-
-    Raises:
-        BadInputError: faulty headset or scene, or a viewpoint outside the eye box.
-    """
-    mappings = open_eye(options.headset, options.eye)
-    viewpoint = mappings.eye_box.centre + 1e-3 * np.asarray(options.viewpoint_offset_mm)
-    require_in_eye_box(mappings, viewpoint, "--viewpoint-offset-mm")
-    scene = load_scene(options.scene)
-    raster_backend = open_raster_backend(scene, options.backend)
-    renderer = RayRenderer(scene)
-    folder = output_folder(options.out)
-    traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
-    ways: dict[str, Painter] = {
-        "raster + warp": WarpedPainter(mappings, raster_backend),
-        "raster camera at the viewpoint": WarpedPainter(mappings, raster_backend, at_viewpoint=True),
-        "twice the raster resolution": WarpedPainter(mappings, raster_backend, resolution=2.0),
-        "map from the mesh": MeshWarpedPainter(mappings, raster_backend, renderer),
-    }
-    rows: list[list[Cell]] = []
-    plain: tuple[Frame, _Compared] | None = None
-    for way, painter in progress(iter(ways.items()), len(ways), "ways to rasterise"):
-        frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
-        compared = _compared(frame, traced, renderer.tracer)
-        rows.append(_row(way, compared, frame.colour, traced.colour))
-        plain = plain or (frame, compared)
-    assert plain is not None
-    frame, compared = plain
-    write_png(folder / "raster.png", frame.colour)
-    write_png(folder / "raytrace.png", traced.colour)
-    write_map(folder / "error.tiff", _map_of(compared))
-    title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {options.eye} eye"
-    table = ReportTable(title, _COLUMNS, rows, _NOTES)
-    write_text(folder / "compare.md", table.markdown())
-    write_text(folder / "compare.json", tables_as_json([table], viewpoint_in_device_m=viewpoint.tolist()))
-    picture = _draw(folder / "compare.png", frame, traced, compared, title)
-    return Result(table, picture)
-
-
-_COLUMNS = (
-    "way",
+COLUMNS = (
+    "method",
     "median (arcmin)",
     "95 % (arcmin)",
     "max (arcmin)",
@@ -103,62 +37,171 @@ _COLUMNS = (
     "only in one (%)",
     "colour difference (8 bit)",
 )
-_NOTES = (
+NOTES = (
     "Errors are angles at the eye between the world points that the two frames show at a pixel, over pixels that are "
-    "not disoccluded. Disoccluded: something hides what the bent ray meets from where the intermediate image is drawn "
-    "(found with the scene itself); share of pixels that show anything.",
+    "not disoccluded. Disoccluded: from where the intermediate image is drawn, something hides the point that the "
+    "world ray meets (found with the scene itself); share of pixels that show anything.",
 )
+ERROR_LIMITS_ARCMIN = (1e-3, 10.0)
+"""First and last colour of the error maps."""
+
+
+@dataclass(frozen=True)
+class CompareOptions(Options):
+    """Options of `compare`."""
+
+    headset: Annotated[str, described("A device or a model file.")]
+    scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes to compare.")] = "right"
+    viewpoint_offset_mm: Annotated[
+        tuple[float, float, float], described("Viewpoint from the centre of the eye box, device frame: X Y Z in mm.")
+    ] = (0.0, 0.0, 0.0)
+    backend: Backend = "auto"
+    out: Annotated[Path, described("Output folder; each eye has a subfolder if both are compared.")] = Path(
+        "out/compare"
+    )
+
+
+def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Draw a frame by rasterisation and by ray tracing and compare them; writes both, and the error map as .tiff.
+
+    Raises:
+        BadInputError: faulty headset or scene, or a viewpoint outside the eye box.
+    """
+    eyes = {eye: open_eye(options.headset, eye) for eye in eyes_of(options.eye)}
+    viewpoints = {eye: each.eye_box.centre + 1e-3 * np.array(options.viewpoint_offset_mm) for eye, each in eyes.items()}
+    for eye, mappings in eyes.items():
+        require_in_eye_box(mappings, viewpoints[eye], "--viewpoint-offset-mm")
+    scene = load_scene(options.scene)
+    raster_backend, renderer = open_raster_backend(scene, options.backend), RayRenderer(scene)
+    folder = output_folder(options.out)
+    verdicts: list[str] = []
+    blocks: list[Block] = []
+    files: list[Path] = []
+    for eye, mappings in eyes.items():
+        compared = _compare_eye(mappings, viewpoints[eye], raster_backend, renderer, progress)
+        title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {eye} eye"
+        drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
+        picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
+        blocks += [
+            Section(f"The {eye} eye"), ReportTable(title, COLUMNS, compared.rows, NOTES), compared.plot(eye), picture
+        ]  # fmt: skip
+        files += drawn
+        verdicts.append(compared.verdict(eye))
+    report = Report(
+        f"Rasterisation error of {scene.name} on {Path(options.headset).stem}",
+        " ".join(verdicts),
+        blocks=blocks,
+        inputs=[headset_path(options.headset), scene_path(options.scene)],
+        files=files,
+        record={"viewpoint_in_device_m": viewpoints},
+    )
+    return save_report(report, folder, "report")
+
+
+def _compare_eye(
+    mappings: EyeMappings,
+    viewpoint: FloatArray,
+    backend: RasterBackend,
+    renderer: RayRenderer,
+    progress: Progress,
+) -> "_Compared":
+    traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
+    methods: dict[str, Painter] = {
+        "raster + warp": WarpedPainter(mappings, backend),
+        "raster camera at the viewpoint": WarpedPainter(mappings, backend, at_viewpoint=True),
+        "twice the raster resolution": WarpedPainter(mappings, backend, resolution=2.0),
+        "map from the mesh": MeshWarpedPainter(mappings, backend, renderer),
+    }
+    rows: list[list[Cell]] = []
+    first: tuple[Frame, _Error] | None = None
+    for method, painter in progress(iter(methods.items()), len(methods), f"{mappings.eye} eye, methods"):
+        frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
+        error = _error(frame, traced, renderer.tracer)
+        rows.append(_row(method, error, frame.colour, traced.colour))
+        first = first or (frame, error)
+    assert first is not None
+    return _Compared(first[0].colour, traced.colour, first[1], rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Error:
+    """Difference of a rasterised frame from the ray-traced one; masks and angles per display pixel."""
+
+    raster: RasterError
+    disoccluded: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """A rasterised frame beside the ray-traced one; masks and angles per display pixel."""
+    """Both frames of an eye, the error of plain rasterisation, and a row of figures for each method."""
 
-    error: RasterError
-    disoccluded: NDArray[np.bool_]
+    rastered: NDArray[np.uint8]
+    traced: NDArray[np.uint8]
+    error: _Error
+    rows: list[list[Cell]]
+
+    def verdict(self, eye: str) -> str:
+        """The result of plain rasterisation in one sentence."""
+        _, median, p95, maximum, hidden, *_ = (cell_text(cell) for cell in self.rows[0])
+        return (
+            f"The rastered frame of the {eye} eye shows world points {median}' off in the median ({p95}' at 95 %, "
+            f"{maximum}' at most) against ray tracing; {hidden} % of its pixels are disoccluded."
+        )
+
+    def write(self, folder: Path, title: str) -> list[Path]:
+        """Both frames, the error map and the picture."""
+        written = [folder / "raster.png", folder / "raytrace.png", folder / "error.tiff"]
+        write_png(written[0], self.rastered)
+        write_png(written[1], self.traced)
+        # Channels: error in arcmin, 1 where disoccluded, 1 where only one frame shows something.
+        layers = (self.error.raster.registration_arcmin, self.error.disoccluded, self.error.raster.only_one)
+        write_map(written[2], np.stack([np.asarray(layer, np.float32) for layer in layers], axis=-1))
+        return [*written, self._draw(folder / "compare.png", title)]
+
+    def plot(self, eye: str) -> Plot:
+        """The error map."""
+        title, angle = f"Registration error, {eye} eye", self.error.raster.registration_arcmin
+        caption = "Error of raster + warp on the panel, disoccluded pixels included; empty without content."
+        return heat_map(title, angle, "arcmin", limits=ERROR_LIMITS_ARCMIN, log=True, caption=caption)
+
+    def _draw(self, path: Path, title: str) -> Path:
+        from matplotlib.colors import LogNorm
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(15, 6), dpi=110, layout="constrained")
+        axes = figure.subplots(1, 3)
+        for place, picture, name in ((axes[0], self.traced, "ray traced"), (axes[1], self.rastered, "raster + warp")):
+            place.imshow(picture)
+            place.set_title(name)
+        low, high = ERROR_LIMITS_ARCMIN
+        angle: FloatArray = np.clip(self.error.raster.registration_arcmin, low, None)
+        drawn = axes[2].imshow(angle, norm=LogNorm(low, high), cmap="viridis", interpolation="nearest")
+        row, column = np.nonzero(self.error.disoccluded)
+        axes[2].scatter(column, row, s=0.5, c="red", marker="s", linewidths=0)
+        axes[2].set_title("registration error; red: disoccluded")
+        figure.colorbar(drawn, ax=axes[2], label="arcmin", extend="both")
+        for place in axes:
+            place.set_xticks([])
+            place.set_yticks([])
+        figure.suptitle(title)
+        return write_figure(path, figure)
 
 
-def _compared(frame: Frame, traced: Frame, tracer: SceneTracer) -> _Compared:
+def _error(frame: Frame, traced: Frame, tracer: SceneTracer) -> _Error:
     assert frame.view is not None
     assert frame.position is not None
     assert traced.position is not None
     eye_in_world = transforms.apply(HEAD_POSE, frame.field.viewpoint_in_device)
     hidden = disoccluded(tracer, frame.view.viewpoint_in_world, traced.field, HEAD_POSE, traced.position)
-    return _Compared(raster_error(frame.position, traced.position, eye_in_world), hidden)
+    return _Error(raster_error(frame.position, traced.position, eye_in_world), hidden)
 
 
-def _row(way: str, compared: _Compared, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> list[Cell]:
-    error = compared.error
-    s = summary(error.registration_arcmin[~compared.disoccluded])
-    shown = max(1, int(np.isfinite(error.registration_arcmin).sum() + error.only_one.sum()))
+def _row(method: str, error: _Error, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> list[Cell]:
+    angle, only_one = error.raster.registration_arcmin, error.raster.only_one
+    s = summary(angle[~error.disoccluded])
+    shown = max(1, int(np.isfinite(angle).sum() + only_one.sum()))
     difference = float(np.abs(drawn.astype(np.int16) - truth).mean())
-    hidden, single = (100.0 * float(mask.sum()) / shown for mask in (compared.disoccluded, error.only_one))
-    return [way, s.median, s.p95, s.maximum, hidden, single, difference]
-
-
-def _map_of(compared: _Compared) -> NDArray[np.float32]:
-    """Channels: error in arcmin, 1 where disoccluded, 1 where only one frame shows something."""
-    layers = [compared.error.registration_arcmin, compared.disoccluded, compared.error.only_one]
-    return np.stack([np.asarray(layer, np.float32) for layer in layers], axis=-1)
-
-
-def _draw(path: Path, frame: Frame, traced: Frame, compared: _Compared, title: str) -> Path:
-    from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15, 6), dpi=110, layout="constrained")
-    axes = figure.subplots(1, 3)
-    for place, picture, name in ((axes[0], traced.colour, "ray traced"), (axes[1], frame.colour, "raster + warp")):
-        place.imshow(picture)
-        place.set_title(name)
-    angle: FloatArray = np.clip(compared.error.registration_arcmin, 1e-3, None)
-    drawn = axes[2].imshow(angle, norm=LogNorm(1e-3, 10.0), cmap="viridis", interpolation="nearest")
-    row, column = np.nonzero(compared.disoccluded)
-    axes[2].scatter(column, row, s=0.5, c="red", marker="s", linewidths=0)
-    axes[2].set_title("registration error; red: disoccluded")
-    figure.colorbar(drawn, ax=axes[2], label="arcmin", extend="both")
-    for place in axes:
-        place.set_xticks([])
-        place.set_yticks([])
-    figure.suptitle(title)
-    return write_figure(path, figure)
+    hidden, single = (100.0 * float(mask.sum()) / shown for mask in (error.disoccluded, only_one))
+    return [method, s.median, s.p95, s.maximum, hidden, single, difference]

@@ -1,15 +1,14 @@
-"""A headset as the user names it: a device (its exact optics) or a fitted model."""
+"""A headset as the user names it: a device (its exact optics) or a file of fitted models. One place opens both."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
 PRIMARIES_UM = (0.6149, 0.5442, 0.4642)
@@ -19,52 +18,70 @@ They stand for a panel's light by our choice; sRGB's primaries lie within 5 nm o
 tens of nanometres wide, of which one map serves the middle.
 """
 
-RgbMappings = tuple[EyeMappings, EyeMappings, EyeMappings]
-"""One eye in red, green and blue light, with one panel and one eye box."""
+
+def is_model(spec: str | Path) -> bool:
+    """Whether a headset is named by its model file rather than as a device."""
+    return Path(spec).suffix == ".json"
+
+
+def headset_path(spec: str | Path) -> Path:
+    """Path of the device file or model file of a headset.
+
+    Raises:
+        BadInputError: there is no such device.
+    """
+    return Path(spec) if is_model(spec) else device_path(spec)
 
 
 def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
     """Mappings of one eye: traced for a device name or .toml, fitted for a model .json.
 
     Raises:
-        BadInputError: nothing of that name, a faulty file, or a model of the other eye.
+        BadInputError: nothing of that name, a faulty file, or an eye that it does not hold.
     """
-    if Path(spec).suffix != ".json":
+    if not is_model(spec):
         return traced_eye(load_device(spec), eye)
     return load_eye_model(spec, eye).mappings
 
 
-def open_channels(specs: Sequence[str | Path], eye: str = "right") -> RgbMappings:
-    """Mappings of one eye for each colour of its panel.
+def open_colours(
+    spec: str | Path, eye: str = "right", red_model: Path | None = None, blue_model: Path | None = None
+) -> EyeChannels:
+    """Mappings of one eye in red, green and blue light.
 
     Args:
-        specs: one device, which is traced at `PRIMARIES_UM`, or three model files, for red, green and blue.
+        spec: a device, which is traced at `PRIMARIES_UM`, or the file of the models fitted in green light.
         eye: "left" or "right".
+        red_model, blue_model: files of the models fitted in red and blue light, if `spec` is a model file.
 
     Raises:
-        BadInputError: as `open_eye`, or another number of files, or models that differ in panel or eye box.
+        BadInputError: as `open_eye`; a device with models, a model without them, or models that differ in panel or eye
+            box.
     """
-    if len(specs) == 1 and Path(specs[0]).suffix != ".json":
-        device = load_device(specs[0])
-        red, green, blue = (traced_eye(device, eye, wavelength_um) for wavelength_um in PRIMARIES_UM)
-    elif len(specs) == 3:
-        red, green, blue = (open_eye(spec, eye) for spec in specs)
-    else:
+    if not is_model(spec):
+        if red_model or blue_model:
+            raise BadInputError(
+                f"{spec}: is a device, which is traced in all colours; give --per-colour without models, or the model "
+                "in green light beside --red-model and --blue-model."
+            )
+        device = load_device(spec)
+        return tuple(traced_eye(device, eye, wavelength_um) for wavelength_um in PRIMARIES_UM)
+    if red_model is None or blue_model is None:
         raise BadInputError(
-            f"{', '.join(map(str, specs)) or 'no headset'}: give one device, or three model files that were fitted in "
-            "red, green and blue light."
+            f"{spec}: is a model of one colour; give --red-model and --blue-model as well, and {spec} for green."
         )
-    for other, spec in ((red, specs[0]), (blue, specs[-1])):
-        _require_same_eye(green, other, spec)
-    return red, green, blue
+    green = open_eye(spec, eye)
+    return _same_eye(green, red_model), green, _same_eye(green, blue_model)
 
 
-def _require_same_eye(green: EyeMappings, other: EyeMappings, spec: str | Path) -> None:
+def _same_eye(green: EyeMappings, spec: Path) -> EyeMappings:
+    other = open_eye(spec, green.eye)
     first, second = (np.stack([mappings.eye_box.centre, mappings.eye_box.size]) for mappings in (green, other))
     if green.display.panel != other.display.panel or not np.allclose(first, second, rtol=0, atol=1e-9):
         raise BadInputError(
             f"{spec}: has another panel or eye box than the green model; fit all three colours to one calibration."
         )
+    return other
 
 
 def require_in_eye_box(mappings: EyeMappings, viewpoint: FloatArray, where: str) -> None:

@@ -6,9 +6,11 @@ same values in the same words.
 
 import dataclasses
 import math
+import types
 import typing
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from cyclopts import Parameter
@@ -28,7 +30,8 @@ class Range:
     def sentence(self) -> str:
         """The limits in words."""
         if self.above > -math.inf:
-            return f"a finite number above {self.above:g}"
+            most = f" and at most {self.at_most:g}" if self.at_most < math.inf else ""
+            return f"a finite number above {self.above:g}{most}"
         if self.at_most < math.inf:
             return f"between {self.at_least:g} and {self.at_most:g}"
         return f"a finite number of {self.at_least:g} or more" if self.at_least > -math.inf else "a finite number"
@@ -59,11 +62,18 @@ class Options:
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
+            self._check_choice(field.name, value)
             for note in _notes(type(self), field.name):
                 if isinstance(note, Range):
                     self._check_range(field.name, value, note)
                 elif isinstance(note, OnlyWith) and value != _default(field):
                     self._check_used(field.name, note)
+
+    def _check_choice(self, name: str, value: object) -> None:
+        choices = _choices(typing.get_type_hints(type(self))[name])
+        if choices and value not in choices:
+            known = ", ".join(str(choice) for choice in choices if choice is not None)
+            raise BadInputError(f"{flag_of(type(self), name)} is {value}; choose from {known}.")
 
     def _check_range(self, name: str, value: object, limits: Range) -> None:
         numbers: Sequence[Any] = value if isinstance(value, Sequence) else [value]
@@ -93,6 +103,15 @@ def flag_of(options: type[Options], field: str) -> str:
 
 def _notes(options: type[Options], field: str) -> tuple[object, ...]:
     return getattr(typing.get_type_hints(options, include_extras=True)[field], "__metadata__", ())
+
+
+def _choices(hint: object) -> tuple[object, ...]:
+    """Values that a type admits if it is a Literal, or a Literal or None; empty for other types."""
+    if typing.get_origin(hint) is Literal:
+        return typing.get_args(hint)
+    parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, types.UnionType) else ()
+    named = [_choices(part) for part in parts if part is not type(None)]
+    return (*named[0], None) if len(named) == 1 and named[0] else ()
 
 
 def _default(field: "dataclasses.Field[object]") -> object:
@@ -126,3 +145,8 @@ def seed_of(seed: int, eye: str, stream: int = 0) -> list[int]:
     numpy ignores zeros at the end of a seed: the right eye's numbers of stream 0 are those of `default_rng(seed)`.
     """
     return [seed, stream, ("right", "left").index(eye)]
+
+
+def folder_of_eye(folder: Path, eye: Eye, eyes: Eyes) -> Path:
+    """Where the files of one eye go: into the output folder, or its subfolders "left" and "right" for both eyes."""
+    return folder / eye if eyes == "both" else folder

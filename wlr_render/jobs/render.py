@@ -1,87 +1,112 @@
 """Frames for a moving wearer: head poses and eye positions over time, one PNG per eye and moment.
 
-Frames are written whole, so that an interrupted sequence resumes where it stopped; `sequence.json` beside them says of
-which job they are and when, from where and how each was drawn.
+Frames are written atomically, so that an interrupted sequence resumes where it stopped; `sequence.json` beside them
+holds the options of the job, and the time stamp, viewpoint and head pose of each frame.
 """
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
-from wlr_render.jobs.headset import open_channels, open_eye, require_in_eye_box
+from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
+from wlr_render.jobs.options import Backend, Eyes, OnlyWith, Options, ProgressArgument, Range, described, eyes_of
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT, Progress
+from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarmStarts, WarpedPainter
 from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.view import write_view
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
+from wlr_render.report.save import provenance, save_report
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
-METHODS = ("raster", "raytrace")
-MAP_SUFFIXES = ("tiff", "pfm")
-MAPS_FROM = ("depth", "mesh")
-_RASTER_ONLY = ("maps", "materials", "resolution", "map_from")
 COLOURS = ("red", "green", "blue")
 RECORD = "sequence.json"
 
 
 @dataclass(frozen=True)
-class Options:
-    """One job.
+class RenderOptions(Options):
+    """Options of `render`."""
 
-    Attributes:
-        headset: a device, or a model file per eye; three per eye, for red, green and blue, if `per_colour`.
-        scene: a shipped scene, a scene file or a mesh.
-        head: trajectory file (TUM or EuRoC); None for a head at rest at the world's origin.
-        eyes_file: eye trajectory file; None for pupils at rest at the centres of the eye boxes.
-        eyes: which eyes to draw.
-        method: "raster" (intermediate image and warp) or "raytrace".
-        frames_per_second: of the sequence; the moments run over what both trajectories cover.
-        frame_limit: at most so many frames; None for all.
-        supersample: rays per pixel and axis ("raytrace").
-        shadows: whether surfaces cast shadows ("raytrace").
-        materials: "own" or "gltf" ("raster").
-        resolution: of the intermediate image, as in `WarpedPainter` ("raster").
-        map_from: where a world ray meets the scene: in the intermediate image's "depth", or on the "mesh" ("raster").
-        maps: also write the warp map of each frame ("raster"), as "tiff" or "pfm", and from where the intermediate
-            image was drawn that it leads into; None for none.
-        per_colour: whether red, green and blue follow rays of their own, and have maps of their own; a device is traced
-            at `headset.PRIMARIES_UM`.
-        video: also write EYE.mp4.
-        backend: who rasterises.
-        out: folder.
-    """
+    headset: Annotated[str, described("A device or a model file (the models in green light, with --red-model).")]
+    scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes to draw.")] = "right"
+    head: Annotated[
+        Path | None, described("Head trajectory, TUM or EuRoC (default: a head at rest at the world's origin).")
+    ] = None
+    eye_track: Annotated[
+        Path | None, described("Eye trajectory (default: pupils at rest at the centres of the eye boxes).")
+    ] = None
+    frames_per_second: Annotated[
+        float, described("Frames per second, over the time that both trajectories cover.", name="--fps"), Range(above=0)
+    ] = 30.0
+    frame_limit: Annotated[
+        int | None, described("Maximum number of frames (default: all).", name="--frames"), Range(at_least=1)
+    ] = None
+    method: Annotated[
+        Literal["raster", "raytrace"],
+        described("Rendering method: an intermediate image that is warped, or a ray for each pixel."),
+    ] = "raster"
+    supersample: Annotated[
+        int, described("Rays per pixel and axis (raytrace only)."), Range(1, 12), OnlyWith("method", ("raytrace",))
+    ] = 1
+    shadows: Annotated[
+        bool, described("Surfaces cast shadows (raytrace only).", flag=True), OnlyWith("method", ("raytrace",))
+    ] = False
+    materials: Annotated[
+        Literal["own", "gltf"],
+        described("Materials: as ray tracing has them, or glTF's (raster only, needs OpenGL)."),
+        OnlyWith("method", ("raster",)),
+    ] = "own"
+    resolution: Annotated[
+        float,
+        described("Resolution of the intermediate image; 1: about the panel's (raster only)."),
+        Range(above=0, at_most=4),
+        OnlyWith("method", ("raster",)),
+    ] = 1.0
+    map_from: Annotated[
+        Literal["depth", "mesh"],
+        described("Intersect rays with the depth image or with the mesh (raster only)."),
+        OnlyWith("method", ("raster",)),
+    ] = "depth"
+    maps: Annotated[
+        Literal["tiff", "pfm"] | None,
+        described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
+        OnlyWith("method", ("raster",)),
+    ] = None
+    per_colour: Annotated[
+        bool,
+        described("Rays and maps of their own for red, green and blue; a device is traced in all three.", flag=True),
+    ] = False
+    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
+    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
+    video: Annotated[bool, described("Also write EYE.mp4.", flag=True)] = False
+    backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
+    out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
 
-    headset: tuple[str, ...]
-    scene: str
-    head: Path | None = None
-    eyes_file: Path | None = None
-    eyes: tuple[str, ...] = ("right",)
-    method: str = "raster"
-    frames_per_second: float = 30.0
-    frame_limit: int | None = None
-    supersample: int = 1
-    shadows: bool = False
-    materials: str = "own"
-    resolution: float = 1.0
-    map_from: str = "depth"
-    maps: str | None = None
-    per_colour: bool = False
-    video: bool = False
-    backend: str = "auto"
-    out: Path = Path("out/render")
+    def __post_init__(self) -> None:
+        """Check that the models of red and blue light come together."""
+        super().__post_init__()
+        if (self.red_model is None) != (self.blue_model is None):
+            raise BadInputError("--red-model and --blue-model go together; give both or neither.")
+
+    @property
+    def has_colours(self) -> bool:
+        """Whether red, green and blue have rays of their own."""
+        return self.per_colour or self.red_model is not None
 
 
 @dataclass(frozen=True)
@@ -100,25 +125,14 @@ class Moment:
         return f"{self.eye}-{self.index:06d}"
 
 
-@dataclass(frozen=True)
-class Rendered:
-    """What a run did."""
-
-    drawn: int
-    kept: int
-    folder: Path
-    videos: tuple[Path, ...]
-
-
-def run(options: Options, progress: Progress = SILENT) -> Rendered:
-    """Draw what is not there yet.
+def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Draw the frames of a moving wearer that `options.out` does not hold yet.
 
     Raises:
-        BadInputError: faulty files, a viewpoint outside the eye box, a folder that holds frames of another job, or
-            options that contradict each other; nothing is written then.
+        BadInputError: faulty files, a viewpoint outside the eye box, or a folder that holds frames of another job;
+            nothing is written then.
     """
-    _require_consistent(options)
-    channels = {eye: _open_channels(options, number) for number, eye in enumerate(options.eyes)}
+    channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
     moments = planned_moments(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()})
     scene = load_scene(options.scene)
     record = _record(options, moments)
@@ -126,93 +140,87 @@ def run(options: Options, progress: Progress = SILENT) -> Rendered:
     _require_same_job(folder, record)
     missing = [moment for moment in moments if not _is_done(folder, moment, options)]
     painters = _painters(options, channels, scene) if missing else {}
-    write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
+    sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
         for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
             pass
-    videos = tuple(_video(folder, eye, moments, options) for eye in options.eyes) if options.video else ()
-    return Rendered(len(missing), len(moments) - len(missing), folder, videos)
+    videos = [_video(folder, eye, moments, options) for eye in channels] if options.video else []
+    return save_report(_report(options, moments, len(missing), [sequence, *videos]), folder, "report")
 
 
-def _require_consistent(options: Options) -> None:
-    choices = {
-        "method": (options.method, METHODS),
-        "maps": (options.maps, (None, *MAP_SUFFIXES)),
-        "map_from": (options.map_from, MAPS_FROM),
-    }
-    for name, (chosen, known) in choices.items():
-        if chosen not in known:
-            raise BadInputError(f"'{chosen}' is no choice for '{name}'; choose from {', '.join(map(str, known))}.")
-    if len(options.headset) not in (1, _files_per_eye(options) * len(options.eyes)):
-        each = "one model file" if _files_per_eye(options) == 1 else "three model files (red, green, blue)"
-        raise BadInputError(
-            f"{len(options.headset)} headsets are given for {len(options.eyes)} eyes; give one device, or {each} per "
-            "eye in the order of the eyes."
-        )
-    plain = Options(options.headset, options.scene)
-    if options.method == "raytrace" and any(getattr(options, name) != getattr(plain, name) for name in _RASTER_ONLY):
-        raise BadInputError(
-            "A ray-traced frame has no warp map and no intermediate image, and our own materials; use the method "
-            "raster for those."
-        )
-    if options.method == "raster" and (options.supersample != 1 or options.shadows):
-        raise BadInputError("Supersampling and shadows need the method raytrace.")
-    if not 0 < options.resolution <= 4:
-        raise BadInputError(f"The resolution is {options.resolution}; it must be above 0 and at most 4.")
-    if not 0 < options.frames_per_second < np.inf:
-        raise BadInputError(f"The frame rate is {options.frames_per_second}; it must be positive and finite.")
+def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
+    if options.has_colours:
+        return open_colours(options.headset, eye, options.red_model, options.blue_model)
+    return (open_eye(options.headset, eye),)
 
 
-def _files_per_eye(options: Options) -> int:
-    return len(COLOURS) if options.per_colour else 1
+def _report(options: RenderOptions, moments: list[Moment], drawn: int, files: list[Path]) -> Report:
+    kept = len(moments) - drawn
+    rows: list[list[Cell]] = []
+    blocks: list[Block] = []
+    for eye in eyes_of(options.eye):
+        own = [moment for moment in moments if moment.eye == eye]
+        rows.append([eye, len(own), own[0].time_s, own[-1].time_s])
+        first = _picture_file(options.out, own[0])
+        blocks.append(Picture(f"First frame, {eye} eye", first, "What the panel shows, unseen through the optics."))
+    table = ReportTable("Frames by eye", ["eye", "frames", "first time stamp (s)", "last time stamp (s)"], rows)
+    return Report(
+        f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
+        f"{drawn} frames drawn, {kept} kept from an earlier run: {options.out}.",
+        blocks=[table, *blocks],
+        inputs=[*_drawn_from(options), *filter(None, (options.head, options.eye_track))],
+        files=files,
+        record={"frames_drawn": drawn, "frames_kept": kept},
+    )
 
 
-def _open_channels(options: Options, number: int) -> EyeChannels:
-    count, eye = _files_per_eye(options), options.eyes[number]
-    first = number * count if len(options.headset) > 1 else 0
-    specs = options.headset[first : first + count]
-    return open_channels(specs, eye) if options.per_colour else (open_eye(specs[0], eye),)
+def _drawn_from(options: RenderOptions) -> list[Path]:
+    """Files of the headset and of the scene."""
+    models = filter(None, (options.red_model, options.blue_model))
+    return [headset_path(options.headset), *models, scene_path(options.scene)]
 
 
-def planned_moments(options: Options, mappings: dict[str, EyeMappings]) -> list[Moment]:
+def planned_moments(options: RenderOptions, mappings: dict[str, EyeMappings]) -> list[Moment]:
     """When and from where each frame is drawn, in time order.
 
     Raises:
         BadInputError: trajectories that do not overlap in time, or a viewpoint outside the eye box.
     """
     head = read_head_trajectory(options.head) if options.head else None
-    eyes = read_eye_trajectory(options.eyes_file) if options.eyes_file else None
+    eyes = read_eye_trajectory(options.eye_track) if options.eye_track else None
     moments = []
     for index, time_s in enumerate(_times(options, head, eyes)):
         pose = head.at(time_s) if head else np.eye(4)
-        for eye in options.eyes:
+        for eye in mappings:
             viewpoint = eyes.viewpoint_at(eye, time_s) if eyes else mappings[eye].eye_box.centre
-            require_in_eye_box(mappings[eye], viewpoint, f"{options.eyes_file} at {time_s:.4f} s, {eye} eye")
+            require_in_eye_box(mappings[eye], viewpoint, f"{options.eye_track} at {time_s:.4f} s, {eye} eye")
             moments.append(Moment(index, float(time_s), eye, viewpoint, pose))
     return moments
 
 
-def _times(options: Options, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
+def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
     tracks = [head] if head else []
     spans = [(track.time_s[0], track.time_s[-1]) for track in tracks]
     if eyes:
-        spans += [(track.time_s[0], track.time_s[-1]) for eye, track in eyes.tracks.items() if eye in options.eyes]
+        tracks_of_eyes = (track for eye, track in eyes.tracks.items() if eye in eyes_of(options.eye))
+        spans += [(track.time_s[0], track.time_s[-1]) for track in tracks_of_eyes]
     if not spans:
         return np.zeros(1)
     start, end = max(first for first, _ in spans), min(last for _, last in spans)
     if end < start:
-        files = " and ".join(str(path) for path in (options.head, options.eyes_file) if path)
+        files = " and ".join(str(path) for path in (options.head, options.eye_track) if path)
         raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
     times = start + np.arange(int((end - start) * options.frames_per_second + 1e-9) + 1) / options.frames_per_second
     # Rounding must not carry the last moment beyond the tracks.
     return np.asarray(np.minimum(times, end)[: options.frame_limit])
 
 
-def _record(options: Options, moments: list[Moment]) -> dict[str, Any]:
+def _record(options: RenderOptions, moments: list[Moment]) -> dict[str, Any]:
     """What the folder's frames are, as plain JSON."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     for key in ("out", "video", "frame_limit", "backend"):  # these do not change what a frame shows
         job.pop(key)
+    job["sha256"] = [file.sha256 for file in provenance(_drawn_from(options)).inputs]
     frames = [
         {
             "file": _picture_file(Path(), m).name,
@@ -227,7 +235,7 @@ def _record(options: Options, moments: list[Moment]) -> dict[str, Any]:
 
 
 def _require_same_job(folder: Path, record: dict[str, Any]) -> None:
-    """Refuse a folder whose frames are of other options, or of trajectories that have been changed since."""
+    """Refuse a folder whose frames are of other options, or of files that have been changed since."""
     path = folder / RECORD
     if path.exists():
         same = _same_job(path, record)
@@ -246,10 +254,10 @@ def _same_job(path: Path, record: dict[str, Any]) -> bool:
         return False
 
 
-def _map_files(folder: Path, moment: Moment, options: Options) -> list[Path]:
+def _map_files(folder: Path, moment: Moment, options: RenderOptions) -> list[Path]:
     if options.maps is None:
         return []
-    stems = [f"{moment.stem}-{colour}" for colour in COLOURS] if options.per_colour else [moment.stem]
+    stems = [f"{moment.stem}-{colour}" for colour in COLOURS] if options.has_colours else [moment.stem]
     return [folder / f"{stem}.{options.maps}" for stem in stems]
 
 
@@ -261,13 +269,13 @@ def _view_file(folder: Path, moment: Moment) -> Path:
     return folder / f"{moment.stem}.json"
 
 
-def _is_done(folder: Path, moment: Moment, options: Options) -> bool:
+def _is_done(folder: Path, moment: Moment, options: RenderOptions) -> bool:
     maps = _map_files(folder, moment, options)
     beside = [_view_file(folder, moment)] if maps else []
     return all(path.exists() for path in (*maps, *beside, _picture_file(folder, moment)))
 
 
-def _painters(options: Options, channels: dict[str, EyeChannels], scene: Scene) -> dict[str, Painter]:
+def _painters(options: RenderOptions, channels: dict[str, EyeChannels], scene: Scene) -> dict[str, Painter]:
     if options.method == "raytrace":
         renderer = RayRenderer(scene)
         return {
@@ -280,7 +288,9 @@ def _painters(options: Options, channels: dict[str, EyeChannels], scene: Scene) 
     return {eye: MeshWarpedPainter(each, raster_backend, renderer, resolution) for eye, each in channels.items()}
 
 
-def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments: list[Moment]) -> Iterator[Moment]:
+def _drawn(
+    folder: Path, options: RenderOptions, painters: dict[str, Painter], moments: list[Moment]
+) -> Iterator[Moment]:
     last: dict[str, WarmStarts | None] = dict.fromkeys(painters)
     with_maps = options.maps is not None
     for moment in moments:
@@ -295,6 +305,6 @@ def _drawn(folder: Path, options: Options, painters: dict[str, Painter], moments
         yield moment
 
 
-def _video(folder: Path, eye: str, moments: list[Moment], options: Options) -> Path:
+def _video(folder: Path, eye: str, moments: list[Moment], options: RenderOptions) -> Path:
     pictures = (read_png(_picture_file(folder, moment)) for moment in moments if moment.eye == eye)
     return write_video(folder / f"{eye}.mp4", pictures, options.frames_per_second)

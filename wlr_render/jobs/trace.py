@@ -7,7 +7,7 @@ from typing import Annotated
 from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, figures_table
 from wlr_render.evaluation.lateral_colour import lateral_colour_table
 from wlr_render.files import output_folder
-from wlr_render.jobs.headset import open_channels
+from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.drawing import draw_device
@@ -53,7 +53,7 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
         blocks += [
             Section(f"The {eye} eye"),
             figures_table(middle, figures[eye]),
-            lateral_colour_table([open_channels([options.device], eye)]),
+            lateral_colour_table([open_colours(options.device, eye)]),
             Picture(f"Rays through {device.name}", drawing, "Side view and top view with surfaces, panel and rays."),
         ]
     drawings = tuple(block.path for block in blocks if isinstance(block, Picture))

@@ -28,6 +28,15 @@ _DEFAULT_DISTANCE_M = 1.0
 Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...]]
 
 
+def scene_path(spec: str | Path) -> Path:
+    """Path of a scene file or mesh file, given a shipped scene's name or a path.
+
+    Raises:
+        BadInputError: there is no such scene.
+    """
+    return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else files.named_or_path("scenes", spec)
+
+
 def load_scene(spec: str | Path) -> Scene:
     """A shipped scene by name, a scene file by path, or a mesh file by path.
 
@@ -37,9 +46,9 @@ def load_scene(spec: str | Path) -> Scene:
     Raises:
         BadInputError: no such scene; a missing, unknown or faulty key; a fault in a mesh file.
     """
-    if Path(spec).suffix.lower() in SUFFIXES:
-        return _scene_of_mesh_file(Path(spec))
-    path = files.named_or_path("scenes", spec)
+    path = scene_path(spec)
+    if path.suffix.lower() in SUFFIXES:
+        return _scene_of_mesh_file(path)
     table = files.read_toml(path)
     _require_header(table)
     scene = Scene(

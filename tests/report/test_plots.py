@@ -1,0 +1,42 @@
+import numpy as np
+import pytest
+from browser import needs_browser, open_page
+
+from wlr_render.report.blocks import Report
+from wlr_render.report.plots import MAX_CELLS, block_maxima, curves, heat_map
+from wlr_render.report.save import save_report
+
+
+def test_a_large_map_keeps_its_worst_pixels_and_says_that_it_is_reduced():
+    values = np.zeros((3 * MAX_CELLS, 2 * MAX_CELLS + 1))
+    values[100, 2 * MAX_CELLS] = 7.0
+    values[30:33, 30:33] = np.nan
+    values[60:62, 60:63] = np.nan  # a row of the block is left
+    plot = heat_map("Error", values, "arcmin", caption="On the panel.")
+    cells = np.array(plot.data[0]["z"])
+    assert cells.shape == (MAX_CELLS, -(-(2 * MAX_CELLS + 1) // 3))
+    assert (cells[33, -1], np.isnan(cells[10, 10]), cells[20, 20]) == (7.0, True, 0.0)
+    assert np.isnan(cells).sum() == 1
+    np.testing.assert_allclose(plot.data[0]["x"][:2], [1.5, 4.5])
+    assert plot.caption == "On the panel. Each cell shows the maximum of 3 x 3 pixels."
+
+
+def test_logarithmic_colours_have_marks_at_decades():
+    plot = heat_map("Error", np.array([[0.01, 1.0], [0.0, np.nan]]), "px", limits=(2e-3, 10.0), log=True)
+    trace = plot.data[0]
+    np.testing.assert_allclose(trace["z"], [[-2, 0], [-12, np.nan]])
+    np.testing.assert_allclose(trace["customdata"], [[0.01, 1.0], [0.0, np.nan]])
+    assert list(trace["colorbar"]["ticktext"]) == ["0.01", "0.1", "1", "10"]
+    assert trace["zmin"] == pytest.approx(np.log10(2e-3))
+
+
+def test_blocks_at_the_border_hold_what_is_there():
+    np.testing.assert_array_equal(block_maxima(np.arange(15.0).reshape(3, 5), 2), [[6, 8, 9], [11, 13, 14]])
+
+
+@needs_browser
+def test_plots_open_in_a_browser(tmp_path):
+    line = curves("Curve", {"a": ([1, 10], [0.1, np.nan]), "b": ([1, 10], [2, 3])}, ("x (px)", "y"), log_x=True)
+    surface = heat_map("Map", np.array([[0.1, np.nan], [2.0, np.inf]]), "arcmin", log=True, limits=(0.1, 10))
+    page = open_page(save_report(Report("Plots", blocks=[line, surface]), tmp_path, "report").files[0], tmp_path)
+    assert (page.console, page.plots) == ([], 2)
