@@ -1,10 +1,10 @@
-// Where a bent ray meets what the intermediate image shows: rendering/warp.py has the rule.
+// Intersect a ray with the depth of the intermediate image; rendering/warp.py states the algorithm.
 //
-// Needs STEP_PX, MAX_MARCH, MAX_STEPS, SETTLED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`,
+// Needs STEP_PX, MAX_STEPS, MAX_REFINEMENTS, CONVERGED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`,
 // `ranges` and what warp.vert gives. One loop with one texture read in each round, whether it marches or refines:
-// software renderers run both sides of a branch, and one round too many of a loop tested at its head. A loop tested at
-// its end they leave for all neighbours at once, and may mix their last rounds: so what the result is made of (asked,
-// passed, settled) stays as it is once a pixel has stopped searching.
+// software renderers execute both sides of a branch, and one round too many of a loop tested at its head. They leave a
+// loop tested at its end for all neighbours at once, and may mix the last rounds: so the variables of the result (query,
+// last_crossing, converged) no longer change once a pixel has stopped searching.
 
 float nearest_inverse_depth(vec2 pixel)
 {
@@ -31,50 +31,50 @@ vec2 range_along(vec2 at_infinity, vec2 shift, float px_per_inverse_depth)
     return px_per_inverse_depth * whole_range.y <= 2.0 * float(TILE) ? around_middle : whole_range;
 }
 
-int follow(vec2 at_infinity, vec2 shift, out vec2 pixel)
+int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
 {
     float px_per_inverse_depth = length(shift);
     vec2 range = range_along(at_infinity, shift, px_per_inverse_depth);
-    float turns = clamp(ceil(px_per_inverse_depth * (range.y - range.x) / STEP_PX), 1.0, float(MAX_MARCH));
-    float stride = (range.y - range.x) / turns;
+    float step_count = clamp(ceil(px_per_inverse_depth * (range.y - range.x) / STEP_PX), 1.0, float(MAX_STEPS));
+    float stride = (range.y - range.x) / step_count;
 
-    float turn = 1.0;
+    float step_index = 1.0;
     float far_end = range.y - stride;
-    float seen_near = nearest_inverse_depth(at_infinity + range.y * shift);  // from the turn's two ends
+    float seen_near = nearest_inverse_depth(at_infinity + range.y * shift);  // at the step's two ends
     float seen_far = seen_near;
     bool in_front = true;  // at its near end
-    bool refining = turns == 1.0;
-    float asked = refining ? seen_near : far_end;
-    float passed = range.y;
-    int steps = 0;
-    bool settled = false;
+    bool refining = step_count == 1.0;
+    float query = refining ? seen_near : far_end;
+    float last_crossing = range.y;
+    int refinements = 0;
+    bool converged = false;
     bool searching;
     do {
-        searching = !settled && turn <= turns;
-        float seen = smooth_inverse_depth(at_infinity + asked * shift);
-        bool closes = abs(seen - asked) * px_per_inverse_depth < SETTLED_PX;
-        settled = settled || searching && refining && closes;
+        searching = !converged && step_index <= step_count;
+        float seen = smooth_inverse_depth(at_infinity + query * shift);
+        bool closes = abs(seen - query) * px_per_inverse_depth < CONVERGED_PX;
+        converged = converged || searching && refining && closes;
 
         seen_far = refining ? seen_far : seen;
         float nearer = max(seen_near, seen_far), farther = min(seen_near, seen_far);
         float middle = far_end + 0.5 * stride;
-        bool comes_past = in_front ? nearer >= far_end || turn == turns : abs(seen_far - middle) <= 0.51 * stride;
+        bool crosses = in_front ? nearer >= far_end || step_index == step_count : abs(seen_far - middle) <= 0.51 * stride;
         float start = abs(nearer - middle) <= 1.5 * stride ? nearer : farther;
         float next = refining ? seen : start;
-        steps = refining ? steps + 1 : 0;
-        bool within = turns == 1.0 || abs(next - middle) <= 1.5 * stride;
-        bool goes_on = within && (refining ? steps < MAX_STEPS : comes_past);
-        bool fails = !goes_on && (refining || comes_past);
-        passed = searching && fails ? (refining ? max(seen, asked) : nearer) : passed;
+        refinements = refining ? refinements + 1 : 0;
+        bool is_near_step = step_count == 1.0 || abs(next - middle) <= 1.5 * stride;
+        bool continues = is_near_step && (refining ? refinements < MAX_REFINEMENTS : crosses);
+        bool misses = !continues && (refining || crosses);
+        last_crossing = searching && misses ? (refining ? max(seen, query) : nearer) : last_crossing;
 
-        bool turns_over = !settled && !goes_on;
-        in_front = turns_over ? seen_far < far_end : in_front;
-        seen_near = turns_over ? seen_far : seen_near;
-        turn += turns_over ? 1.0 : 0.0;
-        far_end = turns_over ? range.y - turn * stride : far_end;
-        refining = !turns_over;
-        asked = !searching ? asked : turns_over ? far_end : next;
-    } while (!settled && turn <= turns);
-    pixel = at_infinity + (settled ? asked : passed) * shift;
-    return settled ? SEEN : DISOCCLUDED;
+        bool advances = !converged && !continues;
+        in_front = advances ? seen_far < far_end : in_front;
+        seen_near = advances ? seen_far : seen_near;
+        step_index += advances ? 1.0 : 0.0;
+        far_end = advances ? range.y - step_index * stride : far_end;
+        refining = !advances;
+        query = !searching ? query : advances ? far_end : next;
+    } while (!converged && step_index <= step_count);
+    pixel = at_infinity + (converged ? query : last_crossing) * shift;
+    return converged ? SEEN : DISOCCLUDED;
 }

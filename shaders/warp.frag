@@ -106,7 +106,7 @@ void main()
         bool lost = any(isnan(at_infinity + shift));
 
         vec2 pixel;
-        int status = follow(lost ? vec2(0.0) : at_infinity, lost ? vec2(0.0) : shift, pixel);
+        int status = march(lost ? vec2(0.0) : at_infinity, lost ? vec2(0.0) : shift, pixel);
         bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size_px));
         status = lost ? NO_RAY : (inside ? status : OUTSIDE);
         bool found = status <= DISOCCLUDED;

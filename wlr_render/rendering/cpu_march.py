@@ -1,4 +1,4 @@
-"""Where bent rays meet what an intermediate image shows, without a GPU; the rule is in `warp.py`."""
+"""March rays through the depth of an intermediate image on the CPU; `warp.py` states the algorithm."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -10,9 +10,9 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import BoolArray, Float32Array
 from wlr_render.rendering import sampling
 from wlr_render.rendering.warp import (
-    MAX_MARCH,
+    CONVERGED_PX,
+    MAX_REFINEMENTS,
     MAX_STEPS,
-    SETTLED_PX,
     STEP_PX,
     SURFACE_STEP,
     TILE,
@@ -21,8 +21,8 @@ from wlr_render.rendering.warp import (
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """Where rays appear in the image: s(w) = at_infinity + w shift.
+class EpipolarLines:
+    """The epipolar lines of rays, by inverse depth w: s(w) = at_infinity + w shift.
 
     Attributes:
         at_infinity, shift: (2, n) float32 pixels, and pixels times metres; 0 where there is no ray.
@@ -34,7 +34,7 @@ class Lines:
     missing: BoolArray
 
     @classmethod
-    def of(cls, camera: Pinhole, slope_offset: Float32Array) -> "Lines":
+    def of(cls, camera: Pinhole, slope_offset: Float32Array) -> "EpipolarLines":
         """Of rays (4, ...) in the image's camera frame."""
         flat = slope_offset.reshape(4, -1)
         missing = np.asarray(~np.isfinite(flat).all(axis=0))
@@ -47,9 +47,11 @@ class Lines:
         """Positions (2, n)."""
         return np.asarray(self.at_infinity + inverse_depth * self.shift)
 
-    def some(self, index: NDArray[np.intp]) -> "Lines":
+    def some(self, index: NDArray[np.intp]) -> "EpipolarLines":
         """Those of a selection."""
-        return Lines(self.at_infinity.take(index, axis=1), self.shift.take(index, axis=1), self.missing.take(index))
+        return EpipolarLines(
+            self.at_infinity.take(index, axis=1), self.shift.take(index, axis=1), self.missing.take(index)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,9 @@ class InverseDepths:
         row = np.clip(pixel[1], 0, height - 1).astype(np.intp)
         return np.asarray(self.image.reshape(-1).take(row * width + column))
 
-    def range_along(self, lines: Lines, px_per_inverse_depth: Float32Array) -> tuple[Float32Array, Float32Array]:
+    def range_along(
+        self, lines: EpipolarLines, px_per_inverse_depth: Float32Array
+    ) -> tuple[Float32Array, Float32Array]:
         """Smallest and largest value that the image shows along the paths, (n,) each."""
         height, width = self.image.shape
         u, v = lines.at_infinity + np.float32(0.5) * self.whole[1] * lines.shift
@@ -122,120 +126,120 @@ def _around_tiles(image: Float32Array) -> tuple[Float32Array, Float32Array]:
     return np.asarray(cv2.erode(low, square)), np.asarray(cv2.dilate(high, square))
 
 
-def follow(depths: InverseDepths, lines: Lines) -> tuple[Float32Array, NDArray[np.uint8]]:
-    """Positions (2, n) and status (n,): SEEN, or DISOCCLUDED where nothing that the image shows is met."""
+def march(depths: InverseDepths, lines: EpipolarLines) -> tuple[Float32Array, NDArray[np.uint8]]:
+    """Intersect rays with the depth image: positions (2, n) and status (n,), SEEN or DISOCCLUDED."""
     px_per_inverse_depth = np.sqrt(np.square(lines.shift).sum(axis=0))
     low, high = depths.range_along(lines, px_per_inverse_depth)
     first = depths.nearest(lines.at(high))
-    turns = np.clip(np.ceil(px_per_inverse_depth * (high - low) / np.float32(STEP_PX)), 1, MAX_MARCH)
-    # Most paths are one turn long, and met in its first step: those need no search.
+    step_count = np.clip(np.ceil(px_per_inverse_depth * (high - low) / np.float32(STEP_PX)), 1, MAX_STEPS)
+    # Most paths are one step long and converge at its first query: those need no search.
     met_at = depths.at(lines.at(first))
-    settled = (turns == 1) & (np.abs(met_at - first) * px_per_inverse_depth < np.float32(SETTLED_PX))
-    status = np.full(settled.size, WarpStatus.SEEN, np.uint8)
-    left = np.flatnonzero(~settled)
+    converged = (step_count == 1) & (np.abs(met_at - first) * px_per_inverse_depth < np.float32(CONVERGED_PX))
+    status = np.full(converged.size, WarpStatus.SEEN, np.uint8)
+    left = np.flatnonzero(~converged)
     if left.size:
-        search = _Search.start(turns.take(left), low.take(left), high.take(left), first.take(left))
-        found, met_at[left] = _searched(depths, lines.some(left), search)
+        search = _Search.start(step_count.take(left), low.take(left), high.take(left), first.take(left))
+        found, met_at[left] = _search(depths, lines.some(left), search)
         status[left] = np.where(found, WarpStatus.SEEN, WarpStatus.DISOCCLUDED)
     return lines.at(met_at), status
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Rays that have not met anything yet, (m,) each; names as in `shaders/march.glsl`.
+    """State of rays that have no intersection yet, (m,) each; names as in `shaders/march.glsl`.
 
     Attributes:
-        ray: index among all that are searched for.
-        turns, nearest_end, stride: the path's turns; `nearest_end` and `stride` are inverse depths.
-        turn: the present one, from 1.
-        seen_near, seen_far: inverse depths that the image shows where the ray is at the ends of the turn.
+        ray: index among all searched rays.
+        step_count, nearest_end, stride: number of steps of the path; its near end and step length, inverse depths.
+        step_index: the current step, from 1.
+        seen_near, seen_far: inverse depths that the image shows at the ends of the step.
         in_front: whether the ray is in front of what is shown at the near end.
-        refining: whether the meeting within the turn is looked for; else its far end is.
-        asked: the inverse depth at which the image is read next.
-        passed: the one that stands in if nothing is met.
-        steps: of the refinement so far.
+        refining: whether the next query refines an intersection; otherwise it is the far end of the step.
+        query: the inverse depth at which the image is read next.
+        last_crossing: the inverse depth that stands in if there is no intersection.
+        refinements: number of refinements in this step so far.
     """
 
     ray: NDArray[np.intp]
-    turns: Float32Array
+    step_count: Float32Array
     nearest_end: Float32Array
     stride: Float32Array
-    turn: Float32Array
+    step_index: Float32Array
     seen_near: Float32Array
     seen_far: Float32Array
     in_front: BoolArray
     refining: BoolArray
-    asked: Float32Array
-    passed: Float32Array
-    steps: NDArray[np.int32]
+    query: Float32Array
+    last_crossing: Float32Array
+    refinements: NDArray[np.int32]
 
     @classmethod
-    def start(cls, turns: Float32Array, low: Float32Array, high: Float32Array, first: Float32Array) -> "_Search":
+    def start(cls, step_count: Float32Array, low: Float32Array, high: Float32Array, first: Float32Array) -> "_Search":
         """At the near ends of paths; `first` is what the image shows there."""
-        stride = (high - low) / turns
-        refining = turns == 1
+        stride = (high - low) / step_count
+        refining = step_count == 1
         return cls(
-            ray=np.arange(turns.size),
-            turns=turns,
+            ray=np.arange(step_count.size),
+            step_count=step_count,
             nearest_end=high,
             stride=stride,
-            turn=np.ones_like(turns),
+            step_index=np.ones_like(step_count),
             seen_near=first,
             seen_far=first,
-            in_front=np.ones(turns.size, bool),
+            in_front=np.ones(step_count.size, bool),
             refining=refining,
-            asked=np.where(refining, first, high - stride),
-            passed=high,
-            steps=np.zeros(turns.size, np.int32),
+            query=np.where(refining, first, high - stride),
+            last_crossing=high,
+            refinements=np.zeros(step_count.size, np.int32),
         )
 
     def some(self, index: NDArray[np.intp]) -> "_Search":
         return _Search(**{field.name: getattr(self, field.name).take(index) for field in fields(self)})
 
-    def advanced(self, seen: Float32Array) -> "_Search":
-        """After the image was read where the rays are at `asked`, for rays that did not settle there."""
-        far_end = self.nearest_end - self.turn * self.stride
+    def advance(self, seen: Float32Array) -> "_Search":
+        """The state after the image was read where the rays are at `query`, for rays that did not converge there."""
+        far_end = self.nearest_end - self.step_index * self.stride
         middle = far_end + np.float32(0.5) * self.stride
         reach = np.float32(1.5) * self.stride
         seen_far = np.where(self.refining, self.seen_far, seen)
         nearer, farther = np.maximum(self.seen_near, seen_far), np.minimum(self.seen_near, seen_far)
-        from_front = (nearer >= far_end) | (self.turn == self.turns)
-        comes_past = np.where(self.in_front, from_front, np.abs(seen_far - middle) <= np.float32(0.51) * self.stride)
+        from_front = (nearer >= far_end) | (self.step_index == self.step_count)
+        crosses = np.where(self.in_front, from_front, np.abs(seen_far - middle) <= np.float32(0.51) * self.stride)
         start = np.where(np.abs(nearer - middle) <= reach, nearer, farther)
         following = np.where(self.refining, seen, start)
-        steps = np.where(self.refining, self.steps + 1, 0)
-        within = (self.turns == 1) | (np.abs(following - middle) <= reach)
-        goes_on = within & np.where(self.refining, steps < MAX_STEPS, comes_past)
-        fails = ~goes_on & (self.refining | comes_past)
-        last_tried = np.where(self.refining, np.maximum(seen, self.asked), nearer)
-        turn = self.turn + ~goes_on
+        refinements = np.where(self.refining, self.refinements + 1, 0)
+        is_near_step = (self.step_count == 1) | (np.abs(following - middle) <= reach)
+        continues = is_near_step & np.where(self.refining, refinements < MAX_REFINEMENTS, crosses)
+        misses = ~continues & (self.refining | crosses)
+        last_tried = np.where(self.refining, np.maximum(seen, self.query), nearer)
+        step_index = self.step_index + ~continues
         return replace(
             self,
-            turn=turn,
-            seen_near=np.where(goes_on, self.seen_near, seen_far),
+            step_index=step_index,
+            seen_near=np.where(continues, self.seen_near, seen_far),
             seen_far=seen_far,
-            in_front=np.where(goes_on, self.in_front, seen_far < far_end),
-            refining=goes_on,
-            asked=np.where(goes_on, following, self.nearest_end - turn * self.stride),
-            passed=np.where(fails, last_tried, self.passed),
-            steps=steps,
+            in_front=np.where(continues, self.in_front, seen_far < far_end),
+            refining=continues,
+            query=np.where(continues, following, self.nearest_end - step_index * self.stride),
+            last_crossing=np.where(misses, last_tried, self.last_crossing),
+            refinements=refinements,
         )
 
 
-def _searched(depths: InverseDepths, lines: Lines, search: _Search) -> tuple[BoolArray, Float32Array]:
-    """Whether each ray met something, and at which inverse depth; else at which it passed an edge."""
+def _search(depths: InverseDepths, lines: EpipolarLines, search: _Search) -> tuple[BoolArray, Float32Array]:
+    """Whether each ray has an intersection, and its inverse depth, or that of the last depth edge crossed."""
     met = np.zeros(search.ray.size, bool)
     inverse_depth = np.empty(search.ray.size, np.float32)
     px_per_inverse_depth = np.sqrt(np.square(lines.shift).sum(axis=0))
     while search.ray.size:
-        seen = depths.at(lines.at(search.asked))
-        settled = search.refining & (np.abs(seen - search.asked) * px_per_inverse_depth < np.float32(SETTLED_PX))
-        met[search.ray[settled]] = True
-        inverse_depth[search.ray[settled]] = seen[settled]
-        search = search.advanced(seen)
-        ended = ~settled & (search.turn > search.turns)
-        inverse_depth[search.ray[ended]] = search.passed[ended]
-        left = np.flatnonzero(~settled & ~ended)
+        seen = depths.at(lines.at(search.query))
+        converged = search.refining & (np.abs(seen - search.query) * px_per_inverse_depth < np.float32(CONVERGED_PX))
+        met[search.ray[converged]] = True
+        inverse_depth[search.ray[converged]] = seen[converged]
+        search = search.advance(seen)
+        ended = ~converged & (search.step_index > search.step_count)
+        inverse_depth[search.ray[ended]] = search.last_crossing[ended]
+        left = np.flatnonzero(~converged & ~ended)
         search, lines = search.some(left), lines.some(left)
         px_per_inverse_depth = px_per_inverse_depth.take(left)
     return met, inverse_depth

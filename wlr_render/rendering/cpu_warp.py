@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import sampling
-from wlr_render.rendering.cpu_march import InverseDepths, Lines, follow
+from wlr_render.rendering.cpu_march import EpipolarLines, InverseDepths, march
 from wlr_render.rendering.thread_pool import for_blocks
 from wlr_render.rendering.view import GeometryImage, in_camera_frame
 from wlr_render.rendering.warp import WarpedImage, WarpStatus
@@ -73,8 +73,8 @@ def _warp_channel(
     )
 
     def warp(rows: slice) -> None:
-        lines = Lines.of(camera, _moved(slope_offset, image_from_ray_map, rows))
-        pixel, status = follow(depths, lines)
+        lines = EpipolarLines.of(camera, _moved(slope_offset, image_from_ray_map, rows))
+        pixel, status = march(depths, lines)
         status[_outside(pixel, camera)] = WarpStatus.OUTSIDE
         status[lines.missing] = WarpStatus.NO_RAY
         shape = warped.status[rows].shape
@@ -107,7 +107,7 @@ def _outside(pixel: Float32Array, camera: Pinhole) -> NDArray[np.bool_]:
 
 
 def _filtered(
-    picture: NDArray[np.uint8], pixel: Float32Array, lines: Lines, samples_per_axis: int
+    picture: NDArray[np.uint8], pixel: Float32Array, lines: EpipolarLines, samples_per_axis: int
 ) -> NDArray[np.uint8]:
     """Colour at positions (2, rows, columns): the mean over what a display pixel covers in the image."""
     if samples_per_axis == 1:

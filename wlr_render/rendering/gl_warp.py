@@ -15,9 +15,9 @@ from wlr_render.rendering import gl
 from wlr_render.rendering.gl_ray_maps import GpuRayMap
 from wlr_render.rendering.gpu_image import GlDepthRanges, GpuImage, rgb_of_rgba
 from wlr_render.rendering.warp import (
-    MAX_MARCH,
+    CONVERGED_PX,
+    MAX_REFINEMENTS,
     MAX_STEPS,
-    SETTLED_PX,
     STEP_PX,
     SURFACE_STEP,
     TILE,
@@ -28,9 +28,9 @@ from wlr_render.rendering.warp_grid import WarpGrid
 
 _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "STEP_PX": STEP_PX,
-    "MAX_MARCH": MAX_MARCH,
     "MAX_STEPS": MAX_STEPS,
-    "SETTLED_PX": SETTLED_PX,
+    "MAX_REFINEMENTS": MAX_REFINEMENTS,
+    "CONVERGED_PX": CONVERGED_PX,
     "SURFACE_STEP": SURFACE_STEP,
     "TILE": TILE,
 }

@@ -199,19 +199,19 @@ class WarpedPainter:
                 the bent rays come (`raster_camera.py`), from where less is hidden.
         """
         self._channels = _channels(mappings)
-        self._rasteriser = raster_backend
+        self._raster_backend = raster_backend
         middle = self._channels[len(self._channels) // 2]
         panel = middle.display.panel
         self._device_from_camera = axes = middle_axes(middle)
         self._plans = [RayMapPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
         self._camera = intermediate_camera(self._channels, axes, resolution)
-        self._raster_eye = None if at_viewpoint else RasterPosition(middle, axes)
+        self._raster_position = None if at_viewpoint else RasterPosition(middle, axes)
         size_px = panel.width_px, panel.height_px
-        self._taps = samples_for(minification_over_eye_box(middle, axes, self._camera, size_px))
+        self._samples_per_axis = samples_for(minification_over_eye_box(middle, axes, self._camera, size_px))
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
-        place = viewpoint if self._raster_eye is None else self._raster_eye.at(viewpoint)
+        place = viewpoint if self._raster_position is None else self._raster_position.at(viewpoint)
         return View(self._camera, place, world_from_device, self._device_from_camera)
 
     def paint(
@@ -224,7 +224,7 @@ class WarpedPainter:
         """See `Painter`."""
         fields = _fields(self._channels, self._plans, viewpoint, warm_start)
         view = self.view(viewpoint, world_from_device)
-        warped = self._rasteriser.draw_warped(view, fields, self._taps, with_geometry)
+        warped = self._raster_backend.draw_warped(view, fields, self._samples_per_axis, with_geometry)
         image, intermediate = warped.image, warped.intermediate
         if intermediate is None:
             return Frame(image.colour, fields, image.status)
@@ -248,7 +248,7 @@ class MeshWarpedPainter:
         """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
         self._plain = WarpedPainter(mappings, raster_backend, resolution)
         self._traced = TracedPainter(mappings, renderer)
-        self._rasteriser = raster_backend
+        self._raster_backend = raster_backend
         self._background = encode_srgb(renderer.scene.background)
 
     def paint(
@@ -261,7 +261,7 @@ class MeshWarpedPainter:
         """See `Painter`."""
         traced = self._traced.paint(viewpoint, world_from_device, warm_start, with_geometry=True)
         view = self._plain.view(viewpoint, world_from_device)
-        image = self._rasteriser.draw(view)
+        image = self._raster_backend.draw(view)
         sources = tuple(source_of_position(view, position) for position in traced.traced)
         colours = [remap(image.colour, source[..., :2], self._background)[0] for source in sources]
         colour = _by_colour([np.asarray(each, np.uint8) for each in colours])

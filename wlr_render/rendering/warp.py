@@ -1,43 +1,42 @@
-"""Warping an intermediate image along bent rays: the rule that all backends follow, and what it gives.
+"""The backward warp of an intermediate image along rays: the algorithm that all backends implement, and its result.
 
-For each display pixel the ray field has (a, b, c, d); `moved_rays.in_camera_frame` tells it in the camera frame of the
-intermediate image. There the world ray passes through (c, d, 0) with tangents (a, b). A point of it at inverse depth w
-appears in the image at
+For each display pixel the ray map holds (a, b, c, d); `view.in_camera_frame` transforms it to the camera frame of the
+intermediate image. There the world ray passes through (c, d, 0) with tangents (a, b). A point of the ray at inverse
+depth w is projected to the image position
 
     s(w) = (f_u (a + c w) + c_u, -f_v (b + d w) + c_v),
 
-and what is visible there has inverse depth D(s). While D(s(w)) < w the ray is in front of what the image shows; it
-meets it where D(s(w)) = w. The rule:
+where the image has inverse depth D(s). While D(s(w)) < w the ray is in front of the imaged surface; it intersects the
+surface where D(s(w)) = w. The algorithm:
 
-1. The path goes from the largest to the smallest inverse depth that the image shows along it, in equal turns of at
-   most STEP_PX in the image (and at most MAX_MARCH turns). Both bounds come from tiles of TILE px: those within one
-   tile of the path's middle if the path from the whole image's largest w to 0 is at most 2 TILE long, else from the
-   whole image. Most paths are one turn long, because most tiles show one smooth surface.
-2. A turn may hold the meeting if the ray is in front at its near end and comes past one of the two surfaces seen from
-   its ends (either may end within the turn: thin things), or if it is behind at its near end and comes past the surface
-   seen from its far end (it leaves what hid it and meets what is there).
-3. There w <- D(s(w)), from the nearer of those two surfaces, which hides the other, if its w is within the turn or a
-   turn beside it, else from the farther one. When s moves by less than SETTLED_PX, that place is the source, SEEN. On a
-   surface whose inverse depth rises by g per pixel the step shrinks by |f c g| (about 1e-3) each time: one step mostly
-   does.
-4. If w leaves the turn and its neighbours, or does not settle in MAX_STEPS, the ray has passed an edge: it is now
-   behind the near surface, or beside it. The search goes on with the next turns.
-5. If nothing is met, the ray ended behind the edge that it passed last, where the image shows nothing of it:
-   DISOCCLUDED. The farther side of that edge stands in: s at the nearer of the last two w that were tried.
-6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the field, or a ray that does not lead forwards, is
+1. The path runs from the largest to the smallest inverse depth of the image along it, in equal steps of at most STEP_PX
+   in the image (and at most MAX_STEPS steps). Both bounds come from tiles of TILE px: from those within one tile of the
+   path's middle if the path from the whole image's largest w to 0 is at most 2 TILE long, otherwise from the whole
+   image. Most paths have one step, because most tiles show one smooth surface.
+2. A step may contain the intersection if the ray is in front at its near end and crosses one of the two surfaces seen
+   at its ends (either surface may end within the step: thin objects), or if it is behind at its near end and crosses
+   the surface seen at its far end (it leaves the occluder and reaches the surface behind).
+3. Such a step is refined by w <- D(s(w)), starting from the nearer of those two surfaces, which hides the other, if its
+   w is within the step or an adjacent one, otherwise from the farther one. When s changes by less than CONVERGED_PX,
+   that position is the source, SEEN. On a surface whose inverse depth rises by g per pixel each refinement shrinks the
+   error by |f c g| (about 1e-3): one refinement is usually enough.
+4. If w leaves the step and its neighbours, or does not converge in MAX_REFINEMENTS, the ray has crossed a depth edge:
+   it is now behind the near surface, or beside it. The search continues with the next steps.
+5. If there is no intersection, the ray ends behind the last depth edge that it crossed, where the image shows nothing
+   of it: DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the last two w tried.
+6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the ray map, or a ray that does not lead forwards, is
    NO_RAY.
 
 D is bilinear where its four texels differ by at most SURFACE_STEP of the largest (exact for planes, whose inverse
-depth is linear in the pixel), else the nearest texel; beyond the border it repeats the border's texels. The first one
-asked for, at a path's near end, is the nearest texel. The background has w = 0 and is met at (a, b).
+depth is linear in the pixel), otherwise the nearest texel; beyond the border it repeats the border's texels. The first
+query, at a path's near end, reads the nearest texel. The background has w = 0 and is intersected at (a, b).
 
-Colour is bilinear in the 8-bit sRGB values, as cv2.remap does, by four texel reads: the hardware's own filter has 8-bit
-weights. Where the map minifies, `samples_per_axis` > 1 takes the mean of the square of that number of such samples,
-spread evenly over what the display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of
-a display pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as GPUs take them; next
-to a hole they count as 0.
+Colour is bilinear in the 8-bit sRGB values, as in cv2.remap, by four texel reads: hardware filters have 8-bit weights.
+Where the map minifies, `samples_per_axis` > 1 averages samples_per_axis squared such samples, spread evenly over the
+area that the display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of a display
+pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as on GPUs; next to a hole they count as 0.
 
-With one field per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
+With one ray map per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
 three (the largest), the source that of green.
 """
 
@@ -49,9 +48,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEP_PX = 1.0
-MAX_MARCH = 64
-MAX_STEPS = 6
-SETTLED_PX = 0.01
+MAX_STEPS = 64
+MAX_REFINEMENTS = 6
+CONVERGED_PX = 0.01
 SURFACE_STEP = 0.02
 TILE = 16
 
