@@ -1,4 +1,4 @@
-"""The two protocols that join the building, and what every query returns.
+"""The two protocols all models implement, and the result of every query.
 
 Traced truth, bundle fit and all baselines honour `DisplayMapping` and `SeeThroughMapping`; rendering, evaluation
 and diagnosis never ask which one they hold. All arrays are in the device frame (OpenXR: x right, y up, looking

@@ -70,7 +70,7 @@ def field_error_arcmin(solve: GlPlanarSolver, mappings: EyeMappings, warp_grid: 
     errors = []
     for viewpoint in mappings.eye_box.at(JUDGED_PLACES):
         field = solve.solve(viewpoint)
-        read = bilinear(np.moveaxis(field.read_bend().astype(np.float64), 0, -1), place)
+        read = bilinear(np.moveaxis(field.read_slope_offset().astype(np.float64), 0, -1), place)
         exact = solve_pixels(mappings, field.device_from_camera, pixel, viewpoint).slope_offset
         errors.append(ray_error_arcmin(read, exact))
     return np.stack(errors)

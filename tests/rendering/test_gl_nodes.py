@@ -24,8 +24,8 @@ def test_the_texture_holds_the_exact_rays_at_the_points(gl_context, toy_headset)
         viewpoint = toy_headset.eye_box.at(np.array(unit))
         field = nodes.solve(viewpoint)
         exact = solve_every_pixel(toy_headset, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel())
-        np.testing.assert_allclose(field.read_bend(), exact.slope_offset, atol=2e-5)
-        np.testing.assert_array_equal(field.read().slope_offset, field.read_bend())
+        np.testing.assert_allclose(field.read_slope_offset(), exact.slope_offset, atol=2e-5)
+        np.testing.assert_array_equal(field.read().slope_offset, field.read_slope_offset())
         assert (field.read_status() == Status.OK).all()
         assert field.warp_grid is plan.warp_grid
         np.testing.assert_array_equal(field.viewpoint_in_device, viewpoint)
@@ -36,7 +36,7 @@ def test_planar_models_give_what_the_shader_finds(gl_context):
     plan, viewpoint = plan_of(eye), eye.eye_box.at(np.array([0.4, -0.6, 0.8]))
     by_nodes = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)
     in_shader = GlPlanarSolver(gl_context, eye, plan.warp_grid, plan.device_from_camera).solve(viewpoint)
-    np.testing.assert_allclose(by_nodes.read_bend(), in_shader.read_bend(), atol=3e-6)
+    np.testing.assert_allclose(by_nodes.read_slope_offset(), in_shader.read_slope_offset(), atol=3e-6)
 
 
 def test_around_a_hole_every_point_is_asked_and_keeps_its_status(gl_context, toy_headset_with_hole):
@@ -46,13 +46,13 @@ def test_around_a_hole_every_point_is_asked_and_keeps_its_status(gl_context, toy
     exact = solve_every_pixel(eye, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel())
     assert 0 < (exact.status == Status.MISS).sum() < 50
     np.testing.assert_array_equal(field.read_status(), exact.status)
-    np.testing.assert_array_equal(field.read_bend(), exact.slope_offset)
+    np.testing.assert_array_equal(field.read_slope_offset(), exact.slope_offset)
 
 
 def test_a_viewpoint_that_is_none_is_refused_and_the_field_stays(gl_context, toy_headset):
     nodes = GlNodeSolver(gl_context, toy_headset, plan_of(toy_headset))
     field = nodes.solve(toy_headset.eye_box.centre)
-    before = field.read_bend()
+    before = field.read_slope_offset()
     with pytest.raises(BadInputError, match="not three finite numbers"):
         nodes.solve(np.array([0.0, np.nan, 0.0]))
-    np.testing.assert_array_equal(field.read_bend(), before)
+    np.testing.assert_array_equal(field.read_slope_offset(), before)

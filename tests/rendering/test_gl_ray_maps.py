@@ -86,7 +86,7 @@ def test_the_points_are_those_of_the_lattice(gl_context, make):
     np.testing.assert_array_equal(solved.read_status(), exact.status)
     assert np.isfinite(exact.slope_offset).all()
     assert solved.warp_grid is warp_grid
-    np.testing.assert_allclose(solved.read_bend(), exact.slope_offset, atol=2e-6)
+    np.testing.assert_allclose(solved.read_slope_offset(), exact.slope_offset, atol=2e-6)
 
 
 def test_view_tangents_are_those_of_the_display(gl_context):

@@ -1,4 +1,4 @@
-"""Frames in real time: head pose and eye position in, panel images out, inside anybody's OpenGL program."""
+"""Frames in real time: head pose and eye position in, panel images out, inside another OpenGL program."""
 
 from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.compositor import Compositor

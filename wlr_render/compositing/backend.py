@@ -2,39 +2,28 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol
 
 from wlr_render.compositing.composed_frame import ComposedEye
 from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.mappings import require_planar
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.cpu_ray_maps import RayMapSolver, SolvedT
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 
-RayMapT = TypeVar("RayMapT", covariant=True)
 
+class CachedRayMaps(Generic[SolvedT]):
+    """The ray maps of an eye's channels, solved again only when the viewpoint has changed."""
 
-class CacheableSolver(Protocol[RayMapT]):
-    """`pixel_solve.RayMapSolver` or `gpu_field.GpuRayMapSolver`."""
-
-    def solve(self, viewpoint: FloatArray) -> RayMapT:
-        """The field at a viewpoint (3,)."""
-
-    def forget(self) -> None:
-        """Start the next solve cold."""
-
-
-class CachedRayMaps(Generic[RayMapT]):
-    """The fields of an eye's channels, solved anew only where the pupil has moved."""
-
-    def __init__(self, solves: Sequence[CacheableSolver[RayMapT]]) -> None:
+    def __init__(self, solves: Sequence[RayMapSolver[SolvedT]]) -> None:
         self._solves = solves
-        self._solved: tuple[FloatArray, list[RayMapT]] | None = None
+        self._solved: tuple[FloatArray, list[SolvedT]] | None = None
 
-    def at(self, viewpoint: FloatArray) -> list[RayMapT]:
-        """One field for each channel; (3,) is kept to compare with, so that nobody may write into it."""
+    def at(self, viewpoint: FloatArray) -> list[SolvedT]:
+        """One ray map per channel at a viewpoint (3,), which is kept for comparison: do not write into it."""
         if self._solved is None or (self._solved[0] != viewpoint).any():
-            self._solved = None  # a solve that fails leaves fields of two viewpoints
+            self._solved = None  # a solve that fails leaves ray maps of two viewpoints
             self._solved = viewpoint, [solve.solve(viewpoint) for solve in self._solves]
         return self._solved[1]
 
@@ -50,9 +39,9 @@ SOLVES = ("auto", "pixels", "nodes")
 
 
 class EyeBackend(Protocol):
-    """One eye: takes what was drawn, gives what the panel must show."""
+    """One eye: imports the rendered picture, composes the panel image."""
 
-    def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
+    def set_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
         """See `Compositor.submit`; on an error the last picture stays."""
 
     def compose(
@@ -69,7 +58,7 @@ class Backend(Protocol):
 
     @property
     def name(self) -> str:
-        """What draws."""
+        """Name of the renderer."""
 
     @property
     def context(self) -> Any:
@@ -80,13 +69,13 @@ class Backend(Protocol):
         """By name."""
 
     def working(self) -> AbstractContextManager[object]:
-        """A block of calls; within it the caller's OpenGL state is taken care of once."""
+        """Return a block of calls, around which the caller's OpenGL state is saved and restored once."""
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> Mapping[str, Any]:
-        """Where each eye's picture goes; nothing for textures or arrays of our own. See `Compositor.compose`."""
+        """Target of each eye's picture; empty for own textures or arrays. See `Compositor.compose`."""
 
     def finish(self) -> None:
-        """Wait for the GPU."""
+        """Block until the GPU is idle."""
 
     def release(self) -> None:
         """Free everything."""

@@ -1,4 +1,4 @@
-"""What an engine hands over, checked before anything is changed."""
+"""Checks of an engine's input, made before anything is changed."""
 
 from collections.abc import Mapping, Sequence
 
@@ -136,7 +136,7 @@ def checked_viewpoints(
 
 
 def nearest_in_reach(viewpoint: FloatArray, box: EyeBox) -> FloatArray:
-    """The nearest viewpoint (3,) that is not refused.
+    """Return the nearest accepted viewpoint (3,).
 
     Raises:
         BadInputError: it is not three finite numbers.

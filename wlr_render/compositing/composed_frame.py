@@ -1,4 +1,4 @@
-"""What the panels must show; it stays where it was made until it is asked for."""
+"""Composed panel images, kept where they were made until they are read."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,15 +23,15 @@ class ComposedEye(Protocol):
         """Fetch colour and status."""
 
     def unsolved(self) -> dict[str, int]:
-        """How many points of the field have no proper answer, by what is the matter; empty if all is well."""
+        """Number of unsolved points of the ray maps by reason; empty if all are solved."""
 
     def read_ray_maps(self) -> list[RayMap]:
-        """Fetch the rays that the picture was made by, at the points of the warp grid, one field per channel."""
+        """Fetch the ray maps of the picture at the points of the warp grid, one per channel."""
 
 
 @dataclass(frozen=True, eq=False)
 class ComposedFrame:
-    """One moment's pictures, which the compositor's next `compose` overwrites.
+    """The panel images of one frame, which the compositor's next `compose` overwrites.
 
     Attributes:
         eyes: by name.
@@ -70,7 +70,7 @@ class ComposedFrame:
         return source
 
     def unsolved(self) -> dict[str, dict[str, int]]:
-        """By eye: how many points of its field have no proper answer, by what is the matter. Costs a small transfer."""
+        """Number of unsolved points of the ray maps, by eye and reason. Costs a small transfer."""
         return {name: eye.unsolved() for name, eye in self.eyes.items()}
 
     def _eye(self, eye: str | None) -> ComposedEye:

@@ -1,4 +1,4 @@
-"""The compositor: an engine draws what it is told to, and gets what the panels must show.
+"""The compositor: warps an engine's pictures to panel images for the current eye and head poses.
 
 A frame is `begin_frame` (from where to draw), `submit` once per eye (what was drawn), `compose` (what the panels show).
 All input is checked before anything is changed: after an error the frame stands as it did before the call.
@@ -104,7 +104,7 @@ class Compositor:
 
     @property
     def renderer(self) -> str:
-        """What draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)" or "cpu"."""
+        """Name of the renderer, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)" or "cpu"."""
         return self._backend.name
 
     @property
@@ -113,25 +113,25 @@ class Compositor:
         return self._backend.context
 
     def plan(self, eye: str) -> EyePlan:
-        """What was decided for an eye."""
+        """The plan of an eye: camera, axes, warp grid."""
         return self._plans[self._checked_eye(eye)]
 
     def within_reach(self, eye: str, viewpoint: FloatArray) -> FloatArray:
-        """The nearest viewpoint (3,) that `begin_frame` takes: for trackers that see a pupil where no model reaches."""
+        """Return the nearest viewpoint (3,) that `begin_frame` accepts, for samples far outside the eye box."""
         return nearest_in_reach(viewpoint, self._models[self._checked_eye(eye)][0].eye_box)
 
     def begin_frame(self, pose: FloatArray, viewpoint: FloatArray | Mapping[str, FloatArray]) -> dict[str, EyeCamera]:
-        """Start a frame; what was submitted before is forgotten.
+        """Start a frame and drop the pictures submitted before.
 
         Args:
             pose: (4, 4) world_from_device.
             viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two.
 
         Returns:
-            From where to draw, by eye.
+            The camera to draw with, by eye.
 
         Raises:
-            BadInputError: a pose or viewpoint that is not one, or a viewpoint far outside the eye box.
+            BadInputError: an invalid pose or viewpoint, or a viewpoint far outside the eye box.
         """
         self._check_alive()
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
@@ -148,7 +148,7 @@ class Compositor:
         stored: StoredDepth = METRES,
         rows: Rows | None = None,
     ) -> None:
-        """Hand over what was drawn for an eye with the camera that `begin_frame` gave.
+        """Submit the picture of an eye, drawn with the camera that `begin_frame` returned.
 
         Args:
             color: a numpy array (height, width, 3 or 4) uint8 sRGB with its top row first; or a ModernGL texture; or a
@@ -177,7 +177,7 @@ class Compositor:
                 "draw_on_gpu(view, eye)."
             )
         with self._backend.working():
-            self._backend.eyes[eye].take(color, depth, stored, rows)
+            self._backend.eyes[eye].set_picture(color, depth, stored, rows)
         frame.submitted[eye] = not_copied
 
     def compose(
@@ -189,10 +189,9 @@ class Compositor:
         pose_at_last_row: FloatArray | None = None,
         with_source: bool = False,
     ) -> ComposedFrame:
-        """What the panels must show; may be called again for the same frame with newer poses (late correction).
+        """Return the panel images; may be called again for the same frame with newer poses (late correction).
 
-        What was submitted is warped for where the head and the eyes are now, with its depth: one resampling, however
-        late.
+        The submitted pictures are warped with their depth to the newest head pose and viewpoints, in one resampling.
 
         Args:
             into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also
@@ -225,20 +224,20 @@ class Compositor:
         return ComposedFrame(composed)
 
     def forget(self) -> None:
-        """Solve the next frame cold, as after a change of the headset's fit."""
+        """Solve the next frame without a warm start, as after a change of the headset's fit."""
         self._check_alive()
         for eye in self._backend.eyes.values():
             eye.forget()
 
     def finish(self) -> None:
-        """Wait until the GPU has done all that it was told to; only who takes times needs this."""
+        """Block until the GPU is idle. Needed only for timing."""
         self._check_alive()
         self._backend.finish()
 
     def release(self) -> None:
-        """Free what was made on the GPU, and our own context; no frames from now on.
+        """Free all GPU objects and an own context; no frames can be composed afterwards.
 
-        Nothing else frees it in a context of yours.
+        Nothing else frees the objects in an adopted context.
         """
         if not self._released:
             self._frame, self._released = None, True

@@ -1,4 +1,4 @@
-"""Composing without OpenGL: the same rule, in numpy."""
+"""Compositor backend without OpenGL, in numpy."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -12,7 +12,7 @@ from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import count_unsolved
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver, RayMapSolver
+from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver, RayMapSolver, SolvedRayMap
 from wlr_render.rendering.cpu_warp import warp_on_cpu
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth, picture_of_arrays
@@ -44,7 +44,7 @@ class CpuEye:
         self._plan, self._background = plan, background
         pixels = WarpGrid.of_pixels(plan.channels[0].display.panel, plan.size_px)
         axes = plan.device_from_camera
-        solves: list[RayMapSolver] = [
+        solves: list[RayMapSolver[SolvedRayMap]] = [
             CpuPixelSolver(mappings, pixels, axes)
             if solve == "pixels"
             else CpuNodeSolver(mappings, RayMapPlan.onto_grid(pixels, choose_plan(mappings).node_count, axes))
@@ -53,7 +53,7 @@ class CpuEye:
         self._fields = CachedRayMaps(solves)
         self._picture: GeometryImage | None = None
 
-    def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
+    def set_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
         """See `EyeBackend`; arrays only."""
         if not (isinstance(color, np.ndarray) and isinstance(depth, np.ndarray)):
             raise BadInputError(
@@ -94,7 +94,7 @@ class CpuBackend:
         self.eyes = {plan.eye: CpuEye(plan, solve, background) for plan in plans}
 
     def working(self) -> AbstractContextManager[object]:
-        """See `Backend`: nothing is to be taken care of."""
+        """See `Backend`; there is no state to save."""
         return nullcontext()
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> Mapping[str, Any]:
@@ -108,7 +108,7 @@ class CpuBackend:
         return {}
 
     def finish(self) -> None:
-        """Nothing is under way."""
+        """Does nothing: every call has finished."""
 
     def release(self) -> None:
-        """Nothing is held outside Python."""
+        """Does nothing: all memory is Python's."""

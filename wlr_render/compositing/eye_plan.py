@@ -100,7 +100,7 @@ class EyeCamera:
 
 @dataclass(frozen=True, eq=False)
 class EyePlan:
-    """Fixed for all frames of one eye.
+    """Plan of one eye: all that is fixed over its frames.
 
     Attributes:
         eye: "left" or "right".
@@ -122,16 +122,16 @@ class EyePlan:
 
     @functools.cached_property
     def warp_grid(self) -> ChosenWarpGrid:
-        """Points between which the fields may be read bilinearly, and how far off that is.
+        """The warp grid, and its measured interpolation error.
 
-        Of the colours, that which needs the finest; chosen when first asked for: who solves every pixel needs none.
+        The densest grid that any colour channel needs. Computed on first use; unused when every pixel is solved.
         """
         chosen = [choose_warp_grid(mappings, self.device_from_camera, self.size_px) for mappings in self.channels]
         return min(chosen, key=lambda each: float(each.cell_px.min()))
 
     @classmethod
     def of(cls, channels: EyeChannels, size_px: tuple[int, int], resolution: float, late_margin: float) -> "EyePlan":
-        """Decide.
+        """Make the plan.
 
         Args:
             channels: of one eye.
@@ -146,6 +146,6 @@ class EyePlan:
         return cls(middle.eye, channels, size_px, axes, camera, RasterPosition(middle, axes), samples_per_axis)
 
     def eye_camera(self, viewpoint: FloatArray, world_from_device: FloatArray) -> EyeCamera:
-        """From where to draw for a viewpoint (3,) and a head pose (4, 4)."""
+        """The camera to draw with for a viewpoint (3,) and a head pose (4, 4)."""
         place = self.raster_position.at(viewpoint)
         return EyeCamera(self.eye, View(self.camera, place, world_from_device, self.device_from_camera))

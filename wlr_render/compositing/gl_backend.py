@@ -1,4 +1,4 @@
-"""Composing on the GPU, or on what plays one."""
+"""Compositor backend in OpenGL, on a GPU or a software renderer."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -16,7 +16,8 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMapSolver, SolvedGpuRayMap
+from wlr_render.rendering.cpu_ray_maps import RayMapSolver
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, SolvedGpuRayMap
 from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.picture_import import PictureImport
@@ -73,22 +74,22 @@ class GlEye:
         self._import = PictureImport(context)
         self._picture: GpuImage | None = None
 
-    def take(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
+    def set_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
         """See `EyeBackend`."""
-        self._picture = self._taken(color, depth, stored, rows)
+        self._picture = self._import_picture(color, depth, stored, rows)
 
-    def _taken(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> GpuImage:
-        camera, bring = self._plan.camera, self._import
+    def _import_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> GpuImage:
+        camera, importer = self._plan.camera, self._import
         if isinstance(color, GpuImage):
             return checked_image(color, camera, self._context)
         if isinstance(color, np.ndarray) and isinstance(depth, np.ndarray):
-            return bring.from_arrays(camera, color, depth, stored, rows or Rows.TOP_FIRST)
+            return importer.from_arrays(camera, color, depth, stored, rows or Rows.TOP_FIRST)
         if isinstance(color, gl.Texture) and isinstance(depth, gl.Texture):
-            return bring.from_textures(camera, color, depth, stored, rows or Rows.BOTTOM_FIRST)
+            return importer.from_textures(camera, color, depth, stored, rows or Rows.BOTTOM_FIRST)
         if isinstance(color, gl.Framebuffer) and depth is None:
-            return bring.from_framebuffer(camera, color, stored, rows or Rows.BOTTOM_FIRST)
+            return importer.from_framebuffer(camera, color, stored, rows or Rows.BOTTOM_FIRST)
         if isinstance(color, Integral) and depth is None:
-            return bring.from_framebuffer(camera, int(color), stored, rows or Rows.BOTTOM_FIRST)
+            return importer.from_framebuffer(camera, int(color), stored, rows or Rows.BOTTOM_FIRST)
         raise BadInputError(
             f"a picture cannot be taken from a {type(color).__name__} and a {type(depth).__name__}; submit two arrays, "
             "two textures, or one framebuffer (or its number) that holds both colour and depth."
@@ -98,7 +99,7 @@ class GlEye:
         self, viewpoint: FloatArray, image_from_ray_map: FloatArray, target: WarpTarget | None, with_source: bool
     ) -> GlComposed:
         """See `EyeBackend`."""
-        assert self._picture is not None, "the compositor sees to it that every eye is submitted"
+        assert self._picture is not None, "the compositor checks that every eye is submitted"
         fields = self._fields.at(viewpoint)
         drawn = (self._picture, fields, image_from_ray_map)
         if target is not None:
@@ -148,7 +149,7 @@ class GlBackend:
             ctx.finish()
 
     def release(self) -> None:
-        """See `Backend`; a context of somebody else stays."""
+        """See `Backend`; an adopted context stays open."""
         self.context.release()
 
 
@@ -169,7 +170,7 @@ def _context(context: Any) -> gl.GlContext:
     return gl.adopt_context(context)
 
 
-def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> GpuRayMapSolver:
+def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> RayMapSolver[SolvedGpuRayMap]:
     planar = isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough)
     axes = plan.device_from_camera
     if solve == "pixels" or (solve == "auto" and planar and not context.is_software):

@@ -1,4 +1,4 @@
-"""Our own raster_backend as the engine that feeds a compositor."""
+"""Our own rasteriser as the engine that feeds a compositor."""
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.eye_plan import EyeCamera
@@ -23,7 +23,7 @@ class SceneSource:
         self._on_cpu, self._on_gpu = None, GlRaster(compositor.context, scene)
 
     def submit(self, camera: EyeCamera) -> None:
-        """Draw for an eye, and hand it over."""
+        """Draw for an eye and submit the picture."""
         if self._on_cpu is None:
             self._compositor.submit(self._on_gpu.draw_on_gpu(camera.view, camera.eye), eye=camera.eye)
             return
@@ -33,5 +33,5 @@ class SceneSource:
         )
 
     def read(self, view: View) -> GeometryImage:
-        """Draw from anywhere, and fetch it."""
+        """Draw from any view and fetch the picture."""
         return self._on_gpu.draw(view) if self._on_cpu is None else self._on_cpu.draw(view)

@@ -1,4 +1,4 @@
-"""Framebuffers of the caller, checked and shared out among the eyes."""
+"""Framebuffers of the caller as targets: checks, and each eye's viewport."""
 
 import contextlib
 import ctypes
@@ -16,7 +16,7 @@ _ON, _OFF = (True,) * 4, (False,) * 4
 
 
 class CallersFramebuffers:
-    """Those of a context that pictures are composed into; to be used in drawing blocks."""
+    """The caller's framebuffers as targets; use it in drawing blocks."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._ask = context, FramebufferQueries(context)

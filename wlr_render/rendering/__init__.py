@@ -1,1 +1,1 @@
-"""Scenes, ray fields, warp maps, rasterisation and ray tracing, for any pair of mappings."""
+"""Scenes, ray maps, warp maps, rasterisation and ray tracing, for any pair of mappings."""

@@ -1,4 +1,4 @@
-"""How coarse a warp grid may be for its bilinear reading to stay within a tolerance of the exact solve, by measurement.
+"""Choice of the warp grid: the coarsest whose measured interpolation error is within a tolerance.
 
 Between four points the reading of a smooth field errs most at the middle of the cell, by an eighth of the second
 differences there: with the square of the cell's size. What a GPU's coarse filter weights add (`gl.read_between_texels`)
@@ -29,7 +29,7 @@ _AIM = 0.95
 
 @dataclass(frozen=True, eq=False)
 class ChosenWarpGrid:
-    """A warp grid and what it costs in exactness.
+    """A warp grid and its measured interpolation error.
 
     Attributes:
         warp_grid: the points.
@@ -54,7 +54,7 @@ def choose_warp_grid(
     size_px: tuple[int, int],
     tolerance_arcmin: float = TOLERANCE_ARCMIN,
 ) -> ChosenWarpGrid:
-    """The coarsest warp grid of square cells whose reading is within the tolerance, over the eye box.
+    """Return the coarsest warp grid of square cells whose error is within the tolerance over the eye box.
 
     Judged at the eye box's centre and at four of its corners, no two of which share an edge, at `judged_pixels`. Where
     no warp grid coarser than the picture's pixels is within the tolerance, its points are those pixels, whose rays are
@@ -114,7 +114,7 @@ def warp_grid_error_arcmin(
     viewpoint: FloatArray,
     pixel: FloatArray,
 ) -> FloatArray:
-    """Error of the rays read bilinearly between exact ones at a warp grid's points, against the exact solve.
+    """Error of bilinear interpolation between a warp grid's exact rays, against the exact solve.
 
     Args:
         mappings: any pair.
@@ -137,6 +137,6 @@ def warp_grid_error_arcmin(
 
 
 def ray_error_arcmin(slope_offset: FloatArray, exact: FloatArray) -> FloatArray:
-    """How far rays (..., 4) are off: the angle at infinity plus the offset's angle at the nearest depth, (...)."""
+    """Error of rays (..., 4): the angle at infinity plus the offset's angle at the nearest depth, (...)."""
     angle = arcmin_between(dir_of_tangents(slope_offset[..., :2]), dir_of_tangents(exact[..., :2]))
     return np.asarray(angle + np.linalg.norm(slope_offset[..., 2:] - exact[..., 2:], axis=-1) / NEAREST_M / ARCMIN)

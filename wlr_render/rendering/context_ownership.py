@@ -11,13 +11,13 @@ from wlr_render.rendering.native_contexts import CurrentContext
 
 
 class ContextOwner(Protocol):
-    """Whose the context is."""
+    """Owner of an OpenGL context."""
 
     def entered(self, third_party: bool) -> contextlib.AbstractContextManager[None]:
-        """A block in which the context is current; `third_party` as in `GlState.kept`."""
+        """Return a block in which the context is current; `third_party` as in `GlState.kept`."""
 
     def release(self, objects: list[Any]) -> None:
-        """Destroy our objects, those of ModernGL's that are given and those that Python has dropped."""
+        """Destroy the given ModernGL objects and those that Python has dropped."""
 
 
 class OwnContext:
@@ -64,7 +64,7 @@ class OwnContext:
 
 
 class AdoptedContext:
-    """A context of somebody else's program: its state outlives each block, and it outlives us."""
+    """A context of another program: each block leaves its state unchanged, and it is never destroyed here."""
 
     def __init__(self, current: CurrentContext, state: GlState, ctx: Any) -> None:
         self._current, self._state, self._ctx = current, state, ctx

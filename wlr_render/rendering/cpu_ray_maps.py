@@ -1,7 +1,7 @@
 """Ray maps for one viewpoint after the other on the CPU, in float64, and the protocol that every solver follows."""
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,17 +13,20 @@ from wlr_render.rendering.warp_grid import WarpGrid
 
 
 class SolvedRayMap(Protocol):
-    """World rays of all points at one viewpoint, wherever they lie."""
+    """The ray map of one viewpoint, in memory or on the GPU."""
 
     def read(self) -> RayMap:
-        """As numpy arrays; without a warm start, which the solver keeps."""
+        """Fetch it as numpy arrays, without the warm start, which the solver keeps."""
 
 
-class RayMapSolver(Protocol):
-    """Solves every point of a warp grid for one viewpoint after the other, each from the last one's solution."""
+SolvedT = TypeVar("SolvedT", bound=SolvedRayMap, covariant=True)
 
-    def solve(self, viewpoint: FloatArray) -> SolvedRayMap:
-        """The field at a viewpoint (3,), device frame, metres.
+
+class RayMapSolver(Protocol[SolvedT]):
+    """Solves the rays of a warp grid for successive viewpoints, each from the last solution."""
+
+    def solve(self, viewpoint: FloatArray) -> SolvedT:
+        """The ray map at a viewpoint (3,), device frame, metres; on the GPU the next solve overwrites it.
 
         Raises:
             BadInputError: the viewpoint is not three finite numbers; the last solution is kept.
@@ -34,7 +37,7 @@ class RayMapSolver(Protocol):
 
 
 def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
-    """The viewpoint as (3,) float64.
+    """Return the viewpoint as (3,) float64.
 
     Raises:
         BadInputError: it is not three finite numbers.
@@ -53,17 +56,17 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class CpuSolvedRayMap:
-    """A field that already is in numpy arrays."""
+    """A ray map in numpy arrays."""
 
     field: RayMap
 
     def read(self) -> RayMap:
-        """The field."""
+        """The ray map."""
         return self.field
 
 
 class CpuPixelSolver:
-    """`RayMapSolver` for any mappings, planar or not: every point is asked."""
+    """`RayMapSolver` for any mappings, planar or not, that queries every point."""
 
     def __init__(self, mappings: EyeMappings, warp_grid: WarpGrid, device_from_camera: FloatArray) -> None:
         """Prepare for the points of a warp grid on the mappings' panel, and for tangents in these axes (3, 3)."""
@@ -87,7 +90,7 @@ class CpuPixelSolver:
 
 
 class CpuNodeSolver:
-    """`RayMapSolver` for any mappings by the nodes of a plan: `ray_map` that keeps its own warm start."""
+    """`RayMapSolver` for any mappings from Chebyshev nodes: `ray_map` with a warm start of its own."""
 
     def __init__(self, mappings: EyeMappings, plan: RayMapPlan) -> None:
         """Prepare for the plan's warp grid and axes; the plan is of the mappings' panel."""

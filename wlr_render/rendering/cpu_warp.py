@@ -1,4 +1,4 @@
-"""Warping an intermediate image along bent rays, without a GPU; the rule is in `warp.py`."""
+"""Backward warp of an intermediate image on the CPU; `warp.py` states the algorithm."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ def warp_on_cpu(
     background: tuple[int, int, int] = (0, 0, 0),
     samples_per_axis: int = 1,
 ) -> WarpedImage:
-    """The picture that the display must show, and its pull map.
+    """Return the display image and its pull map.
 
     Args:
         image: colour and inverse depth.
@@ -73,7 +73,7 @@ def _warp_channel(
     )
 
     def warp(rows: slice) -> None:
-        lines = EpipolarLines.of(camera, _moved(slope_offset, image_from_ray_map, rows))
+        lines = EpipolarLines.of(camera, _in_image_frame(slope_offset, image_from_ray_map, rows))
         pixel, status = march(depths, lines)
         status[_outside(pixel, camera)] = WarpStatus.OUTSIDE
         status[lines.missing] = WarpStatus.NO_RAY
@@ -93,7 +93,7 @@ def _warp_channel(
     return warped
 
 
-def _moved(slope_offset: Float32Array, image_from_ray_map: FloatArray | None, rows: slice) -> Float32Array:
+def _in_image_frame(slope_offset: Float32Array, image_from_ray_map: FloatArray | None, rows: slice) -> Float32Array:
     if image_from_ray_map is None:
         return slope_offset[:, rows]
     return in_camera_frame(

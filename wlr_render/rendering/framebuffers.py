@@ -24,7 +24,7 @@ _COMPLETE = 0x8CD5
 
 
 class FramebufferQueries:
-    """Asks a context, within drawing blocks; one object keeps the functions that it has looked up."""
+    """Queries of framebuffer objects; call them within drawing blocks."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
@@ -41,11 +41,11 @@ class FramebufferQueries:
         return number != 0 and bool(self.gl("glIsFramebuffer", _UINT, result=ctypes.c_ubyte)(number))
 
     def bind(self, number: int, target: int = BOTH) -> None:
-        """Bind a framebuffer object, or with 0 the window, of which the other questions are then."""
+        """Bind a framebuffer object, or with 0 the window, as the object of the other queries."""
         self.gl("glBindFramebuffer", _UINT, _UINT)(target, number)
 
     def is_complete(self) -> bool:
-        """Whether there is something to draw into."""
+        """Whether the framebuffer is complete."""
         return bool(self.gl("glCheckFramebufferStatus", _UINT, result=_UINT)(BOTH) == _COMPLETE)
 
     def samples(self) -> int:
@@ -57,15 +57,15 @@ class FramebufferQueries:
         return self._of_attachment(point, _KIND) in (_TEXTURE, _RENDERBUFFER)
 
     def has_whole_numbers(self, point: int) -> bool:
-        """Whether what is attached holds integers, not fractions."""
+        """Whether the attachment has an integer format."""
         return self._of_attachment(point, _NUMBERS) in _WHOLE_NUMBERS
 
     def has_blue(self, point: int) -> bool:
-        """Whether what is attached holds blue, and so red and green."""
+        """Whether the attachment has a blue channel, and therefore red and green."""
         return self._of_attachment(point, _BLUE_BITS) > 0
 
     def measure(self, point: int) -> tuple[int, int, int]:
-        """Width, height and internal format of what is attached."""
+        """Width, height and internal format of the attachment."""
         name = self._of_attachment(point, _NAME)
         if self._of_attachment(point, _KIND) == _RENDERBUFFER:
             self.gl("glBindRenderbuffer", _UINT, _UINT)(_RENDERBUFFER, name)
@@ -116,7 +116,7 @@ class _Copy:
 
 
 class FramebufferCopy:
-    """Copies framebuffer objects of one context, made by whomever; its textures are kept while nothing changes."""
+    """Copies framebuffer objects of one context; textures are reused while size and format stay the same."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context

@@ -1,4 +1,4 @@
-"""The only door to OpenGL: opening a context without a display or adopting one, loading shaders, checking for errors.
+"""OpenGL contexts: opening one without a display or adopting one, loading shaders, checking for errors.
 
 Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/conventions.glsl`
 is turned over; so reading and writing textures here turns nothing.
@@ -84,7 +84,7 @@ class GlContext:
 
     @property
     def is_software(self) -> bool:
-        """Whether the CPU plays the GPU: work per pixel is dear, and texture filters have exact weights."""
+        """Whether it is a software renderer: work per pixel is expensive, and texture filters have exact weights."""
         return any(name in self.renderer.lower() for name in _SOFTWARE)
 
     @contextlib.contextmanager
@@ -111,11 +111,11 @@ class GlContext:
                 raise GlError(f"OpenGL reports {error} ({self.renderer}).")
 
     def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
-        """An OpenGL function with C types from `ctypes`, to be called in a drawing block: for what ModernGL hides."""
+        """Look up an OpenGL function that ModernGL hides, with `ctypes` types; call it in a drawing block."""
         return self._current.function(name, *argument_types, result=result)
 
     def has(self, thing: Texture | Framebuffer) -> bool:
-        """Whether it was made in this context, by us or by the ModernGL context that was adopted."""
+        """Whether the object was made in this context, by this library or by the adopted ModernGL context."""
         return thing.ctx is self._ctx or thing.ctx is self._caller
 
     def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
@@ -161,7 +161,7 @@ class GlContext:
         return texture
 
     def plain_sampler(self) -> Sampler:
-        """Reads what a texture holds, whatever its settings say: the nearest texel, undecoded and uncompared."""
+        """A sampler that reads the nearest texel, without sRGB decoding or depth comparison."""
         nearest = moderngl.NEAREST, moderngl.NEAREST
         sampler = self._tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
         if "GL_EXT_texture_sRGB_decode" in self._ctx.extensions:
@@ -191,12 +191,12 @@ class GlContext:
         return self._tracked(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
 
     def depth_test(self) -> None:
-        """Draw what is nearest, and at equal depth what comes last, until the end of the `drawing` block."""
+        """Enable the depth test (less or equal) until the end of the `drawing` block."""
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         self._ctx.depth_func = "<="
 
     def release(self) -> None:
-        """Destroy an own context and everything in it; of an adopted one, what this object has made."""
+        """Destroy an own context with its objects; in an adopted one, only the objects made here."""
         self._programs.clear()
         self._owner.release(list(self._objects))
 
@@ -209,7 +209,7 @@ class GlContext:
 
 
 def _free_dropped(ctx: moderngl.Context) -> None:
-    """As ModernGL's `gc`, which stumbles over what its owner had released before Python dropped it."""
+    """Like `Context.gc`, but skips objects that were already released."""
     while ctx.objects:
         dropped = ctx.objects.popleft()
         if not isinstance(dropped, moderngl.InvalidObject):
@@ -259,12 +259,12 @@ def bind_textures(program: Program, **textures: Texture | Sequence[Texture]) -> 
 
 
 def is_released(thing: Texture | Framebuffer) -> bool:
-    """Whether its owner has destroyed it."""
+    """Whether the object has been released."""
     return isinstance(thing.mglo, moderngl.InvalidObject)
 
 
 def read_between_texels(texture: Texture) -> None:
-    """From now on shaders that sample the texture see values between its texels, bilinear.
+    """Set bilinear filtering on a texture.
 
     Most GPUs filter with weights of 8 bits, so that a sample errs by up to 1/512 of the step to the next texel, along
     each axis; llvmpipe filters floats in float32.
@@ -273,7 +273,7 @@ def read_between_texels(texture: Texture) -> None:
 
 
 def read_at_texels(texture: Texture) -> None:
-    """Sample a texture by the nearest texel from now on, as `GlContext.target` makes it."""
+    """Set nearest-texel sampling on a texture, the default of `GlContext.target`."""
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
 
@@ -318,7 +318,7 @@ def open_context(backend: str = "auto") -> GlContext:
 
 
 def adopt_context(context: moderngl.Context | None = None) -> GlContext:
-    """Draw in the OpenGL context of a program around this library, e.g. a viewer's or pyrender's.
+    """Adopt the OpenGL context of another program, e.g. a viewer's or pyrender's.
 
     Each `drawing` block finds the context current and leaves its state as it was, up to what `gl_state` names. Neither
     ModernGL's record of that state nor its settings change, because the blocks have a ModernGL context of their own.
@@ -352,7 +352,7 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
 
 
 def _save_nothing() -> Callable[[], None]:
-    """OSMesa cannot say with which buffer a context is current."""
+    """Does nothing: the buffer that an OSMesa context is current with is not known here."""
     return lambda: None
 
 
@@ -366,7 +366,7 @@ def _check_version(found: tuple[int, int]) -> None:
 
 @contextlib.contextmanager
 def _default_context_kept() -> Iterator[None]:
-    """What `moderngl.get_context()` gives stays the caller's."""
+    """Keep the caller's `moderngl.get_context()`."""
     store: Any = vars(moderngl)["_store"]
     before = store.default_context
     try:
@@ -380,7 +380,7 @@ def _open(**settings: Any) -> moderngl.Context:
 
 
 def _in_order() -> list[str]:
-    """Names of what may be opened; first what PyOpenGL has been told, because two platforms in a process disturb it."""
+    """Platforms to try, PyOpenGL's first, because two platforms in one process conflict."""
     return sorted(_OPENERS, key=lambda name: name != os.environ.get("PYOPENGL_PLATFORM"))
 
 

@@ -1,15 +1,15 @@
 """Ray maps on the GPU: planar models solved in a shader, any others spread from Chebyshev nodes solved on the CPU.
 
 Each point, be it a display pixel or coarser, finds the tangents t under which the viewpoint sees it from
-p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t, carried to
-the new viewpoint along its derivative, (1 - dz T)^-1 T (d viewpoint_xy + t d dz) with T the slope of t(pixel, p~) in
-p~: that misses the new t by second differences alone, so that one evaluation mostly does even after a saccade.
+p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t, extrapolated
+to the new viewpoint with its derivative, (1 - dz T)^-1 T (d viewpoint_xy + t d dz) with T the slope of t(pixel, p~) in
+p~: the error is of second order, so that one evaluation is usually enough, even after a saccade.
 Deviation and ray are a closed form of the solution.
 """
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,10 +26,10 @@ from wlr_render.rendering.warp_grid import WarpGrid
 
 @dataclass(frozen=True, eq=False)
 class GpuRayMap:
-    """World rays at the points of a warp grid, as a texture that its maker's next field overwrites.
+    """World rays at the points of a warp grid, as a texture that the solver's next solve overwrites.
 
     Attributes:
-        context: whose texture it is.
+        context: of the texture.
         viewpoint_in_device: (3,) metres.
         device_from_camera: (3, 3) axes of `slope_offset`.
         warp_grid: the points.
@@ -43,7 +43,7 @@ class GpuRayMap:
     warp_grid: WarpGrid
     slope_offset: gl.Texture
 
-    def read_bend(self) -> Float32Array:
+    def read_slope_offset(self) -> Float32Array:
         """Fetch (4, rows, columns)."""
         with self.context.drawing():
             return np.ascontiguousarray(np.moveaxis(gl.read(self.slope_offset, np.float32), -1, 0))
@@ -51,7 +51,7 @@ class GpuRayMap:
 
 @dataclass(frozen=True, eq=False)
 class SolvedGpuRayMap(GpuRayMap, ABC):
-    """A field whose maker can say what became of each point."""
+    """A ray map with a status for each point."""
 
     @abstractmethod
     def read_status(self) -> StatusArray:
@@ -59,17 +59,7 @@ class SolvedGpuRayMap(GpuRayMap, ABC):
 
     def read(self) -> RayMap:
         """Fetch rays and status."""
-        return RayMap(self.viewpoint_in_device, self.device_from_camera, self.read_bend(), self.read_status())
-
-
-class GpuRayMapSolver(Protocol):
-    """As `pixel_solve.RayMapSolver`, with the field on the GPU."""
-
-    def solve(self, viewpoint: FloatArray) -> SolvedGpuRayMap:
-        """See `RayMapSolver.solve`; the field is overwritten by the next."""
-
-    def forget(self) -> None:
-        """Start the next solve cold."""
+        return RayMap(self.viewpoint_in_device, self.device_from_camera, self.read_slope_offset(), self.read_status())
 
 
 MAX_ITERATIONS = 12
@@ -81,7 +71,7 @@ change by less than 6 rad/m in a millimetre; and a thousand times what float32 l
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """View tangents, and their slopes by the viewpoint's xy, with what they are drawn into."""
+    """View tangents and their derivatives by the viewpoint's xy, with their framebuffer."""
 
     tangents: gl.Texture
     slopes: gl.Texture
@@ -90,7 +80,7 @@ class _Solution:
 
 @dataclass(frozen=True, eq=False)
 class GlSolvedRayMap(SolvedGpuRayMap):
-    """A field with what else the shader found; the solver's next solves overwrite all of it.
+    """A ray map with the shader's other outputs; the solver's next solves overwrite all of it.
 
     Attributes:
         view_tangents: RG32F, (tx, ty) of the view direction in the device frame; NaN where there is none.
@@ -118,7 +108,7 @@ class GlSolvedRayMap(SolvedGpuRayMap):
 
 
 class GlPlanarSolver:
-    """`GpuRayMapSolver` of one eye in a shader compiled for its models."""
+    """`RayMapSolver` of one eye's planar models, in a shader compiled for its models."""
 
     def __init__(
         self,
@@ -202,7 +192,7 @@ class GlPlanarSolver:
 
 @dataclass(frozen=True, eq=False)
 class GlSpreadRayMap(SolvedGpuRayMap):
-    """A field that was solved on the CPU.
+    """A ray map that was solved on the CPU.
 
     Attributes:
         status: (rows, columns) uint8.
@@ -216,7 +206,7 @@ class GlSpreadRayMap(SolvedGpuRayMap):
 
 
 class GlNodeSolver:
-    """`GpuRayMapSolver` for any mappings by the nodes of a plan, which has the warp grid and the axes too."""
+    """`RayMapSolver` for any mappings from Chebyshev nodes; the plan states warp grid and axes."""
 
     def __init__(self, context: gl.GlContext, mappings: EyeMappings, plan: RayMapPlan) -> None:
         self._context, self._plan = context, plan
@@ -228,7 +218,7 @@ class GlNodeSolver:
             gl.read_between_texels(self._bend)
 
     def solve(self, viewpoint: FloatArray) -> GlSpreadRayMap:
-        """See `GpuRayMapSolver`."""
+        """See `RayMapSolver`."""
         field = self._nodes.solve(viewpoint).field
         # One texture of four components costs a shader much less to read than four textures.
         with self._context.drawing():

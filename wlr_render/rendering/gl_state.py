@@ -1,4 +1,4 @@
-"""The state of an OpenGL context that belongs to somebody else: read before we draw, put back afterwards.
+"""Save and restore the state of an adopted OpenGL context around draws.
 
 What no block of this library touches or minds is left out: bindings of uniform, storage and transform buffers, of
 images, of textures other than 2D, and units past the first eight; and of a row of viewports and scissor boxes only the
@@ -27,7 +27,7 @@ _TEXTURE0, _TEXTURE_2D = 0x84C0, 0x0DE1
 
 @dataclass(frozen=True)
 class _Value:
-    """Something read with a getter and set with one call.
+    """A state value with a getter and a setter.
 
     Attributes:
         setter: takes `first`, then what was read.
@@ -188,7 +188,7 @@ class _Units:
         self._samplers = [_Kept(current, sampler) for sampler in _SAMPLERS]
 
     def _each(self) -> Iterator[_Kept]:
-        """Make each unit active and give its sampler."""
+        """Make each unit active in turn and yield its sampler."""
         for unit, sampler in enumerate(self._samplers):
             self._active.write([_TEXTURE0 + unit])
             yield sampler
@@ -219,7 +219,7 @@ def _kept_values(current: CurrentContext, table: tuple[_Value, ...]) -> list[_Ke
 
 
 class GlState:
-    """Keeps the state of one foreign context while blocks of ours draw in it.
+    """Saves and restores the state of one adopted context around drawing blocks.
 
     Attributes:
         inside: whether such a block is running.
@@ -238,7 +238,7 @@ class GlState:
 
     @contextlib.contextmanager
     def kept(self, third_party: bool = False) -> Iterator[None]:
-        """A block that starts from OpenGL's usual state and leaves, also by an exception, the state that it found.
+        """Return a block that starts from OpenGL's default state and restores the caller's, also after an exception.
 
         Errors that OpenGL holds are dropped. A block within a block is a part of it and costs nothing.
 

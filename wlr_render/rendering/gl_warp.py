@@ -1,4 +1,4 @@
-"""Warping an intermediate image along bent rays, on the GPU; the rule is in `warp.py`."""
+"""Backward warp of an intermediate image on the GPU; `warp.py` states the algorithm."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
 
 @dataclass(frozen=True, eq=False)
 class WarpTarget:
-    """Where in a framebuffer a warped picture goes.
+    """The viewport of a framebuffer that a warped picture is drawn to.
 
     Attributes:
         framebuffer: its first colour is drawn to; alpha becomes 1.
@@ -79,10 +79,10 @@ class GpuWarped:
 
 
 class GlWarp:
-    """Warps pictures that lie on the GPU; its textures are kept between frames of one size."""
+    """Warps images on the GPU; textures are reused between frames of one size."""
 
     def __init__(self, context: gl.GlContext, channels: int = 1) -> None:
-        """Prepare for one field of rays, or for 3: one for each colour channel (red, green, blue)."""
+        """Prepare for one ray map, or for 3: one per colour channel (red, green, blue)."""
         self._context, self._channels = context, channels
         self._ranges = GlDepthRanges(context)
         self._textures: dict[str, gl.Texture] = {}
@@ -99,7 +99,7 @@ class GlWarp:
         samples_per_axis: int = 1,
         with_source: bool = False,
     ) -> GpuWarped:
-        """The picture that the display must show, left on the GPU.
+        """Draw the display image and leave it on the GPU.
 
         Args:
             image: in this object's context.
@@ -132,7 +132,7 @@ class GlWarp:
         background: tuple[int, int, int] = (0, 0, 0),
         samples_per_axis: int = 1,
     ) -> None:
-        """The colour of the same picture into a caller's framebuffer; arguments and faults as `draw`."""
+        """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
             outputs = {"WITH_STATUS": 0, "WITH_SOURCE": 0}

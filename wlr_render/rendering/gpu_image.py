@@ -14,11 +14,11 @@ from wlr_render.rendering.warp import TILE
 
 @dataclass(frozen=True, eq=False)
 class GpuImage:
-    """Colour and inverse depth as textures; the drawer's next picture overwrites them.
+    """Colour and inverse depth as textures, which the renderer's next image overwrites.
 
     Attributes:
-        context: whose textures they are.
-        camera: drawn with.
+        context: of the textures.
+        camera: of the image.
         colour: (height, width) RGBA8 sRGB, top row first.
         inverse_depth: (height, width) R32F, 1/m, 0 where nothing is.
     """
@@ -47,7 +47,7 @@ def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class DepthRanges:
-    """Smallest and largest inverse depths, RG32F; the maker's next ones overwrite them.
+    """Smallest and largest inverse depths per tile, RG32F; the next image's overwrite them.
 
     Attributes:
         around_tiles: a texel for each tile of TILE x TILE px: of the tile and the eight around it.
@@ -65,7 +65,7 @@ class _Target:
 
 
 class GlDepthRanges:
-    """Makes `DepthRanges`; its textures are kept between images of one size."""
+    """Computes `DepthRanges`; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context

@@ -22,7 +22,7 @@ class NoCurrentContextError(RuntimeError):
 
 
 class CurrentContext:
-    """The context of one of some platforms that was current when this object was made.
+    """The OpenGL context that was current when this object was made.
 
     Attributes:
         platform: "egl", "glx", "wgl" or "osmesa".
@@ -45,7 +45,7 @@ class CurrentContext:
         raise NoCurrentContextError("No OpenGL context is current on this thread")
 
     def is_current(self) -> bool:
-        """Whether it is the current one of the calling thread now."""
+        """Whether the context is current on the calling thread."""
         return bool(self._native_current() == self._native)
 
     def version(self) -> tuple[int, int]:
@@ -71,10 +71,10 @@ class CurrentContext:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Whoever made the context makes it current."""
+        """Does nothing: the program that made the context makes it current."""
 
     def release(self) -> None:
-        """Whoever made the context destroys it."""
+        """Does nothing: the program that made the context destroys it."""
 
 
 class EglBinding:
@@ -129,7 +129,7 @@ _ATTRIBUTES = (0x22, _RGBA, 0x33, 0x34, 0x36, 4, 0x37, 3, 0)
 
 
 class OsMesaContext:
-    """An OpenGL 4.3 core context; drawing goes to framebuffer objects, its own picture is a formality.
+    """An OpenGL 4.3 core context; drawing goes to framebuffer objects; its own picture is not used.
 
     Raises:
         OSError: libOSMesa is not installed, or it cannot open the context.
@@ -160,7 +160,7 @@ class OsMesaContext:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Stay current: there is nothing to go back to."""
+        """Stay current."""
 
     def release(self) -> None:
         """Destroy the context."""

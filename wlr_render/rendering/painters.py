@@ -27,7 +27,7 @@ from wlr_render.rendering.view import GeometryImage, View
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What one eye's panel must show.
+    """One eye's panel image.
 
     "Of each channel" means one for all colours, or one each for red, green and blue.
 
@@ -59,7 +59,7 @@ class Frame:
 
     @property
     def warm_start(self) -> "WarmStarts":
-        """What the eye's next frame starts from."""
+        """Warm start of the eye's next frame."""
         return tuple(field.warm_start for field in self.fields)
 
     @property
@@ -79,7 +79,7 @@ WarmStarts = tuple[WarmStart | None, ...]
 
 
 class Painter(Protocol):
-    """Makes the frames of one eye, scene and way of drawing."""
+    """Renders the frames of one eye and scene."""
 
     def paint(
         self,
@@ -88,7 +88,7 @@ class Painter(Protocol):
         warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
-        """One frame.
+        """Render one frame.
 
         Args:
             viewpoint: (3,) entrance pupil, device frame.
@@ -177,7 +177,7 @@ def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
 
 
 class WarpedPainter:
-    """An intermediate image from about the viewpoint, pulled into display pixels by the per-frame warp map.
+    """Renders an intermediate image near the viewpoint and warps it to display pixels by a warp map per frame.
 
     The colours of an eye share it: its jagged edges must not fall differently in each.
     """
@@ -233,7 +233,7 @@ class WarpedPainter:
 
 
 class MeshWarpedPainter:
-    """As `WarpedPainter`, but the warp map comes from the mesh: Embree meets each world ray with the scene itself.
+    """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
 
     The map is right everywhere; where the intermediate image hides a point, its colour is that of what hides it.
     """

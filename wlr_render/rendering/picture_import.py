@@ -1,4 +1,4 @@
-"""Pictures drawn by somebody else, brought to the GPU images that the warp reads."""
+"""Import of pictures that other programs rendered, as the GPU images that the warp reads."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ class _Targets:
 
 
 class PictureImport:
-    """Makes GPU images of other programs' pictures; its textures are kept, and each picture overwrites the last."""
+    """Converts other programs' pictures to GPU images; textures are reused, so each picture overwrites the last."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context

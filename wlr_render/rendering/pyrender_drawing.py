@@ -32,7 +32,7 @@ _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model 
 
 
 class PyrenderDrawing:
-    """Draws a caller's pyrender scene from any view, in a context of ours or in one that was adopted.
+    """Draws a caller's pyrender scene from any view, in an own or an adopted context.
 
     What it loads is freed with the context. A pyrender mesh lives in one context, and a renderer of pyrender's refuses
     one that it has not loaded itself: a caller who draws the scene with a renderer of his own does so first, and adopts

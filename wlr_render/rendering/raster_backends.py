@@ -40,7 +40,7 @@ class Warped:
 
 
 class RasterBackend(Protocol):
-    """Draws one scene from any view and pulls the picture into display pixels."""
+    """Draws one scene from any view and warps the picture to display pixels."""
 
     @property
     def backend(self) -> str:
@@ -61,7 +61,7 @@ class RasterBackend(Protocol):
 
 
 def open_raster_backend(scene: Scene, backend: str = "auto", materials: str = "own") -> RasterBackend:
-    """A raster_backend for one scene.
+    """Open the raster backend for one scene.
 
     Args:
         scene: what to draw.
@@ -168,7 +168,7 @@ def _background_code(scene: Scene) -> tuple[int, int, int]:
 
 
 class EmbreeRaster:
-    """Draws one scene from any view, as `raster.GlRaster` does."""
+    """Draws one scene from any view, as `gl_raster.GlRaster` does."""
 
     def __init__(self, scene: Scene) -> None:
         self._renderer = RayRenderer(scene)

@@ -27,7 +27,9 @@ def intermediate_camera(
     size_px: tuple[int, int] | None = None,
     margin: float = 0.0,
 ) -> Pinhole:
-    """The raster field for all viewpoints in the eye box, found from the mappings at its corners.
+    """Intrinsics of the raster camera that cover the field of view of all viewpoints in the eye box.
+
+    The mappings are queried at the eye box's centre and corners.
 
     Args:
         channels: one pair, or one per colour channel.
@@ -80,7 +82,7 @@ def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
 
 
 class RasterPosition:
-    """The best place of a raster camera for any viewpoint: a polynomial fitted to some of them over the eye box."""
+    """Position of the raster camera as a function of the viewpoint: a polynomial fitted over the eye box."""
 
     def __init__(self, mappings: EyeMappings, device_from_camera: FloatArray) -> None:
         """Fit; best for a camera with these axes (3, 3), across whose viewing axis offsets are measured."""
@@ -99,7 +101,7 @@ class RasterPosition:
         self._shift = Polynomial(_DEGREE, self._box, coefficients.astype(np.float64))
 
     def at(self, viewpoint: FloatArray) -> FloatArray:
-        """The place (..., 3) for viewpoints (..., 3), both in the device frame.
+        """Camera positions (..., 3) for viewpoints (..., 3), both in the device frame.
 
         Outside the eye box the shift is that of the box's nearest point, so that it neither jumps nor grows.
         """
@@ -115,7 +117,7 @@ _POINTS = 33
 def largest_minification(
     slope_offset: Float32Array, warp_grid: WarpGrid, camera: Pinhole, size_px: tuple[int, int]
 ) -> float:
-    """Image pixels that one pixel of the display picture covers, in the direction and at the place where it is most.
+    """Largest minification: image pixels per display pixel, in the direction and at the position where it is largest.
 
     The largest singular value of the map's derivative for points at infinity, by differences between warp grid points;
     0 if no ray is known.
@@ -139,7 +141,7 @@ def largest_minification(
 def minification_over_eye_box(
     mappings: EyeMappings, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
 ) -> float:
-    """`largest_minification` of an eye's field at the centre of the eye box and at its nearest and farthest corners.
+    """`largest_minification` of an eye's ray maps at the centre of the eye box and at its nearest and farthest corners.
 
     Args:
         mappings: any pair.

@@ -1,4 +1,4 @@
-"""Rays against a scene, by Embree: the only door to embreex.
+"""Ray-scene intersection by Embree; the only module that imports embreex.
 
 World frame. The tree is built once per scene with one geometry per instance, so that Embree's ids are ours. Embree
 works in float32; `SceneTracer.hit_positions` meets the hit triangle again in float64, for references.
@@ -18,7 +18,7 @@ _RAYS_PER_BLOCK = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What some rays meet first; the arrays share one shape (...).
+    """Nearest intersections of rays; the arrays share one shape (...).
 
     Attributes:
         distance: float32, along the ray in lengths of its direction (metres for unit directions); inf on a miss.
@@ -65,7 +65,7 @@ class Hits:
 
 
 class SceneTracer:
-    """Finds what rays meet in one scene."""
+    """Intersects rays with one scene."""
 
     def __init__(self, scene: Scene) -> None:
         # Here, because the command line must start without it.
@@ -83,7 +83,7 @@ class SceneTracer:
         self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
     def intersect(self, origin: ArrayLike, direction: ArrayLike) -> Hits:
-        """What each ray meets first, on all processors.
+        """Return the nearest intersection of each ray, on all processors.
 
         Args:
             origin: (..., 3) world frame, metres; broadcasts against `direction`. float32 is not copied.

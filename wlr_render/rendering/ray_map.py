@@ -24,7 +24,7 @@ NEAREST_M = 0.25
 
 @dataclass(frozen=True, eq=False)
 class RayMapPlan:
-    """How to get from nodes to the points of a warp grid; made once per panel.
+    """Interpolation from Chebyshev nodes to the points of a warp grid; made once per panel.
 
     Attributes:
         device_from_camera: (3, 3) rotation to the axes in which tangents are taken. They look at the middle of the
@@ -64,12 +64,12 @@ class RayMapPlan:
 
     @property
     def panel(self) -> Panel:
-        """Whose pixels are meant."""
+        """The panel these rays belong to."""
         return self.warp_grid.panel
 
     @property
     def node_count(self) -> int:
-        """Along each axis."""
+        """Number of nodes along each axis."""
         return len(self.node_pixel)
 
 
@@ -139,7 +139,7 @@ def solve_pixels(
     viewpoint: FloatArray,
     warm_start: WarmStart | None = None,
 ) -> SolvedRays:
-    """Ask the mappings at pixels (..., 2) for one viewpoint (3,), in axes (3, 3).
+    """Query the mappings at pixels (..., 2) for one viewpoint (3,), in axes (3, 3).
 
     A pixel that the display has no direction for keeps the display's status.
     """
@@ -160,7 +160,7 @@ def solve_pixels(
 def solve_every_pixel(
     mappings: EyeMappings, viewpoint: FloatArray, device_from_camera: FloatArray, pixel: FloatArray | None = None
 ) -> RayMap:
-    """Solve every pixel: minutes of work for the sake of a reference, or where the field has holes.
+    """Solve every pixel, which takes minutes: for a reference, or where the nodes have holes.
 
     Args:
         mappings: any pair.
@@ -183,7 +183,7 @@ def solve_every_pixel(
 def ray_map(
     mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, warm_start: WarmStart | None = None
 ) -> RayMap:
-    """The field at a new viewpoint, by the nodes of `plan`.
+    """Return the ray map of a viewpoint, interpolated between the Chebyshev nodes of `plan`.
 
     Where a node has no answer the polynomial through the nodes means nothing; then every warp grid point is solved.
 
@@ -279,7 +279,7 @@ def _worst_px(error_px: FloatArray) -> float:
 
 
 def required_tangents(mappings: EyeMappings, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Tangents (n, 2) under which a viewpoint sees the rays' points at infinity and at the nearest depth.
+    """View tangents (n, 2) of the rays' points at infinity and at the nearest depth, from one viewpoint.
 
     What a raster camera must cover, from a grid of pixels that reaches the panel's borders; NaN where there is no ray.
     """

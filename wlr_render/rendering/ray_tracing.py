@@ -53,7 +53,7 @@ class TracedImage:
 
     @classmethod
     def empty(cls, shape: tuple[int, int], buffers: Collection[str]) -> "TracedImage":
-        """To be filled; with the buffers that are asked for.
+        """Empty images, with the requested buffers.
 
         Raises:
             BadInputError: a buffer of another name than `BUFFERS`.
@@ -73,7 +73,7 @@ class TracedImage:
 
 
 class RayRenderer:
-    """A scene made ready for rays: its tree and its surface tables."""
+    """Renders a scene by ray tracing; it keeps the acceleration structure and the shading tables."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -106,7 +106,7 @@ class RayRenderer:
     def render_rays(
         self, origin: ArrayLike, direction: ArrayLike, buffers: Collection[str] = (), shadows: bool = False
     ) -> TracedImage:
-        """A frame of given rays: (height, width, 3) world frame, of which the origin may be (3,); NaN for nothing."""
+        """Render a frame of given rays: (height, width, 3) world frame, origin possibly (3,); NaN for no ray."""
         origin, direction = np.broadcast_arrays(np.asarray(origin, np.float32), np.asarray(direction, np.float32))
 
         def rays_of_rows(rows: slice) -> tuple[Float32Array, Float32Array]:
@@ -206,7 +206,7 @@ class EyeView:
     panel_pixel: FloatArray
 
     def with_display(self, shown: NDArray[np.uint8], gain: float = 1.0, see_through: float = 1.0) -> NDArray[np.uint8]:
-        """Switch the display on: light adds up.
+        """Add the display's light to the picture.
 
         Args:
             shown: (panel height, panel width, 3) uint8 sRGB, what the panel shows.
@@ -224,7 +224,7 @@ class EyeView:
 def eye_view(
     truth: EyeMappings, renderer: RayRenderer, viewpoint: FloatArray, world_from_device: FloatArray, camera: Pinhole
 ) -> EyeView:
-    """Look through the optics.
+    """Render the eyeball camera's view through the optics.
 
     Args:
         truth: the mappings of the optics that the eye really looks through.

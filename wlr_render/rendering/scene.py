@@ -1,4 +1,4 @@
-"""What there is to draw: meshes, their instances in the world, lights. Plain arrays; no file formats, no GPU.
+"""Scenes: meshes, their instances in the world, lights. Plain arrays; no file formats, no GPU.
 
 World frame: OpenXR (x right, y up, -z forward), metres. Colours are linear RGB, 0..1; encoding to sRGB is the last
 step of drawing. The one shading model, the same in GLSL and numpy, is stated in `shading.py`.
@@ -71,7 +71,7 @@ class LightSource:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything in the world.
+    """Meshes, instances and lights in the world.
 
     Attributes:
         name: for messages.

@@ -1,4 +1,4 @@
-"""How pictures that other programs drew are stored: what their depth means, and which row comes first."""
+"""Storage conventions of submitted pictures: kind of depth, and row order."""
 
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -13,14 +13,14 @@ from wlr_render.rendering.view import GeometryImage
 
 
 class DepthKind(Enum):
-    """What a stored depth means; all are measured along the camera's -z axis."""
+    """Kinds of stored depth; all are measured along the camera's -z axis."""
 
     METRES = auto()
-    """0 and infinity where nothing is, as pyrender's arrays."""
+    """Metres; 0 or infinity for background, as in pyrender's arrays."""
     WINDOW = auto()
     """A depth buffer's value in 0..1 of a perspective projection; nothing is where it has the far plane's value."""
     INVERSE = auto()
-    """1/m, 0 where nothing is."""
+    """1/m; 0 for background."""
 
 
 class Rows(Enum):
@@ -32,7 +32,7 @@ class Rows(Enum):
 
 @dataclass(frozen=True)
 class StoredDepth:
-    """How a picture's depth is to be read.
+    """Storage convention of a depth image.
 
     Attributes:
         kind: of number.
@@ -65,7 +65,7 @@ class StoredDepth:
 def picture_of_arrays(
     camera: Pinhole, colour: NDArray[np.uint8], depth: NDArray[np.float32], stored: StoredDepth, rows: Rows
 ) -> GeometryImage:
-    """A copy of a picture in memory as our own renderers give theirs; `submitted.PictureImport` makes one on the GPU.
+    """Convert a picture in memory to a `GeometryImage`; `picture_import.PictureImport` is its twin on the GPU.
 
     Args:
         camera: drawn with.
@@ -90,7 +90,7 @@ def picture_of_arrays(
 
 
 def check_arrays(colour: NDArray[Any], depth: NDArray[Any], size: tuple[int, int]) -> None:
-    """Refuse arrays that are no picture of a size (width, height).
+    """Check that arrays are a picture of a size (width, height).
 
     Raises:
         BadInputError: shape, type or size is another, or a depth is negative or NaN.

@@ -48,7 +48,7 @@ class View:
 
 
 def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """So that nobody changes by accident what is worked out once."""
+    """Make an array read-only: it is computed once and shared."""
     array.flags.writeable = False
     return array
 
@@ -59,7 +59,7 @@ def image_from_ray_map(
     field_device_from_camera: NDArray[np.float64],
     field_world_from_device: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Camera frame of a field of rays -> camera frame of a picture, (..., 4, 4).
+    """Camera frame of a ray map -> camera frame of a picture, (..., 4, 4).
 
     The picture may have been drawn from another place, or for an older head pose: a ray of the field, carried by this
     transform, is the ray along which the picture must be read.
@@ -112,7 +112,7 @@ def write_view(path: str | Path, view: View) -> Path:
 
 
 def in_camera_frame(slope_offset: Float32Array, image_from_ray_map: FloatArray) -> Float32Array:
-    """The same rays in the frame of another camera.
+    """Transform rays in (slope, offset) form to another camera frame.
 
     With X = O + l D, O = (c, d, 0) and D = (a, b, -1), the transform gives O' = R O + t and D' = R D; D' is scaled to
     D'_z = -1 and O' slid along it to z = 0.

@@ -80,7 +80,7 @@ _SENTENCES = {
 
 @dataclass(frozen=True, eq=False)
 class WarpedImage:
-    """A picture in display pixels.
+    """A display image and its status per pixel.
 
     Attributes:
         colour: (height, width, 3) uint8 sRGB; the background where the status is OUTSIDE or NO_RAY.

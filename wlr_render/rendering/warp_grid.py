@@ -1,4 +1,4 @@
-"""Regular points on the panel at which a field of rays is known; between them it is read bilinearly."""
+"""Regular grid of points on the panel at which rays are solved; between them they are interpolated bilinearly."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ class WarpGrid:
     """Points in rows and columns over a panel, the top row first.
 
     Attributes:
-        panel: whose pixels are meant.
+        panel: of the pixel positions.
         columns, rows: how many points.
         first_px: (2,) panel position of the first point.
         step_px: (2,) from one point to the next.
@@ -55,7 +55,7 @@ class WarpGrid:
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
     def has_pixel_centres_of(self, size_px: tuple[int, int]) -> bool:
-        """Whether the points are the pixel centres of a picture (width, height), and not as many points elsewhere."""
+        """Whether the points are the pixel centres of a picture (width, height)."""
         return self.size == tuple(size_px) and np.allclose(self.first_px, 0.5 * self.step_px)
 
     def texture_from_picture(self, size_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
