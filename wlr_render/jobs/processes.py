@@ -1,9 +1,13 @@
-"""Work spread over the processor's cores."""
+"""Work spread over the processor's cores.
+
+Not joblib: on Ctrl-C its loky kills the tasks at work and prints a traceback, where this pool lets them finish.
+"""
 
 import contextlib
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeVar
@@ -27,7 +31,7 @@ def as_finished(run: Callable[[Task], Result], tasks: Sequence[Task], workers: i
     """
     with _one_thread_per_process():
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers or usable_cores(), mp_context=context, initializer=_leave_interrupts)
+        pool = ProcessPoolExecutor(workers or usable_cores(), mp_context=context, initializer=_prepare_worker)
         try:
             for future in as_completed([pool.submit(run, task) for task in tasks]):
                 yield future.result()
@@ -45,9 +49,17 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _leave_interrupts() -> None:
-    """Ctrl-C reaches every process of a terminal; the one that waits for the others is to act on it."""
+def _prepare_worker() -> None:
+    """Leave Ctrl-C, which reaches every process of a terminal, to the parent; end with a parent that is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "this runs in a worker"
+    parent.join()
+    os._exit(1)
 
 
 @contextlib.contextmanager
