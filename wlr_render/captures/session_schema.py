@@ -76,8 +76,8 @@ def names(prefix: str, endings: str, suffix: str = "") -> tuple[str, ...]:
     return tuple(f"{prefix}{ending}{suffix}" for ending in endings)
 
 
-_TIME = Column("time_s", "s", "since the session's start")
-_STAGE = _triple("stage", "mm", "_mm", "where the stage reads the camera's centre of projection")
+_TIME = Column("time_s", "s", "time since the start of the session")
+_STAGE = _triple("stage", "mm", "_mm", "stage reading of the camera's centre of projection")
 STAGE = names("stage_", "xyz", "_mm")
 CAMERA_QUATERNION = names("camera_q", "xyzw")
 HEAD_QUATERNION = names("head_q", "xyzw")
@@ -85,15 +85,15 @@ GAZE = names("gaze_", "xyz")
 
 DISPLAY = Schema(
     "display",
-    "camera pixel that was decoded",
+    "decoded camera pixel",
     (
         Column("capture", "", "index of the photograph", Kind.INDEX),
         _TIME,
         Column("travel", "", "direction of the stage's last move in x", Kind.SIGN),
         *_STAGE,
         Column("channel", "", "0 red, 1 green, 2 blue", Kind.CHANNEL),
-        *_pixel("camera", "camera pixel that was looked at"),
-        *_pixel("pixel", "panel position that was decoded there"),
+        *_pixel("camera", "camera pixel"),
+        *_pixel("pixel", "decoded panel position"),
     ),
     ("capture",),
     ("time_s", "travel", *STAGE),
@@ -101,17 +101,17 @@ DISPLAY = Schema(
 
 SEE_THROUGH = Schema(
     "seethrough",
-    "dot of the printed target that was found in a photograph",
+    "dot of the printed target found in a photograph",
     (
         Column("target_pose", "", "index of the [[target_pose]] in bench.toml", Kind.INDEX),
         Column("capture", "", "index of the photograph, counted from 0 at every target pose", Kind.INDEX),
         _TIME,
         *_STAGE,
-        *(Column(f"target_{axis}_mm", "mm", f"the dot's place on the printed target, {axis}") for axis in "xy"),
-        *_pixel("camera", "where the camera sees the dot through the optics"),
-        Column("travel", "", "direction of the stage's last move in x; +1 if not given", Kind.SIGN, "travel", 1.0),
-        *_quaternion("camera", "how the camera is turned (device_from_camera); not at all if not given", "camera_q"),
-        *_pixel("bare", "where the same camera in the same place sees the dot without the headset", "bare"),
+        *(Column(f"target_{axis}_mm", "mm", f"position of the dot on the printed target, {axis}") for axis in "xy"),
+        *_pixel("camera", "position of the dot in the photograph, through the optics"),
+        Column("travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, "travel", 1.0),
+        *_quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q"),
+        *_pixel("bare", "position of the dot photographed from the same place without the headset", "bare"),
     ),
     ("target_pose", "capture"),
     ("time_s", "travel", *STAGE, *CAMERA_QUATERNION),
@@ -120,7 +120,7 @@ SEE_THROUGH = Schema(
 
 RUN_TIME = Schema(
     "runtime",
-    "moment at which a real dot and the virtual dot that is to cover it were seen",
+    "time at which a real dot and the virtual dot drawn over it were observed",
     (
         Column("capture", "", "index of the recording; a recording has many rows", Kind.INDEX),
         _TIME,
@@ -128,11 +128,11 @@ RUN_TIME = Schema(
         *_quaternion("head", "world_from_device"),
         *_triple("head_velocity", "mm/s", "_mm_s", "velocity of that origin, world frame"),
         *_triple("head_rate", "rad/s", "_rad_s", "angular velocity of the head, world frame"),
-        *_triple("viewpoint", "mm", "_mm", "tracked place of the pupil, device frame"),
-        *_triple("gaze", "", "", "unit direction in which the eye looks, device frame"),
+        *_triple("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame"),
+        *_triple("gaze", "", "", "unit gaze direction, device frame"),
         *_triple("dot", "mm", "_mm", "the real dot, world frame"),
-        *_pixel("virtual", "where the camera in the place of the eye sees the virtual dot"),
-        *_pixel("real", "where it sees the real dot"),
+        *_pixel("virtual", "position of the virtual dot in the eyeball camera's image"),
+        *_pixel("real", "position of the real dot in that image"),
     ),
     ("capture",),
     (),

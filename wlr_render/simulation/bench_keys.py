@@ -132,45 +132,65 @@ class Section:
         return field.default if field.default_factory is MISSING else field.default_factory()
 
 
-_TURNED_CAMERA = "by which the camera is turned from looking straight ahead: device_from_camera"
-_AXES = "true displacement from the origin = axes @ displacement that is read"
+_WARM_UP = "time constant: at time t the fraction 1 - exp(-t / warm_up_s) of the creep is done"
+_GAZE_RADIUS = "pupil motion with gaze that tracking misses: this radius * (gaze - straight ahead), mm"
+_AXES = "true displacement from `origin` = axes @ displacement read"
 
 SECTIONS = {
     "camera": Section(
         parts.EyeballCamera,
         (
-            Entry("size_px", ("width", "height"), "of the image, pixels", rule=COUNT),
+            Entry("size_px", ("width", "height"), "image size, pixels", rule=COUNT),
             Entry("focal_px", ("fx", "fy"), "focal length, pixels", rule=POSITIVE),
-            Entry("centre_px", ("cx", "cy"), "where the optical axis meets the image, pixels", (), CAMERA_PIXEL),
+            Entry("centre_px", ("cx", "cy"), "principal point, pixels", (), CAMERA_PIXEL),
             Entry("point_sigma_px", ("point_sigma_px",), "repeatability of a point, per axis, pixels", rule=POSITIVE),
-            Entry("distortion", ("distortion",), "k1, k2: seen tangents = true tangents * (1 + k1 r^2 + k2 r^4)", (2,)),
-            Entry("device_from_camera", ("rotation",), f"rotation {_TURNED_CAMERA}", (3, 3), MATRIX, ROTATION),
-            Entry("pupil_offset", ("pupil_offset_mm",), "true minus believed centre of projection", (3,), POINT),
+            Entry(
+                "distortion",
+                ("distortion",),
+                "k1, k2: distorted tangents = true tangents * (1 + k1 r^2 + k2 r^4)",
+                (2,),
+            ),
+            Entry("device_from_camera", ("rotation",), "camera rotation device_from_camera", (3, 3), MATRIX, ROTATION),
+            Entry("pupil_offset", ("pupil_offset_mm",), "true minus nominal centre of projection, mm", (3,), POINT),
         ),
     ),
     "stage": Section(
         parts.Stage,
         (
-            Entry("origin", ("origin",), "reading about which the axes are wrong, mm", (3,), POINT),
+            Entry("origin", ("origin",), "stage reading at which `axes` changes nothing, mm", (3,), POINT),
             Entry("axes", ("axes",), _AXES, (3, 3), MATRIX),
-            Entry("backlash", ("backlash_mm",), "true minus read x after a move to +x, and to -x", (2,), LENGTH),
+            Entry(
+                "backlash",
+                ("backlash_mm",),
+                "true minus read x after a move towards +x, and towards -x, mm",
+                (2,),
+                LENGTH,
+            ),
         ),
     ),
     "target": Section(
         parts.Target,
         (
-            Entry("scale", ("scale",), "true over stated size in x and y", (2,), rule=POSITIVE),
-            Entry("bow", ("bow_per_m",), "one [bx, by], or one a pose: z = bx x^2 + by y^2 in metres", (-1, 2), BOW),
+            Entry("scale", ("scale",), "true size divided by stated size, in x and y", (2,), rule=POSITIVE),
+            Entry(
+                "bow",
+                ("bow_per_m",),
+                "one [bx, by], or one per target pose: z = bx x^2 + by y^2 in metres",
+                (-1, 2),
+                BOW,
+            ),
         ),
     ),
     "mount": Section(
         parts.Mount,
         (
-            Entry("panel_creep", ("panel_creep_mm",), "how far the panel creeps along u and v", (2,), LENGTH),
-            Entry("warm_up_s", ("warm_up_s",), "after t, 1 - exp(-t / warm_up_s) of the creep is done", rule=POSITIVE),
-            Entry("slip_time_s", ("slip_time_s",), "when the headset slips"),
+            Entry("panel_creep", ("panel_creep_mm",), "total creep of the panel along u and v, mm", (2,), LENGTH),
+            Entry("warm_up_s", ("warm_up_s",), _WARM_UP, rule=POSITIVE),
+            Entry("slip_time_s", ("slip_time_s",), "time at which the headset slips, s"),
             Entry("slip", ("slip_mm",), "displacement of the camera in the device frame from then on", (3,), POINT),
-            Entry("slip_rotation", ("slip_rotation_deg",), "its turn about x, y, z from then on", (3,), TURN),
+            Entry(
+                "slip_rotation", ("slip_rotation_deg",), "rotation of the camera about x, y, z from then on", (3,), TURN
+            ),
         ),
     ),
     "readout": Section(
@@ -183,22 +203,37 @@ SECTIONS = {
     "eye_tracking": Section(
         parts.EyeTracking,
         (
-            Entry("bias", ("bias_mm",), "true minus tracked place of the pupil", (3,), POINT),
-            Entry("gaze_radius", ("gaze_radius_mm",), "pupil's way with the gaze that is not tracked", (), LENGTH),
+            Entry("bias", ("bias_mm",), "true minus tracked position of the pupil, mm", (3,), POINT),
+            Entry("gaze_radius", ("gaze_radius_mm",), _GAZE_RADIUS, (), LENGTH),
         ),
     ),
     "clock": Section(
         parts.Clock,
         (
-            Entry("latency_s", ("latency_s",), "from the time a frame is drawn for to its first row's being seen"),
-            Entry("scanout_s", ("scanout_s",), "from the panel's first row to its last"),
+            Entry(
+                "latency_s",
+                ("latency_s",),
+                "delay from the time a frame is drawn for to the display of its first row, s",
+            ),
+            Entry("scanout_s", ("scanout_s",), "time from the display of the panel's first row to its last, s"),
         ),
     ),
     "light": Section(
         parts.Bench,
         (
-            Entry("wavelengths_um", ("channels_um",), "of red, green and blue, micrometres", (3,), rule=POSITIVE),
-            Entry("target_wavelength_um", ("target_um",), "in which targets are seen, micrometres", rule=POSITIVE),
+            Entry(
+                "wavelengths_um",
+                ("channels_um",),
+                "wavelengths of red, green and blue, micrometres",
+                (3,),
+                rule=POSITIVE,
+            ),
+            Entry(
+                "target_wavelength_um",
+                ("target_um",),
+                "wavelength in which targets are observed, micrometres",
+                rule=POSITIVE,
+            ),
         ),
     ),
 }
