@@ -28,6 +28,7 @@ class Verb:
 
 
 VERBS = (
+    Verb("demo", DRAW, "demo:demo", "Draw a scene four ways for one headset and measure the misalignment of each."),
     Verb("trace", DRAW, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
     Verb("render", DRAW, "render:render", "Draw the frames of one or both eyes for a still or moving wearer."),
     Verb("compare", DRAW, "compare:compare", "Measure the error of rasterisation against ray tracing, pixel by pixel."),

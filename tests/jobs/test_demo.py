@@ -1,33 +1,36 @@
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from browser import needs_browser, open_page
 
 from wlr_render.errors import BadInputError
-from wlr_render.jobs import demo as alignment_demo
-from wlr_render.jobs.demo import METHODS, Options, judged_viewpoints, simulated_captures
+from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.image_files import read_png
+from wlr_render.report.blocks import Picture, Plot
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory, small_northstar):
+def finished(tmp_path_factory, small_northstar):
     """The main job on a small panel: its result, and its folder."""
     folder = tmp_path_factory.mktemp("demo")
-    options = Options(small_northstar, "sculpture", viewpoints=5, backend="cpu", out=folder)
-    return alignment_demo.run(options), folder
+    return demo(DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=folder)), folder
 
 
-def overall(result):
+def overall_rows(report):
+    return report.tables[0].rows
+
+
+def overall(report):
     """By method: median, 95 % and maximum in arcminutes, and the number of points."""
-    return {row[0]: row[1:] for row in result.tables[0].rows}
+    return {row[0]: row[1:] for row in report.tables[0].rows}
 
 
 @pytest.mark.slow
-def test_only_the_methods_that_know_the_pupil_land_on_the_object(demo):
-    found = overall(demo[0])
+def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
+    found = overall(finished[0])
     assert tuple(found) == METHODS
     naive, static, raster, traced = (found[method] for method in METHODS)
     for statistic in (0, 1):
@@ -39,38 +42,63 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(demo):
     assert all(500 * 5 < row[3] <= 48 * 54 * 5 for row in found.values())
 
 
-def test_the_static_map_is_right_at_its_own_viewpoint_alone(demo):
-    by_viewpoint = [dict(zip(("viewpoint", *METHODS), row, strict=True)) for row in demo[0].tables[1].rows]
+def test_the_static_map_is_right_at_its_own_viewpoint_alone(finished):
+    by_viewpoint = [dict(zip(("viewpoint", *METHODS), row, strict=True)) for row in finished[0].tables[1].rows]
     assert len(by_viewpoint) == 5
     assert by_viewpoint[0]["static"] < 1
     assert all(row["static"] > 10 for row in by_viewpoint[1:])
     assert all(row["raster + warp"] < 1 for row in by_viewpoint)
 
 
-def test_pictures_and_tables_are_written(demo, small_northstar):
-    result, folder = demo
+def test_pictures_and_tables_are_written(finished):
+    report, folder = finished
     stems = ["naive", "static", "raster-warp", "ray-traced"]
     pictures = ["alignment", "eye-display-off", *(f"{kind}-{stem}" for kind in ("panel", "eye") for stem in stems)]
-    names = [f"{name}.png" for name in pictures] + ["misalignment.md", "misalignment.json"]
+    names = [f"{name}.png" for name in pictures] + ["report.html", "report.md", "report.json"]
     assert sorted(path.name for path in folder.iterdir()) == sorted(names)
+    assert sorted(report.files) == sorted(folder.iterdir())
     panels = [read_png(folder / f"panel-{stem}.png") for stem in stems]
     assert all(panel.shape == (200, 180, 3) for panel in panels)
     views = [read_png(folder / f"eye-{stem}.png") for stem in ("display-off", *stems)]
     assert len({view.shape for view in views}) == 1
-    assert result.picture == folder / "alignment.png"
-    height, width = read_png(result.picture).shape[:2]
+    (picture,) = [block.path for block in report.blocks if isinstance(block, Picture)]
+    assert picture == folder / "alignment.png"
+    height, width = read_png(picture).shape[:2]
     assert width > 2000
     assert height > 800
-    record = json.loads((folder / "misalignment.json").read_text())
-    assert (record["device"], record["seed"]) == ("northstar", 1)
-    rows = record["tables"][0]["rows"]
-    assert [row["median (arcmin)"] for row in rows] == [row[1] for row in result.tables[0].rows]
-    assert result.tables[1].markdown() in (folder / "misalignment.md").read_text()
+    record = json.loads((folder / "report.json").read_text())
+    assert record["record"] == {"device": "northstar", "seed": 1}
+    assert [row["median (arcmin)"] for row in record["tables"][0]["rows"]] == [row[1] for row in overall_rows(report)]
 
 
-def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is_known(demo):
+def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished):
+    report = finished[0]
+    figures = {row[0]: [f"{value:.3g}'" for value in row[1:4]] for row in overall_rows(report)}
+    assert "sculpture on northstar, right eye: misalignment with planar models is" in report.verdict
+    places = [report.verdict.index(f"{f[0]}") for f in (figures[m] for m in ("raster + warp", "static", "naive"))]
+    assert places == sorted(places)
+    for method in ("raster + warp", "static", "naive"):
+        assert all(value in report.verdict for value in figures[method])
+    assert "alignment.png" in report.advice[0]
+
+
+def test_the_plot_of_the_distribution_agrees_with_the_table(finished):
+    (plot,) = [block for block in finished[0].blocks if isinstance(block, Plot)]
+    for trace, row in zip(plot.data, overall_rows(finished[0]), strict=True):
+        assert trace["name"] == row[0]
+        at = dict(zip(trace["y"], trace["x"], strict=True))
+        np.testing.assert_allclose([at[50], at[95], at[100]], row[1:4], rtol=1e-3)
+
+
+@needs_browser
+def test_the_page_opens_with_its_plot(finished, tmp_path):
+    page = open_page(finished[1] / "report.html", tmp_path)
+    assert (page.console, page.plots) == ([], 1)
+
+
+def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is_known(finished):
     """The twin glows green; where it is right, its green follows the brightness of the real object."""
-    folder = demo[1]
+    folder = finished[1]
     real = cv2.cvtColor(read_png(folder / "eye-display-off.png"), cv2.COLOR_RGB2GRAY).astype(float)
     alike = {}
     for stem in ("naive", "static", "raster-warp", "ray-traced"):
@@ -81,11 +109,11 @@ def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_tables(demo, small_northstar, tmp_path):
-    again = alignment_demo.run(Options(small_northstar, "sculpture", viewpoints=5, backend="cpu", out=tmp_path))
-    assert again.tables == demo[0].tables
-    for name in ("misalignment.json", "panel-raster-warp.png", "eye-static.png"):
-        assert (tmp_path / name).read_bytes() == (demo[1] / name).read_bytes()
+def test_the_same_seed_gives_the_same_tables(finished, small_northstar, tmp_path):
+    again = demo(DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=tmp_path))
+    assert again.tables == finished[0].tables
+    for name in ("panel-raster-warp.png", "eye-static.png"):
+        assert (tmp_path / name).read_bytes() == (finished[1] / name).read_bytes()
 
 
 def test_another_seed_gives_other_captures(straight_device):
@@ -105,18 +133,31 @@ def test_judged_viewpoints_are_the_centre_then_others_in_the_box(straight_device
     np.testing.assert_array_equal(places[:5], judged_viewpoints(truth, 5))
 
 
+def test_each_eye_has_captures_of_its_own(straight_device):
+    """Without optics both eyes are the same but for their noise."""
+    right, left = (simulated_captures(open_eye(straight_device, eye), 1).display.view_dir for eye in ("right", "left"))
+    assert np.abs(right - left).max() > 1e-5
+
+
+@pytest.mark.slow
+def test_both_eyes_have_folders_of_their_own(tmp_path, straight_device):
+    report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, backend="cpu", out=tmp_path))
+    assert {path.name for path in tmp_path.iterdir()} == {"left", "right", "report.html", "report.md", "report.json"}
+    assert all((tmp_path / eye / "alignment.png").is_file() for eye in ("left", "right"))
+    assert len(report.tables) == 4
+    assert all(f"no_optics, {eye} eye" in report.verdict for eye in ("left", "right"))
+
+
 @pytest.mark.parametrize(
-    ("options", "sentence"),
+    ("change", "sentence"),
     [
-        (Options(viewpoints=4), "--viewpoints is 4; a statement about the eye box needs 5 or more"),
-        (Options(device="nothstar"), "Did you mean northstar"),
-        (Options(scene="sculptur"), "Did you mean sculpture"),
-        (Options(device="no_optics", eye="left"), "no left eye"),
+        ({"viewpoints": 4}, "--viewpoints is 4; it must be a finite number of 5 or more"),
+        ({"device": "nothstar"}, "Did you mean northstar"),
+        ({"scene": "sculptur"}, "Did you mean sculpture"),
+        ({"device": "no_optics", "eye": "left"}, "no left eye"),
     ],
 )
-def test_faults_are_refused_before_anything_is_written(options, sentence, tmp_path):
-    from dataclasses import replace
-
+def test_faults_are_refused_before_anything_is_written(change, sentence, tmp_path):
     with pytest.raises(BadInputError, match=sentence):
-        alignment_demo.run(replace(options, out=Path(tmp_path / "out")))
+        demo(DemoOptions(out=tmp_path / "out", **change))
     assert not (tmp_path / "out").exists()

@@ -9,8 +9,9 @@ The models are fitted to a simulated calibration of the device; the judge is the
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
-from wlr_render.files import output_folder, write_text
+from wlr_render.files import output_folder
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.demo_picture import (
@@ -32,19 +33,33 @@ from wlr_render.jobs.demo_picture import (
     overview_camera,
     save_picture,
 )
+from wlr_render.jobs.options import (
+    Backend,
+    Eyes,
+    Options,
+    ProgressArgument,
+    Range,
+    Seed,
+    described,
+    eyes_of,
+    folder_of_eye,
+    seed_of,
+)
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.static import undeviated
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import SILENT, Progress
+from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, WarpedPainter
 from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene
-from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.rendering.scene_file import load_scene, scene_path
+from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
+from wlr_render.report.plots import curves
+from wlr_render.report.save import save_report
 from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
@@ -58,59 +73,84 @@ _GRID = (48, 54)
 
 
 @dataclass(frozen=True)
-class Options:
-    """What to run; `viewpoints` is 5 or more, the first is the eye box's centre."""
+class DemoOptions(Options):
+    """Options of `demo`."""
 
-    device: str = "northstar"
-    scene: str = "sculpture"
-    eye: str = "right"
-    viewpoints: int = 7
-    seed: int = 1
-    backend: str = "auto"
-    out: Path = Path("out/demo")
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """Tables of misalignment, and the picture that shows it."""
-
-    tables: list[ReportTable]
-    picture: Path
+    _: KW_ONLY
+    device: Annotated[str, described("A shipped device or a device file (.toml).")] = "northstar"
+    scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")] = "sculpture"
+    eye: Annotated[Eyes, described("Eyes to judge.")] = "right"
+    viewpoints: Annotated[
+        int, described("Number of viewpoints; the first is the centre of the eye box."), Range(at_least=5)
+    ] = 7
+    seed: Seed = 1
+    backend: Backend = "auto"
+    out: Annotated[Path, described("Output folder; each eye has a subfolder if both are judged.")] = Path("out/demo")
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
-    """One viewpoint: what each method shows on the panel, and its misalignment (n,)."""
+class _View:
+    """One viewpoint: what each method shows on the panel, and the misalignment of each, (n,) arcmin."""
 
     viewpoint: FloatArray
     shown: dict[str, NDArray[np.uint8]]
     misalignment: dict[str, FloatArray]
 
 
-def run(options: Options, progress: Progress = SILENT) -> Result:
-    """Fit, draw, look, judge; writes frames, views, the picture and the tables into `options.out`.
+def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = SILENT) -> Report:
+    """Fit models to a simulated calibration, draw with each method, look through the exact optics and judge.
+
+    Writes the frames, the views, the picture and the report into `options.out`.
 
     Raises:
-        BadInputError: unknown device or scene, fewer than 5 viewpoints, an output folder that cannot be written.
+        BadInputError: a faulty device or scene, or an output folder that cannot be written.
     """
-    if options.viewpoints < 5:
-        raise BadInputError(f"--viewpoints is {options.viewpoints}; a statement about the eye box needs 5 or more.")
     device = load_device(options.device)
-    truth = traced_eye(device, options.eye)
+    eyes = {eye: traced_eye(device, eye) for eye in eyes_of(options.eye)}
     scene = load_scene(options.scene)
-    if np.all(scene.bounds[:, 2] >= truth.eye_box.centre[2]):
+    if all(np.all(scene.bounds[:, 2] >= truth.eye_box.centre[2]) for truth in eyes.values()):
         raise BadInputError(f"The scene '{scene.name}' lies wholly behind the head; place it at negative z, in front.")
-    raster_backend = open_raster_backend(scene, options.backend)
+    raster_backend, renderer = open_raster_backend(scene, options.backend), RayRenderer(scene)
     folder = output_folder(options.out)
-    renderer = RayRenderer(scene)
-    painters = _painters(truth, renderer, raster_backend, options.seed)
-    places = judged_viewpoints(truth, options.viewpoints)
-    seen = list(progress(_sights(truth, painters, places), len(places), "viewpoints"))
-    tables = [_overall(truth, scene, seen), _by_viewpoint(seen)]
-    picture = _save_views(folder, device.name, truth, renderer, seen[1])
-    write_text(folder / "misalignment.md", "\n".join(table.markdown() for table in tables))
-    write_text(folder / "misalignment.json", tables_as_json(tables, device=device.name, seed=options.seed))
-    return Result(tables, picture)
+    verdicts: list[str] = []
+    blocks: list[Block] = []
+    files: list[Path] = []
+    for eye, truth in eyes.items():
+        progress.say(f"calibrating the {eye} eye")
+        painters = _painters(truth, renderer, raster_backend, options.seed)
+        places = judged_viewpoints(truth, options.viewpoints)
+        seen = list(progress(_views(truth, painters, places), len(places), f"viewpoints, {eye} eye"))
+        own = output_folder(folder_of_eye(folder, eye, options.eye))
+        files += _save_views(own, device.name, truth, renderer, seen[1])
+        overall = _overall(truth, scene, seen)
+        verdicts.append(_verdict(overall, f"{scene.name} on {device.name}, {eye} eye"))
+        blocks += [
+            Section(f"The {eye} eye"),
+            Picture("What the eye sees", files[-1], "The real object and, in green, its virtual twin by each method."),
+            overall,
+            _by_viewpoint(seen),
+            _distribution(seen),
+        ]
+    report = Report(
+        f"Alignment of {scene.name} on {device.name}",
+        " ".join(verdicts),
+        advice=[f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}."],
+        blocks=blocks,
+        inputs=[device_path(options.device), scene_path(options.scene)],
+        files=files,
+        record={"device": device.name, "seed": options.seed},
+    )
+    return save_report(report, folder, "report")
+
+
+def _verdict(overall: ReportTable, what: str) -> str:
+    rows = {row[0]: [cell_text(cell) for cell in row[1:4]] for row in overall.rows}
+    planar, static, naive = (rows[method] for method in ("raster + warp", "static", "naive"))
+    return (
+        f"{what}: misalignment with planar models is {planar[0]}' in the median ({planar[1]}' at 95 %, {planar[2]}' at "
+        f"most); with one static map {static[0]}' ({static[1]}', {static[2]}'), with a naive flat picture {naive[0]}' "
+        f"({naive[1]}', {naive[2]}')."
+    )
 
 
 def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
@@ -138,21 +178,21 @@ def _painters(
 
 def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
     """A planar calibration with camera noise, plus one position at the centre for the static map."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed_of(seed, truth.eye))
     setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
     planar = stage.planar(truth.eye_box, setup.field.reach, CAMERA_POSITIONS)
     positions = np.concatenate([planar, stage.nominal(truth.eye_box)])
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def _sights(truth: EyeMappings, painters: dict[str, Painter], places: FloatArray) -> Iterator[_Sight]:
+def _views(truth: EyeMappings, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
     for viewpoint in places:
-        sight = _Sight(viewpoint, {}, {})
+        view = _View(viewpoint, {}, {})
         for method, painter in painters.items():
             frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
-            sight.shown[method] = frame.colour
-            sight.misalignment[method] = _misalignment(truth, viewpoint, frame)
-        yield sight
+            view.shown[method] = frame.colour
+            view.misalignment[method] = _misalignment(truth, viewpoint, frame)
+        yield view
 
 
 def _misalignment(truth: EyeMappings, viewpoint: FloatArray, frame: Frame) -> FloatArray:
@@ -166,45 +206,53 @@ def _misalignment(truth: EyeMappings, viewpoint: FloatArray, frame: Frame) -> Fl
     )
 
 
-def _overall(truth: EyeMappings, scene: Scene, seen: list[_Sight]) -> ReportTable:
+def _overall(truth: EyeMappings, scene: Scene, seen: list[_View]) -> ReportTable:
     rows: list[list[Cell]] = []
     for method in METHODS:
-        s = summary(np.concatenate([sight.misalignment[method] for sight in seen]))
+        s = summary(np.concatenate([view.misalignment[method] for view in seen]))
         rows.append([method, s.median, s.p95, s.maximum, s.count])
     columns = ["method", "median (arcmin)", "95 % (arcmin)", "max (arcmin)", "points"]
     title = f"Misalignment of {scene.name} on {truth.name}, {len(seen)} viewpoints in the eye box"
     return ReportTable(title, columns, rows)
 
 
-def _by_viewpoint(seen: list[_Sight]) -> ReportTable:
+def _by_viewpoint(seen: list[_View]) -> ReportTable:
     rows: list[list[Cell]] = []
-    for sight in seen:
-        x, y, z = sight.viewpoint * 1e3
-        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(sight.misalignment[m]).median for m in METHODS)])
+    for view in seen:
+        x, y, z = view.viewpoint * 1e3
+        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(view.misalignment[m]).median for m in METHODS)])
     return ReportTable("Median misalignment (arcmin) by viewpoint", ["viewpoint (mm)", *METHODS], rows)
 
 
-def _save_views(folder: Path, device: str, truth: EyeMappings, renderer: RayRenderer, sight: _Sight) -> Path:
-    """Look through the true optics with each method's picture on the panel."""
+def _distribution(seen: list[_View]) -> Plot:
+    percent = np.linspace(0, 100, 201)
+    errors = {method: np.concatenate([view.misalignment[method] for view in seen]) for method in METHODS}
+    lines = {method: (np.nanpercentile(each, percent), percent) for method, each in errors.items()}
+    axes = ("misalignment (arcmin)", "points with less (%)")
+    return curves("Distribution of misalignment", lines, axes, log_x=True, caption="All viewpoints.")
+
+
+def _save_views(folder: Path, device: str, truth: EyeMappings, renderer: RayRenderer, view: _View) -> list[Path]:
+    """Look through the true optics with each method's picture on the panel; the last file is the picture of all."""
 
     def look(camera: Pinhole) -> EyeView:
-        return eye_view(truth, renderer, sight.viewpoint, HEAD_POSE, camera)
+        return eye_view(truth, renderer, view.viewpoint, HEAD_POSE, camera)
 
-    overview = overview_camera(_content_tangents(truth, renderer.scene, sight.viewpoint))
+    overview = overview_camera(_content_tangents(truth, renderer.scene, view.viewpoint))
     far = look(overview)
     close_up = close_up_camera(overview, busiest_place(overview, far.real))
     near = look(close_up)
-    write_png(folder / "eye-display-off.png", far.real)
+    written = [write_png(folder / "eye-display-off.png", far.real)]
     panoramas = [Panorama("display off", far.real, near.real, "the real object")]
-    for method, shown in sight.shown.items():
+    for method, shown in view.shown.items():
         stem = method.replace(" + ", "-").replace(" ", "-")
-        caption = misalignment_caption(summary(sight.misalignment[method]))
+        caption = misalignment_caption(summary(view.misalignment[method]))
         panorama = Panorama(method, _blended(far, shown), _blended(near, shown), caption)
-        write_png(folder / f"panel-{stem}.png", shown)
-        write_png(folder / f"eye-{stem}.png", panorama.overview)
+        written.append(write_png(folder / f"panel-{stem}.png", shown))
+        written.append(write_png(folder / f"eye-{stem}.png", panorama.overview))
         panoramas.append(panorama)
     heading = f"What the eye sees through {device}: the real {renderer.scene.name} and its virtual twin, in green"
-    return save_picture(folder / "alignment.png", panoramas, (overview, close_up), heading)
+    return [*written, save_picture(folder / "alignment.png", panoramas, (overview, close_up), heading)]
 
 
 def _content_tangents(truth: EyeMappings, scene: Scene, viewpoint: FloatArray) -> FloatArray:
