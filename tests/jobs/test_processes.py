@@ -1,5 +1,6 @@
 """Work in several processes: all of it comes back, and the environment is as before."""
 
+import contextlib
 import math
 import os
 import signal
@@ -55,7 +56,8 @@ def working(tmp_path):
     )
     assert until(lambda: len(list(tmp_path.glob("begun *"))) == 2)
     yield process, [int(each.name.split()[1]) for each in tmp_path.glob("begun *")]
-    process.kill()
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
 
 
