@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.published_data.northstar_vcam import read_northstar_vcam
 from benchmarks.two_views.evidence import viewpoint_evidence
 from benchmarks.two_views.tables import tables
-from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
 from wlr_render.files import output_folder, write_text
 from wlr_render.report.blocks import ReportTable, tables_as_json
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from wlr_render.captures.importers.northstar_vcam import PANEL, read_northstar_vcam
+from benchmarks.published_data.northstar_vcam import PANEL, read_northstar_vcam
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 

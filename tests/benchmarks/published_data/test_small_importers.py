@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from wlr_render.captures.importers.jemr2022_eyetracking import read_gaze_errors
-from wlr_render.captures.importers.osvr_hdk13 import read_osvr_hdk13, relief_swim_arcmin_per_mm
-from wlr_render.captures.importers.vive_hmd_config import read_vive_hmd_config
+from benchmarks.published_data.jemr2022_eyetracking import read_gaze_errors
+from benchmarks.published_data.osvr_hdk13 import read_osvr_hdk13, relief_swim_arcmin_per_mm
+from benchmarks.published_data.vive_hmd_config import read_vive_hmd_config
 from wlr_render.errors import BadInputError
 
 
