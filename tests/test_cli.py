@@ -15,7 +15,6 @@ from wlr_render.errors import MissingGlError
 from wlr_render.files import resource
 from wlr_render.jobs import demo as alignment_demo
 from wlr_render.jobs import render as render_sequence
-from wlr_render.jobs.evaluate import study as sampling_study
 from wlr_render.rendering import gl
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.terminal import print_report
@@ -172,7 +171,6 @@ FAULTS = {
         "viewpoints",
     ),
     "no captures": (lambda f: ["calibrate", "--captures", str(f / "none.npz")], "none.npz"),
-    "unknown experiment": (lambda f: ["evaluate", "--experiment", "densty"], "densty"),
     "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: cannot be read"),
 }
 
@@ -343,18 +341,6 @@ def test_demo_options_reach_the_job_and_its_tables_are_printed(monkeypatch, caps
     assert given == [alignment_demo.Options(), expected]
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("A title", "how much (arcmin)", "1.25", "A note.", "alignment.png"))
-
-
-def test_evaluate_options_reach_the_job(monkeypatch, capsys):
-    given = []
-    report = sampling_study.StudyReport(sampling_study.QUICK, (TABLE,), ())
-    monkeypatch.setattr(sampling_study, "run", lambda options, progress: given.append(options) or report)
-    monkeypatch.setattr(sampling_study, "write", lambda report, out: [out / "study.md"])
-    chosen = ["--device", "northstar", "--device", "freeform40", "--experiment", "position", "--workers", "1"]
-    assert main(["evaluate", "--preset", "full", *chosen, "--seed", "8"]) == 0
-    assert (given[0].devices, given[0].experiments) == (("northstar", "freeform40"), ("position",))
-    assert (given[0].seed, given[0].workers, given[0].repeats) == (8, 1, sampling_study.FULL.repeats)
-    assert capsys.readouterr().out.count("A title") == 1
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):

@@ -32,6 +32,12 @@ VERBS = (
     Verb("trace", DRAW, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
     Verb("render", DRAW, "render:render", "Draw the frames of one or both eyes for a still or moving wearer."),
     Verb("compare", DRAW, "compare:compare", "Measure the error of rasterisation against ray tracing, pixel by pixel."),
+    Verb(
+        "evaluate",
+        EXPLAIN,
+        "evaluate.evaluate:evaluate",
+        "Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs.",
+    ),
 )
 FOLDERS_OF_VERBS = {
     "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),

@@ -2,55 +2,111 @@ import json
 
 import numpy as np
 import pytest
+from browser import needs_browser, open_page
+from small_headsets import changed_device
 
+from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
-from wlr_render.jobs.evaluate import study as sampling_study
-from wlr_render.jobs.evaluate.dense_experiments import dense_cells, dense_findings
-from wlr_render.jobs.evaluate.experiment import Line, Plot, StudyOptions, pooled, spread_note
-from wlr_render.jobs.evaluate.pool import _tasks
-from wlr_render.jobs.evaluate.trials import DisplayTrial, Measure, NoModelTrial, Outcome, SeeThroughTrial
+from wlr_render.jobs.evaluate.evaluate import evaluate
+from wlr_render.jobs.evaluate.experiments import camera_positions, dense, positions_needed
+from wlr_render.jobs.evaluate.study import EvaluateOptions, Study, pooled, spread_note
+from wlr_render.jobs.evaluate.trials import (
+    DisplayTrial,
+    EvaluatedEye,
+    Measure,
+    NoModelTrial,
+    Outcome,
+    SeeThroughTrial,
+    tasks_of,
+)
+from wlr_render.progress import Progress
 
 SEED = 3
+BOX = (10.0, 8.0, 6.0)
+FEW = {"experiment": ("position-errors",), "repeats": 1, "seed": SEED}
+
+
+def display(device, kind, degree, count, **more):
+    return DisplayTrial(device, kind, degree, count, BOX, **more)
+
+
+def see_through(device, kind, degree, count):
+    return SeeThroughTrial(device, kind, degree, count, BOX)
 
 
 def outcome(forward):
     return Outcome({Measure.FORWARD: summary([forward]), Measure.BACKWARD: summary([0.1])})
 
 
-def test_results_do_not_depend_on_the_number_of_workers():
-    few = {"devices": ("birdbath28",), "experiments": ("position",), "repeats": 1, "seed": SEED}
-    heard = []
+def eye(name):
+    return EvaluatedEye(name, "right", BOX, name=name)
 
-    def progress(items, total, label):
+
+class Heard(Progress):
+    def __init__(self):
+        self.totals = []
+
+    def __call__(self, items, total, label):
         for item in items:
-            heard.append(total)
+            self.totals.append(total)
             yield item
 
-    first = sampling_study.run(StudyOptions(**few, workers=1), progress)
-    second = sampling_study.run(StudyOptions(**few, workers=2))
-    assert heard == [3, 3, 3]
-    assert [t.as_record() for t in first.tables] == [t.as_record() for t in second.tables]
+
+def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
+    heard = Heard()
+    first = evaluate(EvaluateOptions(("birdbath28",), **FEW, workers=1, out=tmp_path / "a"), progress=heard)
+    second = evaluate(EvaluateOptions(("birdbath28",), **FEW, workers=2, out=tmp_path / "b"))
+    assert heard.totals == [3, 3, 3]
+    assert first.tables == second.tables
     exact, stage, tracking = first.tables[1].rows[0][1:]
-    assert first.tables[0].rows == [["birdbath28", "-20 to +20 x -11.25 to +11.25 degrees"]]
+    assert first.tables[0].rows == [["birdbath28 (right)", "10 x 8 x 6 mm", "-20 to +20 x -11.25 to +11.25 degrees"]]
     assert exact < 0.01
     # 0.05 mm per axis at the swim of this device, 4.2, 4.6 and 1.1 arcmin per mm on average.
     np.testing.assert_allclose([stage, tracking], 0.05 * np.sqrt(4.2**2 + 4.6**2 + 1.1**2), rtol=0.35)
 
 
+def test_errors_of_position_are_those_given(tmp_path):
+    few = {**FEW, "out": tmp_path, "workers": 1}
+    table = evaluate(EvaluateOptions(("birdbath28",), stage_error_mm=0.0, tracking_error_mm=0.3, **few)).tables[1]
+    exact, stage, tracking = table.rows[0][1:]
+    assert stage == exact
+    assert tracking == pytest.approx(0.3 * np.sqrt(4.2**2 + 4.6**2 + 1.1**2), rel=0.35)
+    assert table.columns[-1] == "eye-tracking error 0.3 mm (arcmin)"
+
+
+def test_the_eye_box_is_the_device_s_own_and_both_eyes_have_their_own_errors(tmp_path):
+    small = changed_device(tmp_path, "northstar", ("[10.0, 8.0, 6.0]", "[6.0, 4.0, 4.0]"))
+    few = {**FEW, "out": tmp_path, "workers": 1}
+    own = evaluate(EvaluateOptions((small,), eye="both", **few))
+    overridden = evaluate(EvaluateOptions(("northstar",), box=(6.0, 4.0, 4.0), **few))
+    shipped = evaluate(EvaluateOptions(("northstar",), **few))
+    assert [row[:2] for row in own.tables[0].rows] == [
+        ["northstar (left)", "6 x 4 x 4 mm"],
+        ["northstar (right)", "6 x 4 x 4 mm"],
+    ]
+    of_own, of_override, of_shipped = (report.tables[1].rows[-1][1] for report in (own, overridden, shipped))
+    assert of_own == of_override
+    assert of_own < 0.99 * of_shipped
+    left, right = (row[2] for row in own.tables[1].rows)
+    # The eyes are mirror images, and their errors of like size, but not the same mirrored errors.
+    assert left == pytest.approx(right, rel=0.5)
+    assert abs(left - right) > 1e-3 * right
+
+
 @pytest.mark.parametrize(
     ("trial", "measure", "expected"),
     [
-        (DisplayTrial("northstar", "planar", 4, 25), Measure.FORWARD, 1.06),
-        (DisplayTrial("northstar", "planar", 5, 25), Measure.FORWARD, 0.243),
-        (DisplayTrial("northstar", "planar", 5, 25), Measure.BACKWARD, 0.171),
-        (DisplayTrial("northstar", "planar", 5, 25), Measure.MOVED_BACK, 0.23),
-        (DisplayTrial("northstar", "planar", 5, 25, camera_noise_arcmin=1.0), Measure.FORWARD, 0.272),
-        (DisplayTrial("northstar", "planar", 5, 25, tracking_error_mm=0.05), Measure.FORWARD, 1.06),
-        (DisplayTrial("northstar", "point-per-pixel", 5, 25), Measure.FORWARD, 10.0),
-        (DisplayTrial("northstar", "static", 5, 1), Measure.FORWARD, 55.9),
-        (SeeThroughTrial("northstar", "planar", 3, 25), Measure.REAL_POINT, 0.017),
-        (NoModelTrial("northstar"), Measure.REAL_POINT, 12.2),
+        (display("northstar", "planar", 4, 25), Measure.FORWARD, 1.06),
+        (display("northstar", "planar", 5, 25), Measure.FORWARD, 0.243),
+        (display("northstar", "planar", 5, 25), Measure.BACKWARD, 0.171),
+        (display("northstar", "planar", 5, 25), Measure.MOVED_BACK, 0.23),
+        (display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0), Measure.FORWARD, 0.272),
+        (display("northstar", "planar", 5, 25, tracking_error_mm=0.05), Measure.FORWARD, 1.06),
+        (display("northstar", "point-per-pixel", 5, 25), Measure.FORWARD, 10.0),
+        (display("northstar", "static", 5, 1), Measure.FORWARD, 55.9),
+        (see_through("northstar", "planar", 3, 25), Measure.REAL_POINT, 0.017),
+        (NoModelTrial(eye("northstar")), Measure.REAL_POINT, 12.2),
     ],
 )
 def test_first_figures_are_reproduced(trial, measure, expected):
@@ -61,8 +117,8 @@ def test_first_figures_are_reproduced(trial, measure, expected):
 
 
 def test_volumetric_sampling_is_refused_the_viewpoints_that_planar_sampling_does_with():
-    planar = DisplayTrial("birdbath28", "planar", 5, 25).run(SEED)
-    volumetric = DisplayTrial("birdbath28", "volumetric", 5, 25).run(SEED)
+    planar = display("birdbath28", "planar", 5, 25).run(SEED)
+    volumetric = display("birdbath28", "volumetric", 5, 25).run(SEED)
     assert planar.rms(Measure.FORWARD) < 0.01
     assert volumetric.cell(Measure.FORWARD) == "refused: needs 56"
     assert np.isnan(volumetric.rms(Measure.FORWARD))
@@ -70,8 +126,7 @@ def test_volumetric_sampling_is_refused_the_viewpoints_that_planar_sampling_does
 
 def test_a_planar_model_never_contradicts_itself_along_a_ray_and_a_volumetric_one_does():
     along = [
-        DisplayTrial("birdbath28", kind, 3, 25).run(SEED).errors[Measure.ALONG_RAY].p95
-        for kind in ("planar", "volumetric")
+        display("birdbath28", kind, 3, 25).run(SEED).errors[Measure.ALONG_RAY].p95 for kind in ("planar", "volumetric")
     ]
     assert along[0] < 1e-6
     assert along[1] > 0.1
@@ -79,40 +134,79 @@ def test_a_planar_model_never_contradicts_itself_along_a_ray_and_a_volumetric_on
 
 def test_a_fault_that_is_no_want_of_viewpoints_is_not_hidden():
     with pytest.raises(BadInputError, match="kind of display model 'cubic'"):
-        DisplayTrial("birdbath28", "cubic", 1, 5).run(SEED)
+        display("birdbath28", "cubic", 1, 5).run(SEED)
 
 
 def test_errors_depend_on_the_field_that_they_are_stated_in():
-    nominal, whole = (DisplayTrial("northstar", "planar", 5, 25, whole_panel=w).run(SEED) for w in (False, True))
+    nominal, whole = (display("northstar", "planar", 5, 25, whole_panel=w).run(SEED) for w in (False, True))
     assert whole.rms(Measure.FORWARD) > 3 * nominal.rms(Measure.FORWARD)
 
 
 def test_each_trial_has_its_own_random_numbers():
-    trial = DisplayTrial("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
-    again = DisplayTrial("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
-    other = DisplayTrial("northstar", "planar", 5, 25, camera_noise_arcmin=1.0, repeat=1)
+    trial = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    again = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    other = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0, repeat=1)
     numbers = [t.rng(SEED).normal() for t in (trial, again, other)] + [trial.rng(SEED + 1).normal()]
     assert numbers[0] == numbers[1]
     assert len(set(numbers)) == 3
 
 
 def test_trials_that_share_captures_make_one_task_and_none_runs_twice():
-    quiet = DisplayTrial("northstar", "planar", 5, 25)
-    noisy = DisplayTrial("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
-    other = DisplayTrial("northstar", "planar", 5, 121)
-    tasks = _tasks([quiet, noisy, other, quiet])
+    quiet = display("northstar", "planar", 5, 25)
+    noisy = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    other = display("northstar", "planar", 5, 121)
+    tasks = tasks_of([quiet, noisy, other, quiet])
     assert tasks == [[other], [quiet, noisy]]
 
 
 def test_the_verdict_on_dense_captures_follows_the_numbers():
-    options = StudyOptions(devices=("a", "b"), degrees=(3,))
-    planar_wins = {("a", 3, "planar"): outcome(1.0), ("a", 3, "volumetric"): outcome(2.0)}
-    volumetric_wins = {("b", 3, "planar"): outcome(1.0), ("b", 3, "volumetric"): outcome(0.5)}
-    assert set(dense_cells(options)) == {*planar_wins, *volumetric_wins}
-    (table,) = dense_findings(options, planar_wins | volumetric_wins).tables
+    forward = {("a", "planar"): 1.0, ("a", "volumetric"): 2.0, ("b", "planar"): 1.0, ("b", "volumetric"): 0.5}
+    study = Study(EvaluateOptions(degrees=(3,)), (eye("a"), eye("b")), lambda t: outcome(forward[t.device, t.kind]))
+    table, plot = dense(study).blocks
     assert "in 1 of 2 cases" in table.notes[0]
-    assert "b N=3 (0.50)" in table.notes[0]
+    assert "b (right) N=3 (0.50)" in table.notes[0]
     assert [row[-1] for row in table.rows] == [2.0, 0.5]
+    assert [(trace["name"], list(trace["y"])) for trace in plot.data] == [
+        (f"{name} (right), {kind}", [value]) for (name, kind), value in forward.items()
+    ]
+
+
+NAN = float("nan")
+ERRORS = {(3, 16): 0.9, (3, 25): 0.8, (3, 49): 0.8, (4, 16): NAN, (4, 25): 0.25, (4, 49): 0.24}
+
+
+@pytest.mark.parametrize(
+    ("changed", "goal", "sentence"),
+    [
+        ({}, None, "E: 25 camera positions suffice: 0.25' rms with N=4; 16 give 0.9'."),
+        ({}, 1.0, "E: 16 camera positions suffice: 0.9' rms with N=3."),
+        ({}, 0.1, "E: none of the numbers of camera positions tried reaches 0.1' rms."),
+        ({(3, 16): NAN}, None, "E: 25 camera positions suffice: 0.25' rms with N=4; 16 are too few for a fit."),
+        # A number that suffices by chance is not taken while a larger one does not.
+        ({(3, 16): 0.2, (4, 49): 0.2}, None, "E: 49 camera positions suffice: 0.2' rms with N=4; 25 give 0.25'. More"),
+    ],
+)
+def test_the_fewest_camera_positions_that_suffice(changed, goal, sentence):
+    assert str(positions_needed("E", ERRORS | changed, goal)).startswith(sentence)
+
+
+def test_camera_positions_are_compared_with_the_errors_of_the_bench():
+    seen = []
+
+    def of(trial):
+        seen.append(trial)
+        if trial.viewpoints < trial.needed_viewpoints:
+            return Outcome({}, "refused: needs some")
+        return outcome(1.0 / trial.viewpoints)
+
+    options = EvaluateOptions(degrees=(4,), counts=(49, 12, 16), noise_arcmin=0.5, stage_error_mm=0.02, repeats=2)
+    found = camera_positions(Study(options, [eye("a")], of))
+    table, other, plot = found.blocks
+    assert {(t.camera_noise_arcmin, t.stage_error_mm, t.repeat) for t in seen} == {(0.5, 0.02, 0), (0.5, 0.02, 1)}
+    assert table.rows == [["a (right)", 4, "refused: needs some", 1 / 16, 1 / 49]]
+    assert other.rows == [["a (right)", 4, 35, 1 / 35, 52, 1 / 52]]
+    assert plot.data[0]["x"] == [12, 16, 49]
+    assert found.verdict[0].startswith("a (right): 49 camera positions suffice: 0.02' rms with N=4; 16 give 0.062'.")
 
 
 def test_repetitions_are_pooled_by_their_squares_and_their_spread_is_told():
@@ -123,29 +217,45 @@ def test_repetitions_are_pooled_by_their_squares_and_their_spread_is_told():
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("arguments", "words"),
     [
-        (StudyOptions(experiments=("density",)), "no experiment 'density'"),
-        (StudyOptions(repeats=0), "repetitions is 0"),
-        (StudyOptions(degrees=()), "no degree"),
-        (StudyOptions(devices=()), "no device"),
+        (["--experiment", "densty"], "densty"),
+        (["--repeats", "0"], "--repeats is 0"),
+        (["--degrees", "13"], "--degrees is 13"),
+        (["--experiment", "field", "--degrees", "3"], "--degrees is used with --experiment camera-positions or"),
+        (["--experiment", "dense", "--noise-arcmin", "1"], "--noise-arcmin is used with"),
+        (["--box", "10x8"], "--box is 10x8; give width, height and depth in mm"),
+        (["--box", "10x8x0"], "--box is 0.0; it must be a finite number above 0"),
+        (["no-such-device"], "no-such-device"),
+        (["no_optics", "--eye", "left"], "no left eye"),
     ],
 )
-def test_impossible_studies_are_refused_before_they_start(options, words):
-    with pytest.raises(BadInputError, match=words):
-        sampling_study.run(options)
+def test_impossible_studies_are_refused_before_they_start(arguments, words, tmp_path, capsys):
+    assert main(["evaluate", *arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
-def test_reports_are_written(tmp_path):
-    options = StudyOptions(devices=("a",), degrees=(3, 4))
-    cells = {key: outcome(0.1) for key in dense_cells(options)}
-    found = dense_findings(options, cells)
-    gap = Plot("gap", "a gap", "x", "y", (Line("a, planar", [1, 2], [float("nan"), 2.0]),))
-    report = sampling_study.StudyReport(options, found.tables, (*found.plots, gap))
-    paths = sampling_study.write(report, tmp_path / "out")
-    assert [p.name for p in paths] == ["study.md", "study.json", "error_over_degree.png", "gap.png"]
-    assert all(p.read_bytes().startswith(b"\x89PNG") for p in paths[2:])
-    record = json.loads(paths[1].read_text())
-    assert record["options"]["degrees"] == [3, 4]
-    assert record["tables"][0]["rows"][0]["forward rms, planar (arcmin)"] == pytest.approx(0.1)
-    assert "![a gap](gap.png)" in paths[0].read_text()
+def test_empty_lists_and_unknown_experiments_are_refused(tmp_path):
+    with pytest.raises(BadInputError, match="--experiment is densty; choose from camera-positions, dense"):
+        EvaluateOptions(experiment=("dense", "densty"))
+    for name in ("device", "experiment", "degrees", "counts"):
+        with pytest.raises(BadInputError, match=f"{name} is empty"):
+            evaluate(EvaluateOptions(**{name: ()}, out=tmp_path))
+
+
+@needs_browser
+def test_the_page_has_its_plots_and_the_json_their_points(tmp_path):
+    arguments = ["evaluate", "birdbath28", "--experiment", "camera-positions", "eye-box", "--degrees", "3"]
+    assert main([*arguments, "--counts", "10", "12", "--workers", "1", "--out", str(tmp_path)]) == 0
+    page = open_page(tmp_path / "report.html", tmp_path)
+    assert (page.plots, page.console) == (2, [])
+    record = json.loads((tmp_path / "report.json").read_text())
+    planar = record["tables"][1]["rows"][0]
+    points = [planar["10 positions (arcmin)"], planar["12 positions (arcmin)"]]
+    assert record["plots"][0]["data"][0]["y"] == pytest.approx(points, rel=1e-3)
+    assert record["record"]["camera-positions"]["camera_positions_needed"][0]["positions"] == 10
+    assert record["record"]["options"]["degrees"] == [3]
+    assert record["verdict"].startswith("birdbath28 (right): 10 camera positions suffice: 0.1")

@@ -30,6 +30,14 @@ def test_logarithmic_colours_have_marks_at_decades():
     assert trace["zmin"] == pytest.approx(np.log10(2e-3))
 
 
+def test_grouped_curves_share_colours_by_group_and_dashes_by_kind():
+    points = ([1, 2], [3.0, 4.0])
+    plot = curves("Error", dict.fromkeys(("a, x", "a, y", "b, x"), points), ("N", "rms"), grouped=True)
+    (ax, ay, bx) = (trace["line"] for trace in plot.data)
+    assert ax["color"] == ay["color"] != bx["color"]
+    assert ax["dash"] == bx["dash"] != ay["dash"]
+
+
 def test_blocks_at_the_border_hold_what_is_there():
     np.testing.assert_array_equal(block_maxima(np.arange(15.0).reshape(3, 5), 2), [[6, 8, 9], [11, 13, 14]])
 

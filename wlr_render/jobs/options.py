@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 from wlr_render.errors import BadInputError
 from wlr_render.progress import Progress
@@ -49,9 +49,10 @@ class OnlyWith:
     values: tuple[object, ...]
 
 
-def described(text: str, *, name: str | None = None, flag: bool = False) -> Parameter:
-    """Help text of an option; `name` replaces the one made from the field's name."""
-    return Parameter(name=name, help=text, show_default=False if flag else None)
+def described(text: str, *, name: str | None = None, flag: bool = False, many: bool = False) -> Parameter:
+    """Help text of an option; `name` replaces the one made from the field's name, `many` takes several values."""
+    listed = (lambda values: " ".join(map(str, values))) if many else None
+    return Parameter(help=text, name=name, show_default=False if flag else listed, consume_multiple=many or None)
 
 
 @Parameter(name="*")
@@ -70,10 +71,13 @@ class Options:
                     self._check_used(field.name, note)
 
     def _check_choice(self, name: str, value: object) -> None:
-        choices = _choices(typing.get_type_hints(type(self))[name])
-        if choices and value not in choices:
-            known = ", ".join(str(choice) for choice in choices if choice is not None)
-            raise BadInputError(f"{flag_of(type(self), name)} is {value}; choose from {known}.")
+        hint = typing.get_type_hints(type(self))[name]
+        several = typing.get_origin(hint) is tuple and isinstance(value, tuple)
+        choices = _choices(typing.get_args(hint)[0] if several else hint)
+        for each in value if several and isinstance(value, tuple) else (value,):
+            if choices and each not in choices:
+                known = ", ".join(str(choice) for choice in choices if choice is not None)
+                raise BadInputError(f"{flag_of(type(self), name)} is {each}; choose from {known}.")
 
     def _check_range(self, name: str, value: object, limits: Range) -> None:
         numbers: Sequence[Any] = value if isinstance(value, Sequence) else [value]
@@ -82,7 +86,8 @@ class Options:
                 raise BadInputError(f"{flag_of(type(self), name)} is {number}; it must be {limits.sentence()}.")
 
     def _check_used(self, name: str, needs: OnlyWith) -> None:
-        if getattr(self, needs.option) not in needs.values:
+        given = getattr(self, needs.option)
+        if not any(value in needs.values for value in (given if isinstance(given, tuple) else (given,))):
             wanted = " or ".join(f"{flag_of(type(self), needs.option)} {value}" for value in needs.values)
             raise BadInputError(
                 f"{flag_of(type(self), name)} is used with {wanted} only; leave it out, or give {wanted}."
@@ -132,6 +137,30 @@ Workers = Annotated[
 ]
 Degree = Range(at_least=1, at_most=12)
 """Limits of polynomial degrees and of rays per pixel and axis: more only costs time."""
+
+
+_BOX_HELP = (
+    "Eye box: width, height and depth in mm, e.g. 10x8x6, about the centre of the device's own one (default: the "
+    "device's own)."
+)
+
+
+def _box_size(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:
+    try:
+        edges = tuple(float(edge) for edge in tokens[0].value.lower().split("x"))
+    except ValueError:
+        edges = ()
+    if len(edges) != 3:
+        raise BadInputError(f"--box is {tokens[0].value}; give width, height and depth in mm, e.g. 10x8x6.")
+    return edges
+
+
+BoxSize = Annotated[
+    tuple[float, float, float] | None,
+    Parameter(converter=_box_size, n_tokens=1, accepts_keys=False, metavar="WxHxD", help=_BOX_HELP, name="--box"),
+    Range(above=0),
+]
+"""Edge lengths of an eye box in millimetres; None for the device's own eye box."""
 
 
 def eyes_of(eye: Eyes) -> tuple[Eye, ...]:

@@ -13,6 +13,9 @@ from wlr_render.report.blocks import Plot
 MAX_CELLS = 200
 """Cells of a heat map, across and down: more cannot be told apart in a page and would only make it slow."""
 
+_COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
+_DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+
 
 def curves(
     title: str,
@@ -21,13 +24,25 @@ def curves(
     *,
     log_x: bool = False,
     log_y: bool = False,
+    grouped: bool = False,
     caption: str = "",
 ) -> Plot:
-    """Named curves (x, y) in one diagram; `axes` are the titles of x and y, units included."""
-    data = [
+    """Named curves (x, y) in one diagram; `axes` are the titles of x and y, units included.
+
+    If `grouped`, names are "GROUP, KIND", e.g. a device and its model: each group has a colour, each kind a dash
+    pattern, and the points are marked.
+    """
+    data: list[dict[str, Any]] = [
         {"type": "scatter", "mode": "lines", "name": name, "x": _rounded(x), "y": _rounded(y)}
         for name, (x, y) in lines.items()
     ]
+    if grouped:
+        groups, kinds = ({name.partition(", ")[part]: None for name in lines} for part in (0, 2))
+        for trace in data:
+            group, _, kind = trace["name"].partition(", ")
+            colour, dash = list(groups).index(group), list(kinds).index(kind)
+            line = {"color": _COLOURS[colour % len(_COLOURS)], "dash": _DASHES[dash % len(_DASHES)]}
+            trace |= {"mode": "lines+markers", "line": line}
     layout = {"xaxis": _axis(axes[0], log_x), "yaxis": _axis(axes[1], log_y), "hovermode": "closest"}
     return Plot(title, data, layout, caption)
 

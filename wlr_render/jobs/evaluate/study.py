@@ -1,109 +1,149 @@
-"""Planar against volumetric sampling and the baselines: a Monte Carlo study on simulated captures of traced devices."""
+"""Options of `evaluate`, and what its experiments share."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from wlr_render import files
-from wlr_render.errors import BadInputError
-from wlr_render.jobs.evaluate import plots as sampling_plots
-from wlr_render.jobs.evaluate.capture_experiments import NOISE_EXPERIMENT, POSITION_EXPERIMENT, VIEWPOINT_EXPERIMENT
-from wlr_render.jobs.evaluate.dense_experiments import (
-    DENSE_EXPERIMENT,
-    DEPTH_EXPERIMENT,
-    EYE_BOX_EXPERIMENT,
-    FIELD_EXPERIMENT,
+import numpy as np
+
+from wlr_render.jobs.evaluate.trials import (
+    AnyTrial,
+    DisplayTrial,
+    EvaluatedEye,
+    Measure,
+    Outcome,
+    SeeThroughTrial,
+    Trial,
 )
-from wlr_render.jobs.evaluate.experiment import Experiment, Plot, StudyOptions
-from wlr_render.jobs.evaluate.pool import run_all
-from wlr_render.jobs.evaluate.see_through_experiment import SEE_THROUGH_EXPERIMENT
-from wlr_render.jobs.evaluate.world import EYE_BOX_MM, TEST_RAYS, TEST_VIEWPOINTS, Setting, truth
-from wlr_render.optics.device_file import load_device
-from wlr_render.progress import SILENT, Progress
-from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.jobs.options import BoxSize, Degree, Eyes, OnlyWith, Options, Range, Seed, Workers, described
+from wlr_render.report.blocks import Block, Cell
 
-EXPERIMENTS: dict[str, Experiment] = {
-    experiment.name: experiment
-    for experiment in (
-        DENSE_EXPERIMENT,
-        VIEWPOINT_EXPERIMENT,
-        NOISE_EXPERIMENT,
-        POSITION_EXPERIMENT,
-        DEPTH_EXPERIMENT,
-        EYE_BOX_EXPERIMENT,
-        FIELD_EXPERIMENT,
-        SEE_THROUGH_EXPERIMENT,
-    )
-}
-
-QUICK = StudyOptions()
-"""About a minute on two cores."""
-FULL = StudyOptions(devices=(*QUICK.devices, "prism5701202"), degrees=(3, 4, 5, 6, 7), repeats=10)
-"""Everything, in some ten minutes."""
+ExperimentName = Literal[
+    "camera-positions", "dense", "noise", "position-errors", "depth", "eye-box", "field", "see-through"
+]
+NOT_NEGATIVE = Range(at_least=0)
+AnyOwnTrial = TypeVar("AnyOwnTrial", bound=Trial)
 
 
 @dataclass(frozen=True)
-class StudyReport:
-    """What a study found."""
+class EvaluateOptions(Options):
+    """Options of `evaluate`."""
 
-    options: StudyOptions
-    tables: tuple[ReportTable, ...]
-    plots: tuple[Plot, ...]
+    device: Annotated[tuple[str, ...], described("Shipped devices or device files (.toml).", many=True)] = (
+        "northstar",
+        "freeform40",
+        "birdbath28",
+    )
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes to evaluate.")] = "right"
+    box: BoxSize = None
+    experiment: Annotated[
+        tuple[ExperimentName, ...], described("Experiments to run, one or more (default: all).", flag=True, many=True)
+    ] = get_args(ExperimentName)
+    degrees: Annotated[
+        tuple[int, ...],
+        described("Polynomial degrees of the display model.", many=True),
+        Degree,
+        OnlyWith("experiment", ("camera-positions", "dense", "depth")),
+    ] = (3, 4, 5)
+    counts: Annotated[
+        tuple[int, ...],
+        described("Numbers of camera positions to compare.", many=True),
+        Range(at_least=1, at_most=1000),
+        OnlyWith("experiment", ("camera-positions",)),
+    ] = (12, 16, 21, 25, 36, 49, 81, 121)
+    goal_arcmin: Annotated[
+        float | None,
+        described("RMS error in arcmin that suffices (default: at most 10 % above the smallest error found)."),
+        Range(above=0),
+        OnlyWith("experiment", ("camera-positions",)),
+    ] = None
+    noise_arcmin: Annotated[
+        float | None,
+        described("Camera noise of your bench in arcmin per axis (default: none; 1' in see-through)."),
+        NOT_NEGATIVE,
+        OnlyWith("experiment", ("camera-positions", "noise", "see-through")),
+    ] = None
+    stage_error_mm: Annotated[
+        float | None,
+        described("Camera position error of your bench in mm per axis (default: none; 0.05 in position-errors)."),
+        NOT_NEGATIVE,
+        OnlyWith("experiment", ("camera-positions", "position-errors")),
+    ] = None
+    tracking_error_mm: Annotated[
+        float,
+        described("Error of eye tracking in mm per axis."),
+        NOT_NEGATIVE,
+        OnlyWith("experiment", ("position-errors",)),
+    ] = 0.05
+    repeats: Annotated[
+        int, described("Repetitions of each trial with random errors."), Range(at_least=1, at_most=1000)
+    ] = 3
+    seed: Seed = 1
+    workers: Workers = None
+    out: Annotated[Path, described("Output folder.")] = Path("out/evaluate")
 
 
-def run(options: StudyOptions = QUICK, progress: Progress = SILENT) -> StudyReport:
-    """Run the experiments; trials that several of them need are run once.
+@dataclass(frozen=True)
+class Findings:
+    """Result of an experiment.
 
-    Raises:
-        BadInputError: an unknown experiment or device, no device, no degree or no repetition.
+    Attributes:
+        blocks: tables and plots.
+        verdict: sentences, one for each eye; those of the first experiment stand at the top of the report.
+        record: data for the JSON beside tables and plots.
     """
-    chosen = [_experiment(name) for name in options.experiments or EXPERIMENTS]
-    _check(options)
-    cells = [experiment.cells(options) for experiment in chosen]
-    trials = [trial for each in cells for trial in each.values()]
-    outcomes = run_all(trials, options.seed, options.workers, progress)
-    found = [
-        experiment.findings(options, {key: outcomes[trial] for key, trial in each.items()})
-        for experiment, each in zip(chosen, cells, strict=True)
-    ]
-    tables = tuple(table for findings in found for table in findings.tables)
-    return StudyReport(
-        options, (_conditions(options), *tables), tuple(plot for findings in found for plot in findings.plots)
-    )
+
+    blocks: Sequence[Block]
+    verdict: Sequence[str] = ()
+    record: object = None
 
 
-def write(report: StudyReport, folder: str | Path) -> list[Path]:
-    """Write study.md, study.json and one picture per plot into a folder; return their paths."""
-    into = files.output_folder(folder)
-    pictures = [sampling_plots.draw(plot, into / f"{plot.name}.png") for plot in report.plots]
-    shown = [f"![{plot.title}]({plot.name}.png)\n" for plot in report.plots]
-    text = "\n".join(["# Sampling study\n", *(table.markdown() for table in report.tables), *shown])
-    record = tables_as_json(report.tables, options=asdict(report.options))
-    return [files.write_text(into / "study.md", text), files.write_text(into / "study.json", record), *pictures]
+@dataclass(frozen=True)
+class Study:
+    """Options and eyes of a study, and the outcomes of its trials.
+
+    An experiment is a function of a study. It is called twice: first with `outcome_of` recording the trials that it
+    needs and returning empty outcomes, then with their true outcomes.
+    """
+
+    options: EvaluateOptions
+    eyes: Sequence[EvaluatedEye]
+    outcome_of: Callable[[AnyTrial], Outcome]
+
+    def display(self, eye: EvaluatedEye, kind: str, degree: int, count: int) -> Outcome:
+        """The outcome of an error-free trial of the display model."""
+        return self.outcome_of(trial_at(DisplayTrial, eye, kind, degree, count))
+
+    def repeated(self, trial: DisplayTrial | SeeThroughTrial) -> list[Outcome]:
+        """Outcomes of a trial's repetitions; a trial without random errors runs once."""
+        times = self.options.repeats if trial.has_random_errors else 1
+        return [self.outcome_of(replace(trial, repeat=k)) for k in range(times)]
 
 
-def _conditions(options: StudyOptions) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for device in options.devices:
-        rows.append([device, str(truth(Setting(device)).field or "whole panel")])
-    box = " x ".join(f"{edge:g}" for edge in EYE_BOX_MM) + " mm"
-    notes = (
-        "Captures are taken and errors are stated in this field. It is a choice, and they depend on it: the table"
-        " 'Size of the field' has the whole panel beside it.",
-        f"Each rms is over {TEST_RAYS} rays from each of {TEST_VIEWPOINTS} random viewpoints in an eye box of {box}.",
-    )
-    return ReportTable("Conditions", ["device", "field, horizontal x vertical"], rows, notes)
+def trial_at(
+    trial: type[AnyOwnTrial], eye: EvaluatedEye, kind: str, degree: int, count: int, **errors: Any
+) -> AnyOwnTrial:
+    """A trial of an eye; `errors` are the fields of the trial that state errors of the bench."""
+    where: dict[str, Any] = {"whole_panel": eye.whole_panel, "eye": eye.eye}
+    return trial(eye.device, kind, degree, count, eye.eye_box_mm, **where, **errors)
 
 
-def _check(options: StudyOptions) -> None:
-    if options.repeats < 1:
-        raise BadInputError(f"the number of repetitions is {options.repeats}; give at least 1.")
-    if not options.degrees or not options.devices:
-        raise BadInputError(f"there is no {'device' if options.degrees else 'degree'} to study; give at least one.")
-    for device in options.devices:
-        load_device(device)
+def pooled(outcomes: Sequence[Outcome], measure: Measure) -> float:
+    """Root mean square over repetitions of equal size."""
+    return float(np.sqrt(np.mean([outcome.rms(measure) ** 2 for outcome in outcomes])))
 
 
-def _experiment(name: str) -> Experiment:
-    if name not in EXPERIMENTS:
-        raise BadInputError(f"there is no experiment '{name}'; choose from {', '.join(EXPERIMENTS)}.")
-    return EXPERIMENTS[name]
+def pooled_cell(outcomes: Sequence[Outcome], measure: Measure) -> Cell:
+    """`pooled` for a table, or why there is no model."""
+    return outcomes[0].refused or pooled(outcomes, measure)
+
+
+def spread_note(groups: Sequence[Sequence[Outcome]], measure: Measure) -> str:
+    """How much repetitions differ, in words."""
+    repeated = [[outcome.rms(measure) for outcome in group] for group in groups if len(group) > 1]
+    if not repeated:
+        return "Random errors were drawn once: raise the number of repetitions to see the spread."
+    worst = max(np.std(values, ddof=1) / np.mean(values) for values in repeated)
+    return f"Over {len(repeated[0])} repetitions each rms varies by at most {100 * worst:.2g} % (standard deviation)."

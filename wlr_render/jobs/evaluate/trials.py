@@ -1,9 +1,11 @@
-"""One trial of the sampling study: capture, fit, and judge by true sightings."""
+"""Trials: simulate captures of a traced device, fit a model to them, and measure its errors at random viewpoints."""
 
 import zlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import lru_cache, partial
 from typing import TypeVar
 
 import numpy as np
@@ -17,10 +19,14 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.designs import camera_positions
-from wlr_render.jobs.evaluate import world
-from wlr_render.mappings import DisplayMapping
+from wlr_render.jobs.processes import as_finished
+from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
 from wlr_render.numerics.polynomial import term_count
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.progress import Progress
 from wlr_render.report.blocks import Cell
+from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,
     simulate_display,
@@ -29,18 +35,100 @@ from wlr_render.simulation.simulate_captures import (
 )
 
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
+BoxSize = tuple[float, float, float]
 
+TEST_VIEWPOINTS = 128
+TEST_RAYS = 64
+"""From each test viewpoint."""
+NEAREST_M, FARTHEST_M = 0.3, 5.0
+"""Distances of real points."""
 BACK_M = 0.010
 """How far viewpoints are moved back along their own rays in the depth experiment."""
 
 
+@dataclass(frozen=True)
+class EvaluatedEye:
+    """One eye of a device, its eye box, and its field of view.
+
+    Attributes:
+        device: a shipped device's name, or the path of its file.
+        eye: "left" or "right".
+        eye_box_mm: edge lengths of the eye box, about the centre of the device's own.
+        whole_panel: the whole panel is captured and evaluated instead of the nominal field.
+        name: of the device.
+    """
+
+    device: str
+    eye: str
+    eye_box_mm: BoxSize
+    whole_panel: bool = False
+    name: str = field(default="", compare=False)
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.eye})"
+
+
+# Exact tracing costs far more than a fit, so each process traces a device, its captures and its test rays once.
+
+
+@lru_cache
+def truth(at: EvaluatedEye) -> EyeMappings:
+    """The traced eye."""
+    device = load_device(at.device)
+    eye = traced_eye(device, at.eye)
+    box = EyeBox(eye.eye_box.centre, np.array(at.eye_box_mm) * 1e-3)
+    return replace(eye, name=device.name, eye_box=box, field=None if at.whole_panel else eye.field)
+
+
+@lru_cache
+def capture_setup(at: EvaluatedEye) -> CaptureSetup:
+    """A bench without errors; its camera sees the nominal field, if the device has one."""
+    eye = truth(at)
+    return CaptureSetup(eye, camera_field=eye.field)
+
+
+@lru_cache(maxsize=16)
+def exact_display(at: EvaluatedEye, kind: str, count: int) -> DisplayCaptures:
+    """Noise-free captures of the panel."""
+    setup = capture_setup(at)
+    return simulate_display(setup, camera_positions(setup, kind, count), np.random.default_rng(0))
+
+
+@lru_cache(maxsize=16)
+def exact_see_through(at: EvaluatedEye, kind: str, count: int) -> SeeThroughCaptures:
+    """Noise-free captures of the targets."""
+    setup = capture_setup(at)
+    return simulate_see_through(setup, camera_positions(setup, kind, count), np.random.default_rng(0))
+
+
+@lru_cache
+def display_sightings(at: EvaluatedEye, seed: int) -> mapping_error.DisplaySightings:
+    """Directions in the field, or pixels of the whole panel, from random viewpoints, most off the base plane."""
+    setup = capture_setup(at)
+    rng = np.random.default_rng(seed)
+    viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, TEST_VIEWPOINTS, rng)[:, None]
+    if setup.truth.field is None:
+        pixel = rng.uniform(0.0, 1.0, (TEST_VIEWPOINTS, TEST_RAYS, 2)) * setup.truth.display.panel.size_px
+        return mapping_error.sightings_of_pixels(setup.truth.display, viewpoint, pixel)
+    view_dir = setup.camera_dirs()[rng.integers(0, len(setup.camera_dirs()), (TEST_VIEWPOINTS, TEST_RAYS))]
+    return mapping_error.sightings_of_dirs(setup.truth.display, viewpoint, view_dir)
+
+
+@lru_cache
+def see_through_sightings(at: EvaluatedEye, seed: int) -> mapping_error.SeeThroughSightings:
+    """Real points in those directions, at depths uniform in dioptres."""
+    seen = display_sightings(at, seed)
+    dioptres = np.random.default_rng(seed + 1).uniform(1.0 / FARTHEST_M, 1.0 / NEAREST_M, len(seen.pixel))
+    return mapping_error.see_through_sightings(truth(at).see_through, seen.viewpoint, seen.view_dir, 1.0 / dioptres)
+
+
 class Measure(StrEnum):
-    """What an outcome holds errors of, all at random viewpoints of the eye box.
+    """A kind of error, always at random viewpoints of the eye box.
 
     FORWARD: direction of a pixel. BACKWARD: pixel of a direction. MOVED_BACK: as FORWARD, from `BACK_M` farther back
-    along the same rays. ALONG_RAY: between the model's answers at two points of one of its rays, the eye box's depth
-    apart. REAL_POINT: direction of a real point. REAL_RAY: direction of the real ray of a view direction. MISS: by
-    which that ray misses the real point.
+    along the same rays. ALONG_RAY: angle between the model's answers at two points of one of its rays, the eye box's
+    depth apart. REAL_POINT: direction of a real point. REAL_RAY: direction of the real ray of a view direction. MISS:
+    distance of that ray from the real point.
     """
 
     FORWARD = "forward (arcmin)"
@@ -54,14 +142,18 @@ class Measure(StrEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a trial: errors, or why there is no model."""
+    """Result of a trial: errors, or why no model could be fitted."""
 
     errors: Mapping[Measure, Summary]
     refused: str = ""
 
     def rms(self, measure: Measure) -> float:
-        """Root mean square error; NaN where there is no model."""
+        """Root mean square error; NaN without a model."""
         return self.errors[measure].rms if measure in self.errors else float("nan")
+
+    def p95(self, measure: Measure) -> float:
+        """95th percentile of an error; NaN without a model."""
+        return self.errors[measure].p95 if measure in self.errors else float("nan")
 
     def cell(self, measure: Measure) -> Cell:
         """`rms` for a table, or why there is none."""
@@ -70,50 +162,58 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Trial:
-    """What is varied; trials are compared by value, so that experiments share them.
+    """The bench and the model of a trial; equal trials run once.
 
     Attributes:
         device: a shipped device's name, or the path of its file.
-        kind: of the model; it also decides where the captures are taken.
+        kind: model type; it also decides where the camera stands.
         degree: total degree N.
         viewpoints: number of camera positions.
-        eye_box_mm: the eye box.
-        camera_noise_arcmin, stage_error_mm: errors of the bench.
+        eye_box_mm: edge lengths of the eye box.
+        camera_noise_arcmin, stage_error_mm: standard deviations per axis of the bench's errors.
         repeat: number of the repetition, for other random errors.
-        whole_panel: all that the panel shows is captured and judged, not only the nominal field.
+        whole_panel: the whole panel is captured and evaluated instead of the nominal field.
+        eye: "left" or "right".
     """
 
     device: str
     kind: str
     degree: int
     viewpoints: int
-    eye_box_mm: world.BoxSize = world.EYE_BOX_MM
+    eye_box_mm: BoxSize
     camera_noise_arcmin: float = 0.0
     stage_error_mm: float = 0.0
     repeat: int = 0
     whole_panel: bool = False
+    eye: str = field(default="right", repr=False)
 
     @property
-    def setting(self) -> world.Setting:
-        """Where captures are taken and errors are stated."""
-        return world.Setting(self.device, self.eye_box_mm, self.whole_panel)
+    def at(self) -> EvaluatedEye:
+        """The eye that the trial evaluates."""
+        return EvaluatedEye(self.device, self.eye, self.eye_box_mm, self.whole_panel)
+
+    @property
+    def has_random_errors(self) -> bool:
+        """Whether repetitions differ."""
+        return bool(self.camera_noise_arcmin or self.stage_error_mm)
 
     @property
     def needed_viewpoints(self) -> int:
-        """The least number of camera positions that determine the model: as many as a polynomial in them has terms."""
+        """Fewest camera positions that determine the model: the number of terms of a polynomial in the position."""
         axes = {"planar": 2, "volumetric": 3}.get(self.kind, 0)
         return term_count(axes, self.degree)
 
     def refusal(self, fault: BadInputError) -> Outcome:
-        """The outcome of a refused fit; the fault goes on where too few camera positions do not explain it."""
+        """The outcome of a refused fit; raises the fault if there were enough camera positions."""
         if self.viewpoints >= self.needed_viewpoints:
             raise fault
         return Outcome({}, f"refused: needs {self.needed_viewpoints}")
 
     def rng(self, seed: int) -> np.random.Generator:
-        """The trial's own random numbers: they depend on the study's seed and the trial, on nothing else."""
+        """Random numbers that depend on the seed, the eye and the trial alone."""
+        eye = () if self.eye == "right" else (1,)
         key = zlib.crc32(repr(self).encode())
-        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key, *eye)))
 
 
 @dataclass(frozen=True)
@@ -121,15 +221,20 @@ class DisplayTrial(Trial):
     """A trial of the display model.
 
     Attributes:
-        tracking_error_mm: standard deviation per axis of the viewpoint that the fitted model is asked at.
+        tracking_error_mm: standard deviation per axis of the viewpoint at which the fitted model is queried.
     """
 
     tracking_error_mm: float = 0.0
 
+    @property
+    def has_random_errors(self) -> bool:
+        """Whether repetitions differ."""
+        return super().has_random_errors or bool(self.tracking_error_mm)
+
     def run(self, seed: int) -> Outcome:
-        """Fit and judge, unless the fit is refused for want of camera positions."""
+        """Fit and evaluate; too few camera positions give a refused outcome."""
         rng = self.rng(seed)
-        captures = _measured(self, world.exact_display, simulate_display, rng)
+        captures = _measured(self, exact_display, simulate_display, rng)
         try:
             model, _ = fit_display(captures, self.kind, self.degree)
         except BadInputError as fault:
@@ -137,7 +242,7 @@ class DisplayTrial(Trial):
         return Outcome(self._errors(model, rng, seed))
 
     def _errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[Measure, Summary]:
-        sightings = world.display_sightings(self.setting, seed)
+        sightings = display_sightings(self.at, seed)
         offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, sightings.viewpoint.shape)
         error = mapping_error.display_error(model, mapping_error.displaced(sightings, offset))
         back = mapping_error.moved_back(sightings, BACK_M)
@@ -162,14 +267,13 @@ class SeeThroughTrial(Trial):
     """A trial of the see-through model."""
 
     def run(self, seed: int) -> Outcome:
-        """Fit and judge, unless the fit is refused for want of camera positions."""
-        captures = _measured(self, world.exact_see_through, simulate_see_through, self.rng(seed))
+        """Fit and evaluate; too few camera positions give a refused outcome."""
+        captures = _measured(self, exact_see_through, simulate_see_through, self.rng(seed))
         try:
             model, _ = fit_see_through(captures, self.kind, self.degree)
         except BadInputError as fault:
             return self.refusal(fault)
-        sightings = world.see_through_sightings(self.setting, seed)
-        error = mapping_error.see_through_error(model, sightings)
+        error = mapping_error.see_through_error(model, see_through_sightings(self.at, seed))
         return Outcome(
             {
                 Measure.REAL_POINT: summary(error.backward_arcmin),
@@ -181,29 +285,58 @@ class SeeThroughTrial(Trial):
 
 @dataclass(frozen=True)
 class NoModelTrial:
-    """What an eye is wrong by that takes the world through the combiner to be the world without it."""
+    """Error of ignoring the combiner: real points taken to be seen along straight lines."""
 
-    device: str
+    at: EvaluatedEye
 
     def run(self, seed: int) -> Outcome:
-        """The straight line to a real point against the direction in which it is seen."""
-        sightings = world.see_through_sightings(world.Setting(self.device), seed)
+        """Angle between the straight line to a real point and the direction in which it is seen."""
+        sightings = see_through_sightings(self.at, seed)
         return Outcome({Measure.REAL_POINT: summary(mapping_error.straight_error(sightings))})
+
+
+AnyTrial = DisplayTrial | SeeThroughTrial | NoModelTrial
+
+
+def run_trials(
+    trials: Iterable[AnyTrial], seed: int, workers: int | None, progress: Progress
+) -> dict[AnyTrial, Outcome]:
+    """Run each different trial once, on several processes; outcomes depend on the seed and the trial alone."""
+    tasks = tasks_of(trials)
+    finished = (pair for result in as_finished(partial(_run, seed=seed), tasks, workers) for pair in result)
+    return dict(progress(finished, sum(map(len, tasks)), "trials"))
+
+
+def tasks_of(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
+    """Different trials, grouped by the exact captures that they share; the longest groups first."""
+    groups: dict[object, list[AnyTrial]] = defaultdict(list)
+    for trial in dict.fromkeys(trials):
+        shared = trial if isinstance(trial, NoModelTrial) else (type(trial), trial.at, trial.kind, trial.viewpoints)
+        groups[shared].append(trial)
+
+    def cost(group: list[AnyTrial]) -> int:
+        return sum(1 if isinstance(trial, NoModelTrial) else trial.viewpoints for trial in group)
+
+    return sorted(groups.values(), key=cost, reverse=True)
+
+
+def _run(task: list[AnyTrial], seed: int) -> list[tuple[AnyTrial, Outcome]]:
+    return [(trial, trial.run(seed)) for trial in task]
 
 
 def _measured(
     trial: Trial,
-    exact: Callable[[world.Setting, str, int], AnyCaptures],
+    exact: Callable[[EvaluatedEye, str, int], AnyCaptures],
     simulate: Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], AnyCaptures],
     rng: np.random.Generator,
 ) -> AnyCaptures:
-    """The trial's captures; camera noise needs no new tracing, a camera that stands elsewhere does."""
+    """The trial's captures; camera noise needs no new tracing, a displaced camera does."""
     if trial.stage_error_mm == 0.0:
-        captures = exact(trial.setting, trial.kind, trial.viewpoints)
+        captures = exact(trial.at, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)
-    on = replace(
-        world.capture_setup(trial.setting),
+    setup = replace(
+        capture_setup(trial.at),
         camera_noise_arcmin=trial.camera_noise_arcmin,
         stage_error_m=1e-3 * trial.stage_error_mm,
     )
-    return simulate(on, camera_positions(on, trial.kind, trial.viewpoints), rng)
+    return simulate(setup, camera_positions(setup, trial.kind, trial.viewpoints), rng)
