@@ -14,10 +14,10 @@ from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photographs import photographs_in, read_each, write_photograph
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.simulation.photographs import exact
+from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.camera import Sensor
+from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.sight import Sight
 
 _EVERY = 3  # along each side: every ninth pixel is compared, enough to see one in ten thousand that is wrong
 _RIM_PX = 4.0  # panel pixels from the panel's edge, within which blur mixes in what is dark
@@ -53,7 +53,7 @@ class CodeTrial:
 def code_trials(bench: PhotoBench, snr: float, seed: int) -> Iterator[CodeTrial]:
     """Every code, photographed from the middle of the eye box."""
     device_from_camera = bench.camera_at(np.zeros(3))
-    sight = Sight.through_optics(bench.optics, bench.eyeball, device_from_camera)
+    sight = CameraView.through_optics(bench.optics, bench.eyeball, device_from_camera)
     truth = _exact_positions(bench, device_from_camera)
     sensor = Sensor.with_snr(snr, exposure=0.85)
     for name in PATTERNS:
@@ -116,7 +116,7 @@ def _exact_positions(bench: PhotoBench, device_from_camera: FloatArray) -> Float
     width, height = bench.eyeball.camera.size_px
     u, v = np.meshgrid(np.arange(0, width, _EVERY) + 0.5, np.arange(0, height, _EVERY) + 0.5)
     pixel = np.stack([u, v], axis=-1)
-    return exact.panel_position(bench.optics, bench.eyeball.camera, device_from_camera, pixel).value
+    return camera_view.panel_position(bench.optics, bench.eyeball.camera, device_from_camera, pixel).value
 
 
 def _judged(name: str, pictures: int, decoded: Decoded, truth: FloatArray, decode_s: float, read_s: float) -> CodeTrial:

@@ -6,7 +6,7 @@ from synthetic_station import BOARD, EYEBALL, NOISE_PX, board_view, lens_views, 
 
 from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.poses import motion_between
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.geometry import transforms
 
 
@@ -19,7 +19,7 @@ def test_without_noise_the_poses_are_exact():
     ]
     found = poses_of(EYEBALL, views)
     np.testing.assert_allclose(motion_between(truth, found.camera_from_board), 0.0, atol=1e-9)
-    assert found.set_aside == {}
+    assert found.rejected == {}
 
 
 def test_poses_scatter_as_they_say():
@@ -62,9 +62,9 @@ def test_photographs_that_are_no_good_are_set_aside_by_name():
     assert len(seen) == len(flat)
     few = replace(views[0], name="few.png", point=flat[:5], pixel=views[0].pixel[:5], sigma_px=views[0].sigma_px[:5])
     found = poses_of(EYEBALL, [*views, replace(seen, point=flat), few])
-    assert set(found.set_aside) == {"bent.png", "few.png"}
-    assert "flat board" in found.set_aside["bent.png"]
-    assert "only 5 dots" in found.set_aside["few.png"]
+    assert set(found.rejected) == {"bent.png", "few.png"}
+    assert "flat board" in found.rejected["bent.png"]
+    assert "only 5 dots" in found.rejected["few.png"]
     assert found.names == tuple(view.name for view in views)
 
 
@@ -79,7 +79,7 @@ def test_a_fragment_of_the_board_may_be_taken_two_ways_and_the_right_one_is_foun
 
 def test_a_sighting_becomes_a_view_of_the_printed_places():
     index = np.array([[0, 0], [23, 17]])
-    view = BoardView.of_sighting("a.png", BoardSighting(index, np.zeros((2, 2)), np.ones(2)), BOARD)
+    view = BoardView.of_observation("a.png", BoardObservation(index, np.zeros((2, 2)), np.ones(2)), BOARD)
     np.testing.assert_allclose(view.point, [[-0.1725, -0.1275, 0], [0.1725, 0.1275, 0]])
 
 

@@ -70,8 +70,8 @@ def test_a_photograph_that_does_not_fit_is_set_aside_and_the_rest_as_good_as_wit
     zoomed = LensCamera(SIZE, EYEBALL.focal_px * [1.0, 1.02], EYEBALL.centre_px, EYEBALL.distortion)
     odd = board_view("zoomed.png", zoomed, tilted_poses()[1], rng, 4)
     found = calibrate_camera([*views[:4], odd, *views[4:]], SIZE)
-    assert list(found.poses.set_aside) == ["zoomed.png"]
-    assert "the other photographs" in found.poses.set_aside["zoomed.png"]
+    assert list(found.poses.rejected) == ["zoomed.png"]
+    assert "the other photographs" in found.poses.rejected["zoomed.png"]
     np.testing.assert_allclose(values(found.camera), values(calibrate_camera(views, SIZE).camera), rtol=1e-9)
 
 
@@ -79,8 +79,8 @@ def test_misread_dots_spoil_one_photograph_only():
     views = lens_views(np.random.default_rng(4))
     shuffled = [replace(views[i], point=np.roll(views[i].point, i + 5, axis=0)) for i in (2, 6)]
     found = calibrate_camera([*views[:2], shuffled[0], *views[3:6], shuffled[1], *views[7:]], SIZE)
-    assert list(found.poses.set_aside) == ["lens/02.png", "lens/06.png"]
-    assert "misread" in found.poses.set_aside["lens/02.png"]
+    assert list(found.poses.rejected) == ["lens/02.png", "lens/06.png"]
+    assert "misread" in found.poses.rejected["lens/02.png"]
 
 
 def test_stray_dots_do_not_move_the_lens():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.calibration.capture_outliers import moved_display, moved_see_through
+from wlr_render.calibration.capture_outliers import display_outliers, see_through_outliers
 from wlr_render.captures.correspondences import select
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -34,8 +34,8 @@ def photographs(see_through):
 
 def test_sound_captures_are_left_alone(captures):
     display, see_through = captures
-    assert moved_display(display) == []
-    assert moved_see_through(see_through, photographs(see_through)) == []
+    assert display_outliers(display) == []
+    assert see_through_outliers(see_through, photographs(see_through)) == []
 
 
 def test_exchanged_sets_of_the_panel_are_both_named(captures):
@@ -43,14 +43,14 @@ def test_exchanged_sets_of_the_panel_are_both_named(captures):
     first, second = display.capture == 3, display.capture == 9
     viewpoint = display.viewpoint.copy()
     viewpoint[first], viewpoint[second] = display.viewpoint[second][0], display.viewpoint[first][0]
-    assert {each.group for each in moved_display(replace(display, viewpoint=viewpoint))} == {3, 9}
+    assert {each.group for each in display_outliers(replace(display, viewpoint=viewpoint))} == {3, 9}
 
 
 def test_a_photograph_from_elsewhere_is_named_with_its_size(captures):
     _, see_through = captures
     number = photographs(see_through)
     # 2 mm to the right are 17' at 0.4 m, where the first target stands.
-    (found,) = moved_see_through(moved_by(see_through, number == 7, [0.002, 0.0, 0.0]), number)
+    (found,) = see_through_outliers(moved_by(see_through, number == 7, [0.002, 0.0, 0.0]), number)
     assert found.group == 7
     assert found.arcmin == pytest.approx(17, rel=0.3)
 
@@ -59,14 +59,14 @@ def test_a_photograph_from_elsewhere_is_named_with_its_size(captures):
 def test_few_places_raise_no_false_alarm(captures, places):
     """A model with hardly more places than terms predicts the outermost of them badly."""
     display, _ = captures
-    assert moved_display(select(display, display.capture < places)) == []
+    assert display_outliers(select(display, display.capture < places)) == []
 
 
 def test_where_all_disagree_few_or_none_are_named(captures):
     display, _ = captures
     rng = np.random.default_rng(2)
     shift = rng.normal(0, 0.005, (25, 3))[display.capture]
-    assert len(moved_display(moved_by(display, slice(None), shift))) <= 5
+    assert len(display_outliers(moved_by(display, slice(None), shift))) <= 5
 
 
 def test_fits_to_the_others_are_neither_cross_validated_nor_reported(captures, monkeypatch):
@@ -76,5 +76,5 @@ def test_fits_to_the_others_are_neither_cross_validated_nor_reported(captures, m
     monkeypatch.setattr("wlr_render.calibration.regression._held_out", refused)
     monkeypatch.setattr("wlr_render.calibration.fit_report.Residuals.of", refused)
     display, see_through = captures
-    assert moved_display(display) == []
-    assert moved_see_through(see_through, photographs(see_through)) == []
+    assert display_outliers(display) == []
+    assert see_through_outliers(see_through, photographs(see_through)) == []

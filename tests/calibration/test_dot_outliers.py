@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.calibration.capture_outliers import follow_their_photograph
+from wlr_render.calibration.capture_outliers import dot_inliers
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -28,7 +28,7 @@ def test_dots_that_are_off_are_found_and_no_others():
     kick -= np.sum(kick * captures.view_dir, axis=1, keepdims=True) * captures.view_dir
     kick *= off[:, None] * rng.uniform(2.0, 20.0, (len(captures), 1)) * ARCMIN / np.linalg.norm(kick, axis=1)[:, None]
     spoilt = replace(captures, view_dir=normalised(captures.view_dir + kick))
-    assert np.array_equal(follow_their_photograph(spoilt, photograph), ~off)
+    assert np.array_equal(dot_inliers(spoilt, photograph), ~off)
 
 
 def test_dots_that_are_stated_to_be_unsure_are_left_out():
@@ -36,10 +36,10 @@ def test_dots_that_are_stated_to_be_unsure_are_left_out():
     photograph = captures.target_pose * 10 + captures.capture
     unsure = np.random.default_rng(4).random(len(captures)) < 0.05
     sigma = np.where(unsure, 8.0, 1.0) * captures.sigma_arcmin
-    assert np.array_equal(follow_their_photograph(replace(captures, sigma_arcmin=sigma), photograph), ~unsure)
+    assert np.array_equal(dot_inliers(replace(captures, sigma_arcmin=sigma), photograph), ~unsure)
 
 
 def test_a_photograph_of_few_dots_is_not_judged():
     captures = see_through()
     photograph = np.arange(len(captures)) // 5
-    assert follow_their_photograph(captures, photograph).all()
+    assert dot_inliers(captures, photograph).all()

@@ -15,7 +15,7 @@ from wlr_render.calibration.photograph_captures import (
 )
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
@@ -35,8 +35,8 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     index = board.indices()
     point = transforms.apply(target, board.point_of(index))
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
-    sighting = BoardSighting(index, pixel, np.full(len(index), 0.07))
-    captures = see_through_captures(HEADSET, board, CAMERA, [TargetView(POSE, target, 3, 5, sighting)])
+    observation = BoardObservation(index, pixel, np.full(len(index), 0.07))
+    captures = see_through_captures(HEADSET, board, CAMERA, [TargetView(POSE, target, 3, 5, observation)])
     straight = normalised(captures.point - captures.viewpoint)
     assert np.max(arcmin_between(captures.view_dir, straight)) < 1e-6
     assert set(captures.target_pose) == {3}
@@ -70,7 +70,7 @@ def test_dots_beyond_the_panel_s_field_are_left_out():
     index = board.indices()
     point = transforms.apply(target, board.point_of(index))
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
-    view = TargetView(POSE, target, 0, 0, BoardSighting(index, pixel, np.full(len(index), 0.05)))
+    view = TargetView(POSE, target, 0, 0, BoardObservation(index, pixel, np.full(len(index), 0.05)))
     see_through = see_through_captures(HEADSET, board, CAMERA, [view])
     corners = np.array([[200.0, 160.0], [440.0, 320.0]])
     samples = DecodedSamples(corners, np.zeros((2, 2)), np.ones(2), np.ones(2))

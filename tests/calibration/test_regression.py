@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.calibration.coverage import shortage
+from wlr_render.calibration.coverage import missing_coverage
 from wlr_render.calibration.fit_report import Residuals
 from wlr_render.calibration.regression import Regression, angular_metric, fit, relative_sigma
 from wlr_render.errors import BadInputError
@@ -97,9 +97,9 @@ def test_exact_data_are_weighted_equally():
 
 def test_shortage_is_silent_where_samples_suffice_and_repetitions_do_not_count():
     spread = RNG.uniform(-1, 1, (10, 2))
-    assert shortage("viewpoints", spread, "xy", 3) is None
-    assert "there are 9: 1 more" in shortage("viewpoints", np.tile(spread[:9], (4, 1)) + 1e-9, "xy", 3)
-    assert "there are 1: 2 more" in shortage("viewpoints", np.zeros((5, 2)), "xy", 1)
+    assert missing_coverage("viewpoints", spread, "xy", 3) is None
+    assert "there are 9: 1 more" in missing_coverage("viewpoints", np.tile(spread[:9], (4, 1)) + 1e-9, "xy", 3)
+    assert "there are 1: 2 more" in missing_coverage("viewpoints", np.zeros((5, 2)), "xy", 1)
 
 
 def test_residual_sizes_leave_out_what_has_no_value():

@@ -50,7 +50,7 @@ def test_without_noise_the_stage_is_exact_with_three_axes_and_two_targets():
         expected = transforms.rigid(np.eye(3), -shifted) @ pose
         np.testing.assert_allclose(stage.camera_from_target[target], expected, atol=1e-10)
     assert stage.jitter == Jitter()
-    assert stage.set_aside == {}
+    assert stage.rejected == {}
     np.testing.assert_allclose(stage.residual, 0.0, atol=1e-9)
 
 
@@ -117,8 +117,8 @@ def test_one_photograph_that_moved_is_set_aside_and_the_rest_fits():
     motions = np.zeros((16, 6))
     motions[5] = [0, 0, 0, 1e-4, 0, 2e-4]
     stage = fit_stage(exact(GRID, [4] * 16, motions), [4] * 16, GRID)
-    assert list(stage.set_aside) == ["bare/05.png"]
-    np.testing.assert_allclose(stage.set_aside["bare/05.png"], motions[5], atol=1e-8)
+    assert list(stage.rejected) == ["bare/05.png"]
+    np.testing.assert_allclose(stage.rejected["bare/05.png"], motions[5], atol=1e-8)
     np.testing.assert_allclose(stage.axes, STAGE_AXES[:, :2], atol=1e-8)
     assert "bare/05.png" not in stage.names
 
@@ -137,7 +137,7 @@ def test_a_bowed_stage_leaves_its_plane_and_no_single_photograph_is_blamed():
     bow = 1e-3 * ((GRID[:, 0] - MIDDLE[0]) / 0.008) ** 2
     motions = np.concatenate([np.zeros((16, 5)), bow[:, None]], axis=1)
     stage = fit_stage(exact(GRID, [4] * 16, motions), [4] * 16, GRID)
-    assert stage.set_aside == {}
+    assert stage.rejected == {}
     assert stage.target_moved is None
     assert stage.out_of_plane_m == pytest.approx(np.std(bow), rel=0.01)
 
@@ -149,12 +149,12 @@ def test_photographs_that_do_not_show_the_stages_motion_are_refused():
     with pytest.raises(BadInputError, match="same stage reading"):
         fit_stage(exact(still, [4] * 6), [4] * 6, still)
     diagonal = MIDDLE + np.linspace(-0.01, 0.01, 7)[:, None] * [1, 1, 0]
-    with pytest.raises(BadInputError, match="do not tell how the stage moves along x and y"):
+    with pytest.raises(BadInputError, match="do not determine how the stage moves along x and y"):
         fit_stage(exact(diagonal, [4] * 7), [4] * 7, diagonal)
 
 
 def test_an_axis_that_never_moved_cannot_be_asked_for():
     stage = fit_stage(exact(GRID, [4] * 16), [4] * 16, GRID)
-    assert list(stage.moved) == [0, 1]
-    with pytest.raises(BadInputError, match="move axis z, along which no photograph"):
+    assert list(stage.moved_axes) == [0, 1]
+    with pytest.raises(BadInputError, match="vary along axis z, but no photograph"):
         stage.displacement(MIDDLE + [0.001, 0.0, 0.002])

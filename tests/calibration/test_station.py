@@ -67,7 +67,7 @@ def test_a_stage_that_rolls_pitches_and_yaws_is_accepted_and_widens_the_sigmas(k
     for seed in range(8):
         station = station_of(bench(seed, faults))
         refuse_contradictions(station.checks)
-        assert station.stage.set_aside == {}
+        assert station.stage.rejected == {}
         rotation_urad.append(1e6 * station.stage.jitter.rotation_rad)
         for reading in REFERENCE + rng.uniform(-0.008, 0.008, size=(6, 3)) * [1, 1, 0]:
             scaled.append(in_sigmas(station.pose_at(reading), visited(reading, faults, rng)))

@@ -1,4 +1,4 @@
-"""Windows of a decoded picture: planes are kept exactly, noise is averaged, strays are left out."""
+"""Windows of a decoded picture: planes are kept exactly, noise is averaged, outliers are left out."""
 
 import numpy as np
 import pytest
@@ -39,8 +39,8 @@ def test_noise_is_averaged_and_its_size_told():
 def test_strays_and_rejected_pixels_do_not_move_a_sample():
     clean = decoded_plane(0.05)
     rng = np.random.default_rng(3)
-    stray, gone = rng.random((2, *clean.rejection.shape)) < 0.05
-    pixel = np.where(stray[..., None], clean.pixel + 200.0, clean.pixel)
+    outlier, gone = rng.random((2, *clean.rejection.shape)) < 0.05
+    pixel = np.where(outlier[..., None], clean.pixel + 200.0, clean.pixel)
     pixel[gone] = np.nan
     rejection = np.where(gone, Rejection.UNSURE_BIT, 0).astype(np.uint8)
     samples = sample(Decoded(pixel, clean.sigma_px, clean.confidence, rejection), count=300)
@@ -61,7 +61,7 @@ def test_the_rim_of_what_is_accepted_is_not_used():
     rejection = np.zeros_like(clean.rejection)
     rejection[:, 100:] = Rejection.DARK
     pixel = clean.pixel.copy()
-    pixel[:, 98:100] -= 1.0  # too little to be a stray
+    pixel[:, 98:100] -= 1.0  # too little to be an outlier
     samples = sample(Decoded(pixel, clean.sigma_px, clean.confidence, rejection), count=2000)
     error = samples.panel_pixel - truth(samples.camera_pixel)
     beside = samples.camera_pixel[:, 0] > 90

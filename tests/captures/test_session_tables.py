@@ -105,7 +105,7 @@ FAULTS = {
     "column missing": ("travel,", "", "column 'travel' is missing"),
     "mistyped column": ("pixel_u", "pixel_uu", "unknown column 'pixel_uu'; did you mean 'pixel_u'?"),
     "strange column": ("pixel_v\n", "pixel_v,weather\n", "unknown column 'weather'; remove it"),
-    "column twice": ("pixel_v\n", "pixel_v,time_s\n", "column 'time_s' is there twice"),
+    "column twice": ("pixel_v\n", "pixel_v,time_s\n", "column 'time_s' occurs twice"),
     "other unit": ("stage_x_mm", "stage_x_m", "column 'stage_x_m' has another unit than 'stage_x_mm' (mm)"),
     "other time": ("time_s", "time_ms", "column 'time_ms' has another unit than 'time_s' (s)"),
     "no rows": (ROWS[ROWS.index("\n") :], "\n", "has no rows"),
@@ -117,8 +117,8 @@ FAULTS = {
     "travel": ("40.0,-1", "40.0,0", "line 4: 'travel' is 0; it must be +1 or -1"),
     "channel": ("33,1,60.0", "33,3,60.0", "line 3: 'channel' is 3; it must be 0, 1 or 2"),
     "fraction": ("\n1,40.0", "\n1.5,40.0", "line 4: 'capture' is 1.5"),
-    "capture moved": ("\n1,40.0", "\n0,40.0", "line 4: the capture was set up otherwise"),
-    "capture twice": ("1,40.0,-1,30", "1,0.0,1,32", "line 4: another capture was set up alike"),
+    "capture moved": ("\n1,40.0", "\n0,40.0", "line 4: its capture has another setup"),
+    "capture twice": ("1,40.0,-1,30", "1,0.0,1,32", "line 4: the capture in line 2 has the same setup"),
     "row twice": ("60.0,50.0,120.0", "40.0,50.0,100.0", "line 3: is the same row as line 2"),
 }
 

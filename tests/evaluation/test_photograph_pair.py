@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.evaluation.photograph_pair import pair_misalignment
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera
@@ -11,13 +11,13 @@ from wlr_render.geometry.lens_camera import LensCamera
 CAMERA = LensCamera((1000, 800), np.array([1000.0, 1000.0]), np.array([500.0, 400.0]))
 
 
-def sighting(index, pixel, sigma=0.1):
-    return BoardSighting(np.array(index), np.array(pixel, dtype=float), np.full(len(index), sigma))
+def observation(index, pixel, sigma=0.1):
+    return BoardObservation(np.array(index), np.array(pixel, dtype=float), np.full(len(index), sigma))
 
 
 def test_dots_are_matched_whatever_their_order():
-    off = sighting([[0, 0], [1, 0], [2, 0]], [[500, 400], [600, 400], [700, 400]])
-    on = sighting([[2, 0], [5, 5], [0, 0]], [[700, 402], [1, 1], [501, 400]])
+    off = observation([[0, 0], [1, 0], [2, 0]], [[500, 400], [600, 400], [700, 400]])
+    on = observation([[2, 0], [5, 5], [0, 0]], [[700, 402], [1, 1], [501, 400]])
     pair = pair_misalignment(off, on, CAMERA)
     assert pair.index.tolist() == [[0, 0], [2, 0]]
     assert pair.virtual_px.tolist() == [[501, 400], [700, 402]]
@@ -28,5 +28,5 @@ def test_dots_are_matched_whatever_their_order():
 
 
 def test_photographs_without_a_common_dot_give_none():
-    pair = pair_misalignment(sighting([[0, 0]], [[5, 5]]), sighting([[1, 0]], [[5, 5]]), CAMERA)
+    pair = pair_misalignment(observation([[0, 0]], [[5, 5]]), observation([[1, 0]], [[5, 5]]), CAMERA)
     assert len(pair) == 0

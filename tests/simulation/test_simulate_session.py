@@ -18,11 +18,11 @@ from wlr_render.simulation.bench import (
     Tracking,
 )
 from wlr_render.simulation.simulate_session import (
-    Sights,
+    DotViews,
     decoded,
     pixel_of_tangents,
     simulate,
-    simulate_near,
+    simulate_to_first_order,
     tangents_of_pixel,
     undecoded,
 )
@@ -314,7 +314,7 @@ class TestNeighbours:
         bench = bench_with(device)
         plan = see_through_plan(bench)
         near = with_camera(bench, pupil_offset=np.array([2e-3, -1e-3, 1e-3]))
-        cold, fast = Sights(bench, plan), Sights(bench, plan, Sights(near, plan))
+        cold, fast = DotViews(bench, plan), DotViews(bench, plan, DotViews(near, plan))
         assert np.isfinite(cold.tangents).mean() > 0.9
         np.testing.assert_allclose(fast.tangents, cold.tangents, atol=1e-11)
         session = SessionPlan(see_through=plan)
@@ -323,11 +323,11 @@ class TestNeighbours:
     def test_one_step_from_a_neighbour_errs_by_the_square_of_the_change(self):
         bench = bench_with("northstar")
         plan = plan_of(bench)
-        sights = Sights(bench, plan.see_through)
+        dot_views = DotViews(bench, plan.see_through)
         errors = []
         for size in (8e-3, 4e-3, 2e-3):
             changed = with_camera(bench, pupil_offset=size * np.array([1.0, 0.5, -0.5]))
-            near, full = simulate_near(changed, plan, sights), simulate(changed, plan)
+            near, full = simulate_to_first_order(changed, plan, dot_views), simulate(changed, plan)
             np.testing.assert_array_equal(near.panel_pixel, full.panel_pixel)
             errors.append(np.abs(near.dot_pixel - full.dot_pixel).max())
         assert errors[-1] > 1e-6  # far above rounding

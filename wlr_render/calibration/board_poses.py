@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from wlr_render.calibration.poses import Pose, small_motion
-from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
+from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
@@ -40,9 +40,9 @@ class BoardView:
     sigma_px: FloatArray
 
     @classmethod
-    def of_sighting(cls, name: str, sighting: BoardSighting, board: DotBoard) -> "BoardView":
-        """What was found of a board in the photograph `name`."""
-        return cls(name, board.point_of(sighting.index), sighting.pixel, sighting.sigma_px)
+    def of_observation(cls, name: str, observation: BoardObservation, board: DotBoard) -> "BoardView":
+        """Return the view of the board observed in the photograph `name`."""
+        return cls(name, board.point_of(observation.index), observation.pixel, observation.sigma_px)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -50,7 +50,7 @@ class BoardView:
 
 @dataclass(frozen=True, eq=False)
 class BoardPoses:
-    """Where one camera saw the board, photograph by photograph.
+    """Poses of the board in photographs of one camera, with their joint covariance.
 
     Attributes:
         camera: the lens that the poses were found with.
@@ -59,7 +59,7 @@ class BoardPoses:
         covariance: (6 n, 6 n) of small motions in the camera's frame, of all photographs together: an error of the
             camera's own values moves all poses at once.
         rms_px: (n,) rms distance per axis of dots from where the pose has them.
-        set_aside: name -> reason, of photographs that gave no pose.
+        rejected: name -> reason, of photographs that gave no pose.
     """
 
     camera: LensCamera
@@ -67,7 +67,7 @@ class BoardPoses:
     camera_from_board: FloatArray
     covariance: FloatArray
     rms_px: FloatArray
-    set_aside: Mapping[str, str] = field(default_factory=dict)
+    rejected: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -86,13 +86,13 @@ class BoardPoses:
             self.camera_from_board[index],
             self.covariance[np.ix_(rows, rows)],
             self.rms_px[index],
-            self.set_aside,
+            self.rejected,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Reprojection:
-    """One photograph's share of a least-squares problem, all in units of the dots' sigmas.
+    """Residuals of one photograph and their Jacobians, in units of the dots' sigmas.
 
     Attributes:
         residual: (2 n,) seen minus predicted.
@@ -118,7 +118,7 @@ class Reprojection:
 
 
 def reproject(camera: LensCamera, camera_from_board: FloatArray, view: BoardView) -> Reprojection:
-    """Compare the dots of `view` with a camera at a pose (4, 4)."""
+    """Return the residuals of `view` for a camera at a pose (4, 4)."""
     point_in_camera = transforms.apply(camera_from_board, view.point)
     # At no rotation OpenCV's derivative by the rotation vector is the one by a small motion that follows the pose.
     still = np.zeros(3)
@@ -130,11 +130,11 @@ def reproject(camera: LensCamera, camera_from_board: FloatArray, view: BoardView
 
 
 def robust_scale(residual: FloatArray) -> float:
-    """Standard deviation of the bulk of residuals in units of sigma, whatever a few strays do."""
+    """Standard deviation of the bulk of residuals in units of sigma, whatever a few outliers do."""
     return float(1.4826 * np.median(np.abs(residual)))
 
 
-def without_strays(view: BoardView, residual: FloatArray) -> BoardView:
+def without_outliers(view: BoardView, residual: FloatArray) -> BoardView:
     """The view without dots that lie far off by their residuals (2 n,)."""
     apart = np.abs(residual).reshape(-1, 2).max(axis=1)
     keep = apart <= STRAY * max(robust_scale(residual), 1e-9)
@@ -147,16 +147,16 @@ def poses_of(camera: LensCamera, views: Sequence[BoardView]) -> BoardPoses:
     The dots' noise is taken from how far they miss the pose, at least as large as in the middle one of the photographs.
     The camera's own values count as exact.
     """
-    set_aside = {view.name: reason for view in views if (reason := _unusable(camera, view))}
-    sound = [view for view in views if view.name not in set_aside]
+    rejected = {view.name: reason for view in views if (reason := _unusable(camera, view))}
+    sound = [view for view in views if view.name not in rejected]
     found = [_refined(camera, view) for view in sound]
     scales = np.array([robust_scale(part.residual) for _, part in found])
     usual = float(np.median(scales)) if found else 0.0
     kept = []
     for i, view in enumerate(sound):
-        reason = misfit(scales[i], usual) if len(sound) > 2 else ""
+        reason = rejection_reason(scales[i], usual) if len(sound) > 2 else ""
         if reason:
-            set_aside[view.name] = reason
+            rejected[view.name] = reason
         else:
             kept.append(i)
     covariance = np.zeros((len(kept), 6, len(kept), 6))
@@ -170,12 +170,12 @@ def poses_of(camera: LensCamera, views: Sequence[BoardView]) -> BoardPoses:
         np.array([found[i][0] for i in kept]).reshape(-1, 4, 4),
         covariance.reshape(6 * len(kept), 6 * len(kept)),
         np.array([found[i][1].rms_px for i in kept]),
-        set_aside,
+        rejected,
     )
 
 
-def misfit(scale: float, usual: float) -> str:
-    """Why a photograph whose dots scatter by `scale` is no good where `usual` is usual; empty where it is good."""
+def rejection_reason(scale: float, usual: float) -> str:
+    """Why a photograph with residual scale `scale` is rejected where `usual` is usual; empty where it is not."""
     if scale <= MISFIT * usual:
         return ""
     return (
@@ -185,7 +185,7 @@ def misfit(scale: float, usual: float) -> str:
 
 
 def too_few_dots(view: BoardView) -> str:
-    """Why a photograph has too little of the board for a pose; empty where it has enough."""
+    """Why a photograph shows too few dots for a pose; empty where it shows enough."""
     return "" if len(view) >= FEWEST_DOTS else f"shows only {len(view)} dots of the board, fewer than {FEWEST_DOTS}"
 
 
@@ -197,11 +197,11 @@ def _unusable(camera: LensCamera, view: BoardView) -> str:
 
 
 def _refined(camera: LensCamera, view: BoardView) -> tuple[FloatArray, Reprojection]:
-    """Pose (4, 4) of the better of the two ways in which a flat board can be taken, and its fit without strays."""
+    """Pose (4, 4) of the better of the two ways in which a flat board can be taken, and its fit without outliers."""
     best = min(
         (_settled(camera, start, view) for start in _starts(camera, view)), key=lambda found: found[1].chi_square
     )
-    cleaned = without_strays(view, best[1].residual)
+    cleaned = without_outliers(view, best[1].residual)
     return best if len(cleaned) == len(view) else _settled(camera, best[0], cleaned)
 
 

@@ -1,4 +1,4 @@
-"""Lens and board poses adjusted together: Gauss and Newton on normal equations of arrow shape.
+"""Bundle adjustment of a lens and board poses: Gauss-Newton with block-arrow normal equations.
 
 Each pose meets the others only through the lens, so poses are eliminated first (Schur complement; B. Triggs et al.,
 "Bundle adjustment: a modern synthesis" (2000), section 6).
@@ -20,7 +20,7 @@ _INDEPENDENT = 1e-10  # smallest eigenvalue of scaled normal equations that stil
 
 
 class UndeterminedError(ValueError):
-    """The views leave a value of the lens open, or the adjustment does not settle."""
+    """The views do not determine a lens parameter, or the adjustment does not converge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +74,10 @@ class Adjustment:
         return np.array([part.rms_px for part in self.parts])
 
 
-def adjusted(
+def adjust_bundle(
     camera: LensCamera, camera_from_board: FloatArray, views: Sequence[BoardView], free: IntArray
 ) -> Adjustment:
-    """Adjust the `free` values of a lens and the poses (n, 4, 4) to the views.
+    """Fit the `free` parameters of a lens and the poses (n, 4, 4) to the views.
 
     Raises:
         UndeterminedError: the views do not determine the values, or there is no end to the steps.

@@ -1,4 +1,4 @@
-"""A camera's lens from photographs of a board, with the poses of the board and the uncertainty of everything.
+"""Calibrate a camera from photographs of a board: lens parameters, board poses and their covariance.
 
 OpenCV (Z. Zhang, "A flexible new technique for camera calibration", PAMI 22 (2000) 1330) finds the start; the lens and
 all poses are then adjusted together, weighted by the dots' sigmas, so that what poses inherit from the lens is known.
@@ -10,8 +10,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wlr_render.calibration.board_poses import BoardPoses, BoardView, misfit, robust_scale, too_few_dots, without_strays
-from wlr_render.calibration.bundle_adjustment import Adjustment, UndeterminedError, adjusted
+from wlr_render.calibration.board_poses import (
+    BoardPoses,
+    BoardView,
+    rejection_reason,
+    robust_scale,
+    too_few_dots,
+    without_outliers,
+)
+from wlr_render.calibration.bundle_adjustment import Adjustment, UndeterminedError, adjust_bundle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
@@ -53,27 +60,27 @@ class CameraCalibration:
 
 
 def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> CameraCalibration:
-    """Find a camera's lens from photographs of a board.
+    """Calibrate a camera's lens from photographs of a board.
 
-    Photographs that do not fit are set aside by name; single dots that lie far off are left out.
+    Photographs that do not fit are rejected by name; outlying dots are left out.
 
     Raises:
         BadInputError: fewer than three photographs fit, or they do not determine the focal length or the centre.
     """
-    set_aside = {view.name: reason for view in views if (reason := too_few_dots(view))}
-    set_aside |= _misread([view for view in views if view.name not in set_aside])
-    usable = [view for view in views if view.name not in set_aside]
+    rejected = {view.name: reason for view in views if (reason := too_few_dots(view))}
+    rejected |= _outlying_photographs([view for view in views if view.name not in rejected])
+    usable = [view for view in views if view.name not in rejected]
     while True:
-        _refuse_too_few(usable, set_aside)
+        _refuse_too_few(usable, rejected)
         fit = _adjusted(usable, np.arange(9), *_start(usable, size_px))
         worst, reason = _worst(fit)
         if not reason:
             break
-        set_aside[worst] = reason
+        rejected[worst] = reason
         usable = [view for view in usable if view.name != worst]
-    cleaned = [without_strays(view, part.residual) for view, part in zip(fit.views, fit.parts, strict=True)]
+    cleaned = [without_outliers(view, part.residual) for view, part in zip(fit.views, fit.parts, strict=True)]
     fit = _adjusted(cleaned, fit.free, fit.camera, fit.camera_from_board)
-    free = _carried_terms(fit)
+    free = _selected_terms(fit)
     fit = _adjusted(cleaned, free, _with_only(fit.camera, free), fit.camera_from_board)
     sigma = np.zeros(9)
     sigma[free] = np.sqrt(np.diag(fit.lens_covariance))
@@ -84,14 +91,14 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
         fit.camera_from_board,
         fit.covariance,
         fit.rms_px,
-        set_aside,
+        rejected,
     )
     return CameraCalibration(poses, sigma, tuple(VALUES[i] for i in free if i > 3), fit.noise)
 
 
-def _misread(views: Sequence[BoardView]) -> dict[str, str]:
+def _outlying_photographs(views: Sequence[BoardView]) -> dict[str, str]:
     """Photographs whose dots lie nowhere near a plane's image; a lens bends that of all of them alike."""
-    misses = np.array([_plane_misfit_px(view) for view in views])
+    misses = np.array([_plane_residual_px(view) for view in views])
     limit = _LENS_BENDS_PX + _MISREAD * float(np.median(misses)) if views else 0.0
     return {
         view.name: f"its dots miss the image of a flat board by {miss:.2g} px; they are misread"
@@ -100,7 +107,7 @@ def _misread(views: Sequence[BoardView]) -> dict[str, str]:
     }
 
 
-def _plane_misfit_px(view: BoardView) -> float:
+def _plane_residual_px(view: BoardView) -> float:
     """Rms distance of dots from the best image of a plane by a lens without distortion; NaN where there is none."""
     plane = view.point[:, :2]
     homography = cv2.findHomography(plane, view.pixel)[0]
@@ -114,7 +121,7 @@ def _adjusted(
     views: Sequence[BoardView], free: IntArray, camera: LensCamera, camera_from_board: FloatArray
 ) -> Adjustment:
     try:
-        return adjusted(camera, camera_from_board, views, free)
+        return adjust_bundle(camera, camera_from_board, views, free)
     except UndeterminedError as undetermined:
         raise _undetermined(views) from undetermined
 
@@ -144,10 +151,10 @@ def _worst(fit: Adjustment) -> tuple[str, str]:
     """The photograph that fits worst, and why it is no good, if it is."""
     scales = np.array([robust_scale(part.residual) for part in fit.parts])
     worst = int(np.argmax(scales))
-    return fit.views[worst].name, misfit(scales[worst], float(np.median(scales)))
+    return fit.views[worst].name, rejection_reason(scales[worst], float(np.median(scales)))
 
 
-def _carried_terms(fit: Adjustment) -> IntArray:
+def _selected_terms(fit: Adjustment) -> IntArray:
     """Indices of the values to find: of all choices of radial order and tangential terms, the one that is worth most.
 
     What leaving terms out costs is read off the fit with all of them (A. Wald's test).
@@ -173,9 +180,9 @@ def _with_only(camera: LensCamera, free: IntArray) -> LensCamera:
     return LensCamera(camera.size_px, camera.focal_px, camera.centre_px, distortion)
 
 
-def _refuse_too_few(views: Sequence[BoardView], set_aside: dict[str, str]) -> None:
+def _refuse_too_few(views: Sequence[BoardView], rejected: dict[str, str]) -> None:
     if len(views) < _FEWEST_VIEWS:
-        why = "".join(f"; {name}: {reason}" for name, reason in set_aside.items())
+        why = "".join(f"; {name}: {reason}" for name, reason in rejected.items())
         raise BadInputError(
             f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
             f"{len(views)} can be used{why}."

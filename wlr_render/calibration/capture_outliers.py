@@ -30,50 +30,50 @@ _MOST = 0.2  # of the captures that may be off; where more are, it is the model 
 
 _DOT_TOP_DEGREE = 4
 _DOTS_PER_TERM = 8
-_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3  # a stray is off by more than both
+_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3  # a outlier is off by more than both
 _DOT_SIGMA_RATIO = 5.0  # times the median standard deviation of the photograph's dots
-_ROUNDS = 10  # strays bend the field that they are judged by: the worst go first
+_ROUNDS = 10  # outliers bend the field that they are judged by: the worst go first
 _AT_ONCE = 3.0  # what is this much less off than the worst waits for the next round
 _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
 @dataclass(frozen=True)
-class Moved:
-    """A capture that is off.
+class CaptureOutlier:
+    """A capture that contradicts the others.
 
     Attributes:
         group: the number by which it was grouped.
-        arcmin: by how much, on average over all it saw.
+        arcmin: mean error over all it saw.
     """
 
     group: int
     arcmin: float
 
 
-def moved_display(captures: DisplayCaptures) -> list[Moved]:
-    """Captures of the panel that do not fit the others; none where there are too few to tell."""
+def display_outliers(captures: DisplayCaptures) -> list[CaptureOutlier]:
+    """Return captures of the panel that contradict the others; none where there are too few to judge."""
 
     def errors(kept: DisplayCaptures, left_out: DisplayCaptures, degree: int) -> FloatArray:
         model = display_of_degree(kept, "planar", degree)
         return model.view_dir_of_pixel(left_out.pixel, left_out.viewpoint).value
 
-    return _moved(captures, captures.capture, errors)
+    return _outliers(captures, captures.capture, errors)
 
 
-def moved_see_through(captures: SeeThroughCaptures, photograph: IntArray) -> list[Moved]:
-    """Photographs of the target that do not fit the others; (n,) `photograph` numbers each row's."""
+def see_through_outliers(captures: SeeThroughCaptures, photograph: IntArray) -> list[CaptureOutlier]:
+    """Return photographs of the target that contradict the others; (n,) `photograph` numbers each row's."""
 
     def errors(kept: SeeThroughCaptures, left_out: SeeThroughCaptures, degree: int) -> FloatArray:
         model = see_through_of_degree(kept, "planar", degree)
         return model.view_dir_of_real_point(left_out.point, left_out.viewpoint).value
 
-    return _moved(captures, photograph, errors)
+    return _outliers(captures, photograph, errors)
 
 
-def _moved(
+def _outliers(
     captures: AnyCaptures, group: IntArray, predict: Callable[[AnyCaptures, AnyCaptures, int], FloatArray]
-) -> list[Moved]:
-    """Suspects are put aside one by one, since each spoils the prediction of the others; then those left judge them."""
+) -> list[CaptureOutlier]:
+    """Remove suspects one by one, since each biases the prediction of the others; then test them against the rest."""
     names = [int(name) for name in np.unique(group)]
     rows = np.concatenate([_spread(np.flatnonzero(group == name)) for name in names])
     thinned, of = select(captures, rows), group[rows]
@@ -86,7 +86,7 @@ def _moved(
         found_errors = [_mean_error(thinned, of, name, left, degree, predict) for name in left]
         usual, worst = float(np.median(found_errors)), int(np.argmax(found_errors))
         if found_errors[worst] < max(_SUSPICIOUS * usual, _LEAST_ARCMIN):
-            found = [Moved(name, _mean_error(thinned, of, name, left, degree, predict)) for name in suspects]
+            found = [CaptureOutlier(name, _mean_error(thinned, of, name, left, degree, predict)) for name in suspects]
             return [each for each in found if each.arcmin > max(_TIMES_USUAL * usual, _LEAST_ARCMIN)]
         suspects.append(left[worst])
     return []
@@ -120,8 +120,8 @@ def _spread(rows: IntArray) -> IntArray:
     return rows[:: max(1, len(rows) // _ROWS)]
 
 
-def follow_their_photograph(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
-    """(n,) which dots lie where their photograph's smooth field has them; (n,) `photograph` numbers each row's."""
+def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:
+    """Return a mask (n,) of dots that follow the smooth field of their photograph, numbered by `photograph` (n,)."""
     straight = normalised(captures.point - captures.viewpoint)
     seen = captures.tangents
     aside = (seen - tangents_of_dir(straight)) / ARCMIN

@@ -1,4 +1,4 @@
-"""One thing about a station that was checked, and what it says if it is off."""
+"""Checks of a station: value, limit and verdict of one quantity."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ REFUSED_SIGMAS = 10.0
 
 @dataclass(frozen=True)
 class Check:
-    """What was found of one quantity.
+    """Result of checking one quantity.
 
     Attributes:
         step: of the procedure, or the photograph, that it speaks of.
@@ -44,7 +44,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Change:
-    """A small motion as checks take it.
+    """Size and significance of a small motion.
 
     Attributes:
         shift_mm: by how much a point of interest moved.
@@ -67,14 +67,14 @@ class Change:
         )
 
     @property
-    def seen(self) -> bool:
-        """Whether it is more than noise and more than can be neglected."""
+    def is_significant(self) -> bool:
+        """Whether the motion exceeds noise and the negligible size."""
         large = self.shift_mm > NEGLIGIBLE_MM or self.turn_arcmin > NEGLIGIBLE_ARCMIN
         return large and self.sigmas > WARNED_SIGMAS
 
     @property
-    def spoils(self) -> bool:
-        """Whether a calibration would be wrong by it."""
+    def is_contradictory(self) -> bool:
+        """Whether the motion makes a calibration wrong."""
         large = self.shift_mm > REFUSED_MM or self.turn_arcmin > REFUSED_ARCMIN
         return large and self.sigmas > REFUSED_SIGMAS
 
@@ -82,16 +82,25 @@ class Change:
         return f"{self.shift_mm:.3g} mm and {self.turn_arcmin:.2g}' ({self.sigmas:.0f} sigma)"
 
     def check(self, step: str, sentence: str, right: str) -> Check:
-        """The check of a motion that should not be: `sentence` where it is seen, `right` where it is not."""
+        """The check of a motion that should not be: `sentence` where it is significant, `right` where it is not."""
         turned = self.turn_arcmin / NEGLIGIBLE_ARCMIN > self.shift_mm / NEGLIGIBLE_MM
         value, limit = (self.turn_arcmin, NEGLIGIBLE_ARCMIN) if turned else (self.shift_mm, NEGLIGIBLE_MM)
         quantity = "turn, arcmin" if turned else "shift, mm"
-        said = sentence if self.seen else right
-        return Check(step, quantity, value, value / max(self.sigmas, 1e-9), limit, said, not self.seen, self.spoils)
+        said = sentence if self.is_significant else right
+        return Check(
+            step,
+            quantity,
+            value,
+            value / max(self.sigmas, 1e-9),
+            limit,
+            said,
+            not self.is_significant,
+            self.is_contradictory,
+        )
 
 
 def refuse_contradictions(checks: Iterable[Check]) -> None:
-    """Stop where a step is so far off that what follows from it would be wrong.
+    """Refuse a station with a contradictory check.
 
     Raises:
         BadInputError: naming the step.

@@ -1,4 +1,4 @@
-"""Why a fit is not determined, in one sentence with the number that is missing."""
+"""Explain in a sentence why samples do not determine a fit, with the number that is missing."""
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from wlr_render.numerics.polynomial import Box, basis, term_count
 _SAME = 1e-5  # of the extent: positions closer than this count as one
 
 
-def shortage(noun: str, samples: FloatArray, axes: str, degree: int) -> str | None:
-    """What sample positions lack for a polynomial of total degree `degree` in their coordinates.
+def missing_coverage(noun: str, samples: FloatArray, axes: str, degree: int) -> str | None:
+    """Return what sample positions lack to determine a polynomial of total degree `degree`.
 
     Args:
         noun: what the samples are, e.g. "viewpoints".

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.coverage import shortage
+from wlr_render.calibration.coverage import missing_coverage
 from wlr_render.calibration.fit_report import FitReport, Residuals
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
 from wlr_render.captures.correspondences import DisplayCaptures, select
@@ -22,7 +22,7 @@ from wlr_render.numerics.least_squares import RankDeficientError
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _DisplayFit:
     """A fitted mapping, the captures it was made from, and its fits by polynomial name; the forward one is first."""
 
     mapping: DisplayMapping
@@ -33,7 +33,7 @@ class _Fit:
 def fit_display(
     captures: DisplayCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
 ) -> tuple[DisplayMapping, FitReport]:
-    """Fit the panel as seen by the eye.
+    """Fit a display model to captures of the panel.
 
     The forward polynomials minimise angles, the backward ones pixels, both weighted by 1 / sigma.
 
@@ -57,7 +57,7 @@ def display_of_degree(captures: DisplayCaptures, kind: str, degree: int) -> Disp
     return _fitted(captures, kind, degree, None).mapping
 
 
-def _fitted(captures: DisplayCaptures, kind: str, degree: int | None, base_plane: BasePlane | None) -> _Fit:
+def _fitted(captures: DisplayCaptures, kind: str, degree: int | None, base_plane: BasePlane | None) -> _DisplayFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of display model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
     plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
@@ -69,36 +69,36 @@ def _fitted(captures: DisplayCaptures, kind: str, degree: int | None, base_plane
     try:
         return _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
-        lacks = shortage("panel pixels", captures.pixel, "uv", lowest)
+        lacks = missing_coverage("panel pixels", captures.pixel, "uv", lowest)
         reason = lacks or "pixels and viewpoints are not spread independently of each other"
         raise BadInputError(f"{refusal}: {reason}.") from error
 
 
-def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _Fit:
+def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _DisplayFit:
     tangents = captures.tangents
     in_plane = plane.carry(captures.viewpoint, tangents)
     forward = _forward(captures, np.hstack([captures.pixel, in_plane]), degree)
     backward = _backward(captures, np.hstack([in_plane, tangents]), forward)
     mapping = BundleDisplay(captures.panel, captures.eye_box, plane, forward.polynomial, backward.polynomial)
-    return _Fit(mapping, captures, {"forward": forward, "backward": backward})
+    return _DisplayFit(mapping, captures, {"forward": forward, "backward": backward})
 
 
-def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
+def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     forward = _forward(captures, np.hstack([captures.pixel, captures.viewpoint]), degree)
     backward = _backward(captures, np.hstack([captures.viewpoint, captures.tangents]), forward)
     mapping = VolumetricDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
-    return _Fit(mapping, captures, {"forward": forward, "backward": backward})
+    return _DisplayFit(mapping, captures, {"forward": forward, "backward": backward})
 
 
-def _fit_static(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
+def _fit_static(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     centred = _nominal(captures)
     forward = _forward(centred, centred.pixel, degree, by_position=False)
     backward = _backward(centred, centred.tangents, forward, by_position=False)
     mapping = StaticDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
-    return _Fit(mapping, centred, {"forward": forward, "backward": backward})
+    return _DisplayFit(mapping, centred, {"forward": forward, "backward": backward})
 
 
-def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _Fit:
+def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     """t = a - w q is linear in the unknown a and w: q, where the measured ray meets the nominal plane, is known."""
     tangents = captures.tangents
     centre = captures.eye_box.centre
@@ -117,10 +117,12 @@ def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | 
         ),
         degree,
     )
-    return _Fit(PointPerPixelDisplay(captures.panel, captures.eye_box, point.polynomial), captures, {"point": point})
+    return _DisplayFit(
+        PointPerPixelDisplay(captures.panel, captures.eye_box, point.polynomial), captures, {"point": point}
+    )
 
 
-_KINDS: dict[str, Callable[[DisplayCaptures, BasePlane, int | None], _Fit]] = {
+_KINDS: dict[str, Callable[[DisplayCaptures, BasePlane, int | None], _DisplayFit]] = {
     "planar": _fit_planar,
     "volumetric": _fit_volumetric,
     "static": _fit_static,
@@ -149,15 +151,15 @@ def _backward(captures: DisplayCaptures, inputs: FloatArray, forward: Fitted, by
 
 def _lacking_viewpoints(captures: DisplayCaptures, kind: str, degree: int) -> str | None:
     if kind == "planar":
-        return shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
+        return missing_coverage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
     if kind == "volumetric":
-        return shortage("viewpoints", captures.viewpoint, "xyz", degree)
+        return missing_coverage("viewpoints", captures.viewpoint, "xyz", degree)
     if kind == "point-per-pixel" and len(np.unique(captures.viewpoint, axis=0)) == 1:
         return "a point's distance needs at least 2 viewpoints and there is 1: 1 more"
     return None
 
 
-def _report(kind: str, result: _Fit) -> FitReport:
+def _report(kind: str, result: _DisplayFit) -> FitReport:
     captures, fits = result.captures, list(result.fits.values())
     seen = result.mapping.view_dir_of_pixel(captures.pixel, captures.viewpoint)
     shown = result.mapping.pixel_of_view_dir(captures.view_dir, captures.viewpoint)

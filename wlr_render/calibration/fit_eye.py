@@ -17,7 +17,7 @@ _SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes w
 
 @dataclass(frozen=True)
 class EyeFit:
-    """Fitted mappings of one eye and what the two fits say of themselves."""
+    """Fitted mappings of one eye, with both fit reports."""
 
     mappings: EyeMappings
     device: str

@@ -1,4 +1,4 @@
-"""What a fit says about itself."""
+"""Quality of a fit: residuals and cross-validated errors."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -47,7 +47,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class FitReport:
-    """How well a model fits the captures it was made from, and captures it was not.
+    """Quality of a model on the captures it was fitted to, and on held-out captures.
 
     Attributes:
         kind: "planar", "volumetric", "static" or "point-per-pixel".

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.coverage import shortage
+from wlr_render.calibration.coverage import missing_coverage
 from wlr_render.calibration.fit_report import FitReport, Residuals
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
@@ -22,7 +22,7 @@ from wlr_render.numerics.least_squares import RankDeficientError
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _SeeThroughFit:
     """A fitted mapping, the captures it was made from, and its fits by polynomial name; the chosen-degree one first."""
 
     mapping: SeeThroughMapping
@@ -33,9 +33,9 @@ class _Fit:
 def fit_see_through(
     captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
 ) -> tuple[SeeThroughMapping, FitReport]:
-    """Fit how the optics bend the rays of the world.
+    """Fit a see-through model to captures of targets.
 
-    What is fitted is the deviation from the straight ray. A point X seen at depth Z in front of the base plane along t
+    The model is the deviation from the straight ray. A point X seen at depth Z in front of the base plane along t
     gives (X_xy - p~) / Z - t = A + B / Z, which is linear in the unknown A(p~, t) and B(p~, t): any number of target
     poses, tilted or not, go into one least-squares problem that minimises angles, weighted by 1 / sigma.
 
@@ -59,7 +59,9 @@ def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) 
     return _fitted(captures, kind, degree, None).mapping
 
 
-def _fitted(captures: SeeThroughCaptures, kind: str, degree: int | None, base_plane: BasePlane | None) -> _Fit:
+def _fitted(
+    captures: SeeThroughCaptures, kind: str, degree: int | None, base_plane: BasePlane | None
+) -> _SeeThroughFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
     plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
@@ -73,33 +75,33 @@ def _fitted(captures: SeeThroughCaptures, kind: str, degree: int | None, base_pl
     try:
         return _KINDS[kind](captures, plane, degree)
     except RankDeficientError as error:
-        lacks = shortage("view directions", captures.tangents, "xy", lowest)
+        lacks = missing_coverage("view directions", captures.tangents, "xy", lowest)
         raise BadInputError(f"{refusal}: {lacks or _one_depth(captures)}.") from error
 
 
-def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _Fit:
+def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _SeeThroughFit:
     tangents = captures.tangents
     in_plane = plane.carry(captures.viewpoint, tangents)
     depth = plane.depth_of(captures.point)[:, None]
     observed = (captures.point[:, :2] - in_plane) / depth - tangents
     fitted = _deviation(captures, np.hstack([in_plane, tangents]), observed, depth, captures.capture, degree)
-    return _Fit(BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted})
+    return _SeeThroughFit(BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted})
 
 
-def _fit_volumetric(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _Fit:
+def _fit_volumetric(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
     forward, backward = _both_ways(captures, captures.viewpoint, captures.capture, degree)
     mapping = VolumetricSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
-    return _Fit(mapping, captures, {"backward": backward, "forward": forward})
+    return _SeeThroughFit(mapping, captures, {"backward": backward, "forward": forward})
 
 
-def _fit_static(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _Fit:
+def _fit_static(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
     centred = select(captures, _nominal(captures))
     forward, backward = _both_ways(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
     mapping = StaticSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
-    return _Fit(mapping, centred, {"backward": backward, "forward": forward})
+    return _SeeThroughFit(mapping, centred, {"backward": backward, "forward": forward})
 
 
-_KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _Fit]] = {
+_KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _SeeThroughFit]] = {
     "planar": _fit_planar,
     "volumetric": _fit_volumetric,
     "static": _fit_static,
@@ -148,9 +150,9 @@ def _nominal(captures: SeeThroughCaptures) -> BoolArray:
 def _lacking_places(captures: SeeThroughCaptures, kind: str, degree: int) -> str | None:
     lacks = None
     if kind == "planar":
-        lacks = shortage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
+        lacks = missing_coverage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
     elif kind == "volumetric":
-        lacks = shortage("viewpoints", captures.viewpoint, "xyz", degree)
+        lacks = missing_coverage("viewpoints", captures.viewpoint, "xyz", degree)
     if lacks is None and len(np.unique(captures.target_pose)) < 2:
         lacks = _one_depth(captures)
     return lacks
@@ -161,7 +163,7 @@ def _one_depth(captures: SeeThroughCaptures) -> str:
     return f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"
 
 
-def _report(kind: str, result: _Fit) -> FitReport:
+def _report(kind: str, result: _SeeThroughFit) -> FitReport:
     captures, fits = result.captures, list(result.fits.values())
     seen = result.mapping.view_dir_of_real_point(captures.point, captures.viewpoint)
     return FitReport(

@@ -1,4 +1,4 @@
-"""From what was read in photographs to captures in the device frame."""
+"""Convert observations in photographs to captures in the device frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
+from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -24,7 +24,7 @@ without it a fit would follow a few readings of very little noise."""
 
 @dataclass(frozen=True)
 class Headset:
-    """What captures say of the headset.
+    """The headset and eye that captures belong to.
 
     Attributes:
         device: its name.
@@ -39,7 +39,7 @@ class Headset:
 
 @dataclass(frozen=True, eq=False)
 class PanelView:
-    """The panel as decoded from one place.
+    """The panel decoded at one camera pose.
 
     Attributes:
         device_from_camera: (4, 4).
@@ -52,30 +52,30 @@ class PanelView:
 
 @dataclass(frozen=True, eq=False)
 class TargetView:
-    """The target as seen through the optics from one place.
+    """The target observed through the optics at one camera pose.
 
     Attributes:
         device_from_camera, device_from_target: (4, 4).
         target_pose: index of the target's place.
         capture: index of the camera's place.
-        sighting: the dots found.
+        observation: the dots found.
     """
 
     device_from_camera: FloatArray
     device_from_target: FloatArray
     target_pose: int
     capture: int
-    sighting: BoardSighting
+    observation: BoardObservation
 
 
 def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: Sequence[PanelView]) -> DisplayCaptures:
-    """Captures of the panel: every view is one camera position.
+    """Return captures of the panel; every view is one camera position.
 
     Raises:
         BadInputError: there are no views, or a camera does not look at the optics.
     """
     if not views:
-        raise BadInputError("no photographs of the panel are left to fit the display to; see what was set aside.")
+        raise BadInputError("no photographs of the panel are left to fit the display to; see which were rejected.")
     parts = []
     for number, view in enumerate(views):
         direction, sound = _directions(camera, view.device_from_camera, view.samples.camera_pixel)
@@ -100,20 +100,20 @@ def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: 
 def see_through_captures(
     headset: Headset, board: DotBoard, camera: LensCamera, views: Sequence[TargetView]
 ) -> SeeThroughCaptures:
-    """Captures of the target through the optics.
+    """Return captures of the target through the optics.
 
     Raises:
         BadInputError: there are no views, or a target lies behind a camera.
     """
     if not views:
         raise BadInputError(
-            "no photographs of the target through the optics are left to fit see-through to; see what was set aside."
+            "no photographs of the target through the optics are left to fit see-through to; see which were rejected."
         )
     parts = []
     for view in views:
-        direction, sound = _directions(camera, view.device_from_camera, view.sighting.pixel)
+        direction, sound = _directions(camera, view.device_from_camera, view.observation.pixel)
         count = int(sound.sum())
-        point = transforms.apply(view.device_from_target, board.point_of(view.sighting.index[sound]))
+        point = transforms.apply(view.device_from_target, board.point_of(view.observation.index[sound]))
         parts.append(
             SeeThroughCaptures(
                 headset.device,
@@ -124,14 +124,14 @@ def see_through_captures(
                 point=point,
                 capture=np.full(count, view.capture),
                 target_pose=np.full(count, view.target_pose),
-                sigma_arcmin=(np.hypot(view.sighting.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(camera))[sound],
+                sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(camera))[sound],
             )
         )
     return concatenate(parts)
 
 
 def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> SeeThroughCaptures:
-    """The dots that were seen where the panel was seen, and somewhat beyond: a model need not bend for the rest.
+    """Return the dots within the field of view of the panel plus a margin, where the model is used.
 
     Raises:
         BadInputError: no dot was.

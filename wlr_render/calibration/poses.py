@@ -22,7 +22,7 @@ def small_motion(delta: FloatArray) -> FloatArray:
 
 
 def motion_between(before: FloatArray, after: FloatArray) -> FloatArray:
-    """The motion (..., 6) in frame b that turns the poses `before` into `after`, both b_from_a (..., 4, 4)."""
+    """Return the motion (..., 6) in frame b that carries the poses `before` into `after`, both b_from_a (..., 4, 4)."""
     from scipy.spatial.transform import Rotation
 
     motion = after @ transforms.inverse(before)
@@ -97,7 +97,7 @@ class PoseMean:
 
 
 def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:
-    """Mean of measurements (n, 4, 4) whose small motions in b have the joint covariance (6 n, 6 n)."""
+    """Return the mean of correlated poses (n, 4, 4) whose small motions in b have the joint covariance (6 n, 6 n)."""
     count = len(b_from_a)
     design = np.tile(np.eye(6), (count, 1))
     weighted = np.linalg.solve(covariance, design)
@@ -111,7 +111,7 @@ def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:
     chi_square = float(apart @ np.linalg.solve(covariance, apart))
     freedom = 6 * (count - 1)
     # R. T. Birge, Phys. Rev. 40 (1932) 207; at every chance excess it would make the mean look worse than it is.
-    widening = chi_square / freedom if beyond_chance(chi_square, freedom) else 1.0
+    widening = chi_square / freedom if exceeds_chance(chi_square, freedom) else 1.0
     return PoseMean(
         Pose(mean, _symmetric(mean_covariance) * widening),
         np.moveaxis(weights.reshape(6, count, 6), 1, 0),
@@ -119,8 +119,8 @@ def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:
     )
 
 
-def beyond_chance(chi_square: float, freedom: int) -> bool:
-    """Whether a sum of squares is more than three standard deviations above the one expected."""
+def exceeds_chance(chi_square: float, freedom: int) -> bool:
+    """Whether chi-squared is more than three standard deviations above its expectation."""
     return freedom > 0 and bool(chi_square > freedom + 3.0 * np.sqrt(2.0 * freedom))
 
 

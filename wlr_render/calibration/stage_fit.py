@@ -14,20 +14,27 @@ import numpy as np
 
 from wlr_render.calibration.board_poses import BoardPoses
 from wlr_render.calibration.poses import ARCMIN, Pose, motion_between
-from wlr_render.calibration.stage_problem import STILL, Jitter, StageProblem, StageSolution, solved, with_jitter
+from wlr_render.calibration.stage_problem import (
+    STILL,
+    Jitter,
+    StageProblem,
+    StageSolution,
+    fit_with_jitter,
+    solve_stage,
+)
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_SUSPECT = 20.0  # ratio of F that makes one photograph an outsider: beyond 1e-8 by chance
+_MIN_F_RATIO = 20.0  # ratio of F that makes one photograph an outlier: beyond 1e-8 by chance
 _CHI_SQUARE = 2.0  # per degree of freedom; a fit that is no worse has no faults worth a search
 _EXPLAINS = 0.1  # a target that moved is believed if it leaves no more than this part of the sum of squares
-_NOTICED_M = 3e-5  # an outsider must be this far off, or
+_NOTICED_M = 3e-5  # an outlier must be this far off, or
 _NOTICED_RAD = 0.3 * ARCMIN  # turned by this much: below both, it does no harm
 
 
-def outsider(problem: StageProblem) -> tuple[int, FloatArray] | None:
-    """The one photograph that spoils the fit, and by how much (6,) it differs from what the others say of it."""
-    whole = solved(problem).chi_square
+def outlier(problem: StageProblem) -> tuple[int, FloatArray] | None:
+    """Return the index of the single outlying photograph and its deviation (6,) from the fit to the others, if any."""
+    whole = solve_stage(problem).chi_square
     best: tuple[float, int, StageSolution] | None = None
     if whole < _CHI_SQUARE * problem.freedom:
         return None
@@ -35,21 +42,21 @@ def outsider(problem: StageProblem) -> tuple[int, FloatArray] | None:
         rest = problem.without(row)
         if not rest.determined or rest.freedom <= 6:
             continue
-        solution = solved(rest)
+        solution = solve_stage(rest)
         ratio = (whole - solution.chi_square) / 6 / (solution.chi_square / rest.freedom)
         if best is None or ratio > best[0]:
             best = ratio, row, solution
-    if best is None or best[0] < _SUSPECT:
+    if best is None or best[0] < _MIN_F_RATIO:
         return None
     _, row, solution = best
-    by = motion_between(problem.predicted(solution.axes, solution.poses)[row], problem.seen[row])
-    noticed = np.linalg.norm(by[3:]) > _NOTICED_M or np.linalg.norm(by[:3]) > _NOTICED_RAD
-    return (row, by) if noticed else None
+    deviation = motion_between(problem.predicted(solution.axes, solution.poses)[row], problem.seen[row])
+    noticed = np.linalg.norm(deviation[3:]) > _NOTICED_M or np.linalg.norm(deviation[:3]) > _NOTICED_RAD
+    return (row, deviation) if noticed else None
 
 
 @dataclass(frozen=True, eq=False)
 class TargetStep:
-    """A target that was moved while photographs of it were taken.
+    """A motion of the target between two of its photographs, by index.
 
     Attributes:
         row: the first photograph after.
@@ -63,8 +70,8 @@ class TargetStep:
 
 
 def target_step(problem: StageProblem) -> TargetStep | None:
-    """The place in the order of photographs where a target moved, if that explains why they do not fit."""
-    whole = solved(problem).chi_square
+    """Return where in the order of photographs the target moved, if that explains the residuals."""
+    whole = solve_stage(problem).chi_square
     if whole < _CHI_SQUARE * problem.freedom:
         return None
     best, found = _EXPLAINS * whole, None
@@ -76,7 +83,7 @@ def target_step(problem: StageProblem) -> TargetStep | None:
             split = replace(problem, target=np.where(later, extra, problem.target))
             if not split.determined or split.freedom <= 0:
                 continue
-            solution = solved(split)
+            solution = solve_stage(split)
             if solution.chi_square < best:
                 motion = motion_between(solution.poses[target], solution.poses[extra])
                 best, found = solution.chi_square, TargetStep(int(row), int(before), motion)
@@ -85,7 +92,7 @@ def target_step(problem: StageProblem) -> TargetStep | None:
 
 @dataclass(frozen=True, eq=False)
 class TargetMoved:
-    """A target that was moved between the photographs `before` and `after`, by a small motion (6,), camera frame."""
+    """A motion (6,) of the target, camera frame, between the photographs named `before` and `after`."""
 
     before: str
     after: str
@@ -94,12 +101,12 @@ class TargetMoved:
 
 @dataclass(frozen=True, eq=False)
 class StageFit:
-    """A straight stage.
+    """A fitted straight stage, with the repeatability of its camera.
 
     Attributes:
         reference: (3,) the reading that poses are given at, the middle of all readings.
         travel: the largest range of the readings of an axis.
-        moved: (m,) indices of the axes whose readings changed.
+        moved_axes: (m,) indices of the axes whose readings changed.
         axes: (3, m) camera frame: true displacement per reading of each moved axis, metres per metre.
         camera_from_target: target pose number -> (4, 4) at the reference.
         covariance: (3 m + 6 k, 3 m + 6 k) of the axes, one after the other, and of small motions of the k poses in the
@@ -108,20 +115,20 @@ class StageFit:
             covariance.
         names: n photographs that were fitted.
         residual: (n, 6) small motion in the camera's frame from the fitted pose to the one seen.
-        set_aside: photograph -> (6,) by how much it does not fit the others.
+        rejected: photograph -> (6,) deviation from the fit to the others.
         target_moved: where the target was moved meanwhile, if that is why the photographs do not fit.
     """
 
     reference: FloatArray
     travel: float
-    moved: IntArray
+    moved_axes: IntArray
     axes: FloatArray
     camera_from_target: dict[int, FloatArray]
     covariance: FloatArray
     jitter: Jitter
     names: tuple[str, ...]
     residual: FloatArray
-    set_aside: dict[str, FloatArray] = field(default_factory=dict)
+    rejected: dict[str, FloatArray] = field(default_factory=dict)
     target_moved: TargetMoved | None = None
 
     def displacement(self, reading: FloatArray) -> FloatArray:
@@ -130,27 +137,27 @@ class StageFit:
         Raises:
             BadInputError: a reading of an axis that no photograph without the headset moved.
         """
-        apart = np.asarray(reading, dtype=np.float64) - self.reference
-        held = np.setdiff1d(np.arange(3), self.moved)
-        off = np.abs(apart).reshape(-1, 3).max(axis=0)[held]
+        offset = np.asarray(reading, dtype=np.float64) - self.reference
+        held = np.setdiff1d(np.arange(3), self.moved_axes)
+        off = np.abs(offset).reshape(-1, 3).max(axis=0)[held]
         if np.any(off > STILL * self.travel):
             axis = "xyz"[held[np.argmax(off)]]
             raise BadInputError(
-                f"stage readings move axis {axis}, along which no photograph without the headset was taken; take some."
+                f"stage readings vary along axis {axis}, but no photograph without the headset does; take some that do."
             )
-        return np.asarray(apart[..., self.moved] @ self.axes.T)
+        return np.asarray(offset[..., self.moved_axes] @ self.axes.T)
 
     @property
     def out_of_plane_m(self) -> float:
         """Rms distance of the camera from the plane of two axes; NaN unless two moved."""
-        if len(self.moved) != 2:
+        if len(self.moved_axes) != 2:
             return np.nan
         normal = np.cross(self.axes[:, 0], self.axes[:, 1])
         return float(np.sqrt(np.mean((self.residual[:, 3:] @ normal / np.linalg.norm(normal)) ** 2)))
 
     def pose(self, target: int) -> Pose:
         """camera_from_target at the reference."""
-        start = 3 * len(self.moved) + 6 * list(self.camera_from_target).index(target)
+        start = 3 * len(self.moved_axes) + 6 * list(self.camera_from_target).index(target)
         rows = slice(start, start + 6)
         return Pose(self.camera_from_target[target], self.covariance[rows, rows])
 
@@ -167,41 +174,41 @@ def fit_stage(seen: BoardPoses, target: Sequence[int], reading: FloatArray) -> S
         BadInputError: too few photographs, or axes that were only moved together.
     """
     reading = np.asarray(reading, dtype=np.float64)
-    moved = _moved(reading)
+    moved_axes = _moved_axes(reading)
     reference = 0.5 * (reading.min(axis=0) + reading.max(axis=0))
     numbers, index = np.unique(np.asarray(target, dtype=np.int64), return_inverse=True)
-    problem = StageProblem(seen.camera_from_board, seen.covariance, index, (reading - reference)[:, moved])
+    problem = StageProblem(seen.camera_from_board, seen.covariance, index, (reading - reference)[:, moved_axes])
     if not problem.determined or problem.freedom <= 0:
         raise BadInputError(
-            f"{len(seen)} photographs without the headset do not tell how the stage moves along "
-            f"{' and '.join('xyz'[axis] for axis in moved)}; take a grid of 5 or more at one pose of the target."
+            f"{len(seen)} photographs without the headset do not determine how the stage moves along "
+            f"{' and '.join('xyz'[axis] for axis in moved_axes)}; take a grid of 5 or more at one pose of the target."
         )
     names = list(seen.names)
-    set_aside = {}
-    while (moved_one := outsider(problem)) is not None:
-        row, by = moved_one
-        set_aside[names.pop(row)] = by
+    rejected = {}
+    while (found := outlier(problem)) is not None:
+        row, deviation = found
+        rejected[names.pop(row)] = deviation
         problem = problem.without(row)
     step = target_step(problem)
-    jitter, solution = with_jitter(problem)
+    jitter, solution = fit_with_jitter(problem)
     return StageFit(
         reference,
         float(np.ptp(reading, axis=0).max()),
-        moved,
+        moved_axes,
         solution.axes,
         dict(zip(numbers.tolist(), solution.poses, strict=True)),
         solution.covariance,
         jitter,
         tuple(names),
         solution.residual,
-        set_aside,
+        rejected,
         TargetMoved(names[step.before], names[step.row], step.motion) if step else None,
     )
 
 
-def _moved(reading: FloatArray) -> IntArray:
+def _moved_axes(reading: FloatArray) -> IntArray:
     if len(reading) == 0:
-        raise BadInputError("no photograph without the headset shows the target; the stage cannot be found.")
+        raise BadInputError("no photograph without the headset shows the target; the stage axes cannot be fitted.")
     travel = np.ptp(reading, axis=0)
     if not travel.max() > 0:
         raise BadInputError(

@@ -24,7 +24,7 @@ _ROUNDS, _CONVERGED = 60, 1e-4  # rounds over both components, until neither cha
 
 @dataclass(frozen=True, eq=False)
 class StageProblem:
-    """Poses at stage readings.
+    """Board poses measured at stage readings.
 
     Attributes:
         seen: (n, 4, 4) camera_from_target.
@@ -65,7 +65,7 @@ class StageProblem:
 
 @dataclass(frozen=True, eq=False)
 class StageSolution:
-    """What fits best.
+    """Generalised least-squares solution.
 
     Attributes:
         axes: (3, m) camera frame.
@@ -100,8 +100,8 @@ class Jitter:
         return np.diag(np.repeat([self.rotation_rad**2, self.translation_m**2], 3))
 
 
-def solved(problem: StageProblem, jitter: Jitter = Jitter()) -> StageSolution:
-    """Fit axes and poses, for photographs whose camera departs from the straight motion by `jitter`."""
+def solve_stage(problem: StageProblem, jitter: Jitter = Jitter()) -> StageSolution:
+    """Fit axes and poses to photographs whose camera departs from the straight motion by `jitter`."""
     count, axis_count = problem.displacement.shape
     covariance = problem.covariance + np.kron(np.eye(count), jitter.covariance)
     inverse_root = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -141,13 +141,13 @@ def _design(problem: StageProblem, axes: FloatArray) -> FloatArray:
     return design.reshape(6 * count, -1)
 
 
-def with_jitter(problem: StageProblem) -> tuple[Jitter, StageSolution]:
-    """The most likely jitter (REML), and the solution with it.
+def fit_with_jitter(problem: StageProblem) -> tuple[Jitter, StageSolution]:
+    """Return the REML estimate of the jitter, and the solution with it.
 
     Raises:
         BadInputError: the photographs are described better the larger a jitter is.
     """
-    start = solved(problem)
+    start = solve_stage(problem)
     design = _design(problem, start.axes)
     contrasts = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]  # free of axes and target poses
     residual = contrasts.T @ start.residual.ravel()
@@ -170,7 +170,7 @@ def with_jitter(problem: StageProblem) -> tuple[Jitter, StageSolution]:
         if np.all(np.abs(sigma - before) <= _CONVERGED * sigma):
             break
     jitter = Jitter(float(sigma[0]), float(sigma[1]))
-    return jitter, solved(problem, jitter)
+    return jitter, solve_stage(problem, jitter)
 
 
 def _most_likely_sigma(

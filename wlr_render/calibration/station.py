@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.calibration.board_poses import BoardPoses, BoardView
-from wlr_render.calibration.chains import Chains, chains_through, combined, tracked_targets
 from wlr_render.calibration.check import Change, Check
+from wlr_render.calibration.pose_chains import PoseChains, mean_camera_pose, pose_chains, tracked_targets
 from wlr_render.calibration.poses import Pose, adjoint, motion_between
 from wlr_render.calibration.stage_fit import StageFit, fit_stage
-from wlr_render.calibration.station_checks import STEP, chain_check, lens_check, set_aside_checks, stage_checks
+from wlr_render.calibration.station_checks import STEP, chain_check, lens_check, rejection_checks, stage_checks
 from wlr_render.calibration.sweep_checks import RepeatedView, TargetChange, sweep_check
 from wlr_render.captures.photo_session import BoardPhotograph
 from wlr_render.errors import BadInputError
@@ -40,7 +40,7 @@ class StationPhotos:
 
 
 def repeated_views(photos: Sequence[BoardPhotograph], views: Mapping[str, BoardView]) -> tuple[RepeatedView, ...]:
-    """The first and the last of photographs through the optics at one target pose and stage reading, where repeated.
+    """Return first and last photographs through the optics where target pose and stage reading were repeated.
 
     Args:
         photos: through the optics, in the order of taking.
@@ -59,7 +59,7 @@ def repeated_views(photos: Sequence[BoardPhotograph], views: Mapping[str, BoardV
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """Everything in the device frame.
+    """Stage, eyeball camera and target in the device frame.
 
     Attributes:
         stage: how the stage carries the camera.
@@ -86,9 +86,9 @@ class Station:
         return np.asarray(self.at_reference @ transforms.rigid(np.eye(3), self.stage.displacement(reading)))
 
     def pose_at(self, reading: FloatArray) -> Pose:
-        """device_from_camera at one reading (3,), with its uncertainty, in which is the stage's repeatability."""
+        """device_from_camera at one reading (3,); its covariance includes the repeatability of the stage."""
         device_from_camera = self.device_from_camera(reading)
-        by_axes = (np.asarray(reading) - self.stage.reference)[self.stage.moved]
+        by_axes = (np.asarray(reading) - self.stage.reference)[self.stage.moved_axes]
         by_all = np.zeros((6, len(self.covariance)))
         by_all[:, :6] = np.eye(6)
         by_all[3:, 6:] = np.concatenate([travel * self.at_reference[:3, :3] for travel in by_axes], axis=1)
@@ -105,7 +105,7 @@ class Station:
 def find_station(
     photos: StationPhotos, eyeball: BoardPoses, tracking: BoardPoses, device_from_tracking: FloatArray
 ) -> Station:
-    """Put the stage, the eyeball camera and the target into the device frame, and check step against step.
+    """Fit the stage, the eyeball camera and the target in the device frame, and check the steps against each other.
 
     Checks that fail are in the result; `check.refuse_contradictions` stops on those that are too far off.
 
@@ -124,8 +124,8 @@ def find_station(
     stage = fit_stage(seen, [photo.target_pose for photo in bare], readings)
     by_target = _tracked(photos.tracking, tracking)
     targets = tracked_targets(tracking, by_target, device_from_tracking)
-    chains = chains_through(stage, targets)
-    station = Station(stage, *combined(stage, chains), targets.poses)
+    chains = pose_chains(stage, targets)
+    station = Station(stage, *mean_camera_pose(stage, chains), targets.poses)
     changes = {
         target: _target_change(tracking.only(names), device_from_tracking)
         for target, names in by_target.items()
@@ -142,8 +142,8 @@ def find_station(
         for target in sorted({*by_target, *(view.target for view in photos.repeated)})
     }
     found = [
-        *set_aside_checks(eyeball),
-        *set_aside_checks(tracking),
+        *rejection_checks(eyeball),
+        *rejection_checks(tracking),
         lens_check(STEP, seen),
         lens_check(_TRACKING, tracking.only([name for names in by_target.values() for name in names])),
         *stage_checks(stage),
@@ -161,7 +161,9 @@ def _tracked(photos: Sequence[BoardPhotograph], tracking: BoardPoses) -> dict[in
         if photo.name in tracking.names:
             by_target.setdefault(photo.target_pose, []).append(photo.name)
     if not by_target:
-        raise BadInputError("no photograph by the tracking camera shows the target; it ties all to the device.")
+        raise BadInputError(
+            "no photograph by the tracking camera shows the target; the device frame needs at least one."
+        )
     return by_target
 
 
@@ -176,7 +178,7 @@ def _target_change(tracking: BoardPoses, device_from_tracking: FloatArray) -> Ta
     return TargetChange(names, device_from_tracking @ first, device_from_tracking @ last, change)
 
 
-def _unchecked(chains: Chains, sweeps: Mapping[int, Check | None]) -> list[str]:
+def _unchecked(chains: PoseChains, sweeps: Mapping[int, Check | None]) -> list[str]:
     """Sentences."""
     said = [
         f"whether anything moved during the sweep at target pose {target} is not known: photograph the target with the "

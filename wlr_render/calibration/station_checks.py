@@ -5,7 +5,6 @@ from itertools import combinations
 import numpy as np
 
 from wlr_render.calibration.board_poses import BoardPoses
-from wlr_render.calibration.chains import Chains
 from wlr_render.calibration.check import (
     NEGLIGIBLE_ARCMIN,
     NEGLIGIBLE_MM,
@@ -16,6 +15,7 @@ from wlr_render.calibration.check import (
     Change,
     Check,
 )
+from wlr_render.calibration.pose_chains import PoseChains
 from wlr_render.calibration.poses import ARCMIN, mean_of_dependent, motion_between
 from wlr_render.calibration.stage_fit import StageFit, TargetMoved
 from wlr_render.numerics.arrays import FloatArray
@@ -31,25 +31,25 @@ _POOR_FIT_PX = 0.5
 
 
 def stage_checks(stage: StageFit) -> list[Check]:
-    """All that photographs at known readings say of a stage."""
+    """Check straightness, orientation, scales and angles of a fitted stage, and the photographs it rejected."""
     return [*_moved_photographs(stage), *_straightness(stage), *_scales(stage), *_angles(stage)]
 
 
 def _moved_photographs(stage: StageFit) -> list[Check]:
-    """One failed check per photograph that was set aside."""
+    """One failed check per rejected photograph."""
     checks = []
-    for name, motion in stage.set_aside.items():
+    for name, motion in stage.rejected.items():
         shift_mm, turn_arcmin = _size(motion)
         sentence = (
             f"the target or the camera moved at {name}, which lies {shift_mm:.3g} mm and {turn_arcmin:.2g}' from where "
-            "the other photographs have it; it was set aside: take it again, or correct its stage reading"
+            "the other photographs have it; it was rejected: take it again, or correct its stage reading"
         )
         checks.append(Check(name, "shift, mm", shift_mm, 0.0, NEGLIGIBLE_MM, sentence, ok=False))
     return checks
 
 
 def _straightness(stage: StageFit) -> list[Check]:
-    """Of the position and of the orientation of the camera, or of the target where that one moved."""
+    """Checks of the camera's repeatability in position and orientation; or of the target, where that moved."""
     if stage.target_moved:
         return [_moved_target(stage.target_moved)]
     um, urad = 1e6 * stage.jitter.translation_m, 1e6 * stage.jitter.rotation_rad
@@ -57,7 +57,7 @@ def _straightness(stage: StageFit) -> list[Check]:
     relative_sigma = 1.0 / np.sqrt(12 * len(stage.names))
     straight = shift_mm <= NEGLIGIBLE_MM
     steady = turn_arcmin <= NEGLIGIBLE_ARCMIN
-    out_of_plane = f", {1e3 * stage.out_of_plane_m:.3g} mm of it out of its plane" if len(stage.moved) == 2 else ""
+    out_of_plane = f", {1e3 * stage.out_of_plane_m:.3g} mm of it out of its plane" if len(stage.moved_axes) == 2 else ""
     return [
         Check(
             STEP,
@@ -112,7 +112,7 @@ def _size(motion: FloatArray) -> tuple[float, float]:
 
 def _scales(stage: StageFit) -> list[Check]:
     checks = []
-    for column, axis in enumerate(stage.moved):
+    for column, axis in enumerate(stage.moved_axes):
         vector = stage.axes[:, column]
         length = float(np.linalg.norm(vector))
         rows = slice(3 * column, 3 * column + 3)
@@ -151,7 +151,7 @@ def _scale_sentence(axis: str, length: float, ok: bool) -> str:
 
 def _angles(stage: StageFit) -> list[Check]:
     checks = []
-    for i, j in combinations(range(len(stage.moved)), 2):
+    for i, j in combinations(range(len(stage.moved_axes)), 2):
         first, second = stage.axes[:, i], stage.axes[:, j]
         size = np.linalg.norm(first) * np.linalg.norm(second)
         skew_deg = float(np.degrees(np.arcsin(first @ second / size)))
@@ -159,7 +159,7 @@ def _angles(stage: StageFit) -> list[Check]:
         rows = np.concatenate([3 * i + np.arange(3), 3 * j + np.arange(3)])
         sigma_deg = float(np.degrees(np.sqrt(gradient @ stage.covariance[np.ix_(rows, rows)] @ gradient)))
         ok = abs(skew_deg) <= max(_SKEW_DEG, WARNED_SIGMAS * sigma_deg)
-        pair = f"{'xyz'[stage.moved[i]]} and {'xyz'[stage.moved[j]]}"
+        pair = f"{'xyz'[stage.moved_axes[i]]} and {'xyz'[stage.moved_axes[j]]}"
         sentence = f"the stage's axes {pair} are {90 - skew_deg:.2f} deg apart"
         if not ok:
             sentence += "; they should be at right angles: are readings of two axes mixed up, or is the stage loose?"
@@ -168,29 +168,29 @@ def _angles(stage: StageFit) -> list[Check]:
 
 
 def lens_check(step: str, poses: BoardPoses) -> Check:
-    """Whether dots lie where a lens has them."""
+    """Check the reprojection error of the photograph that fits worst."""
     worst = int(np.argmax(poses.rms_px))
     rms_px = float(poses.rms_px[worst])
     ok = rms_px <= _POOR_FIT_PX
-    sentence = f"dots lie where the lens has them to {rms_px:.2g} px rms"
+    sentence = f"reprojection error {rms_px:.2g} px rms"
     if not ok:
         sentence = (
-            f"dots of {poses.names[worst]} miss the lens model by {rms_px:.2g} px rms; the focal length, centre or "
+            f"reprojection error of {poses.names[worst]} is {rms_px:.2g} px rms; the focal length, centre or "
             "distortion are not this camera's, or the board is not flat: calibrate the camera again"
         )
-    return Check(step, "misfit of dots, px", rms_px, 0.0, _POOR_FIT_PX, sentence, ok)
+    return Check(step, "reprojection error, px", rms_px, 0.0, _POOR_FIT_PX, sentence, ok)
 
 
-def set_aside_checks(poses: BoardPoses) -> list[Check]:
+def rejection_checks(poses: BoardPoses) -> list[Check]:
     """One failed check per photograph that gave no pose."""
     return [
-        Check(name, "pose of the board", np.nan, np.nan, np.nan, f"set aside: {name} {reason}", ok=False)
-        for name, reason in poses.set_aside.items()
+        Check(name, "pose of the board", np.nan, np.nan, np.nan, f"rejected: {name} {reason}", ok=False)
+        for name, reason in poses.rejected.items()
     ]
 
 
-def chain_check(chains: Chains) -> Check | None:
-    """Whether all target poses put the camera at one place; None if there is only one target pose.
+def chain_check(chains: PoseChains) -> Check | None:
+    """Check that all target poses give one camera pose; None if there is only one target pose.
 
     A wrong scale of the board does not show here: it moves the cameras apart by as much at every target pose.
     """
@@ -210,8 +210,8 @@ def chain_check(chains: Chains) -> Check | None:
     return change.check(f"target {poses}", sentence, right)
 
 
-def _against_others(chains: Chains, k: int) -> Change:
-    """How far the camera by way of one target pose is from where the others have it."""
+def _against_others(chains: PoseChains, k: int) -> Change:
+    """Difference of the camera pose by one target pose from the mean by the others."""
     others = [i for i in range(len(chains.targets)) if i != k]
     rows = (6 * np.array(others)[:, None] + np.arange(6)).ravel()
     own = 6 * k + np.arange(6)

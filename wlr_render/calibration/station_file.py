@@ -1,4 +1,4 @@
-"""station.json: the calibrated station, so that more photographs can be taken and understood on the same bench.
+"""Read and write station.json, the calibrated station.
 
 Device frame (OpenXR), metres; cameras have OpenCV's axes and pixels count from the outer corner of the top-left pixel.
 """
@@ -24,7 +24,7 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class SavedStation:
-    """What station.json says.
+    """Contents of station.json.
 
     Attributes:
         eyeball_camera, tracking_camera: the lenses.
@@ -50,9 +50,7 @@ class SavedStation:
         travel = np.asarray(reading) - self.reference
         used = travel != 0
         if np.isnan(self.axes[:, used]).any():
-            raise BadInputError(
-                "the stage is read along an axis that no photograph without the headset moved it along."
-            )
+            raise BadInputError("the stage is read along an axis that no photograph without the headset varies.")
         moved = self.at_reference[:3, 3] + self.axes[:, used] @ travel[used]
         return transforms.rigid(self.at_reference[:3, :3], moved)
 
@@ -66,7 +64,7 @@ def save_station(
 ) -> Path:
     """Write station.json, with the uncertainty of every pose."""
     axes: list[Any] = [None] * 3
-    for number, column in zip(station.stage.moved, station.stage_axes_in_device.T, strict=True):
+    for number, column in zip(station.stage.moved_axes, station.stage_axes_in_device.T, strict=True):
         axes[int(number)] = column.tolist()
     reference = station.stage.reference
     content = {

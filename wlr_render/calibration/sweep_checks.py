@@ -1,4 +1,4 @@
-"""What moved during a sweep: the target, the headset, or the camera or its stage.
+"""Detect motion during a sweep: of the target, the headset, or the camera or its stage.
 
 The headset's tracking camera sees the target before and after the sweep; the eyeball camera sees it through the optics
 twice at one stage reading. A target that moves is seen to move by both, a headset that shifts by its own camera alone
@@ -40,7 +40,7 @@ class RepeatedView:
 
 @dataclass(frozen=True, eq=False)
 class TargetChange:
-    """How the tracking camera saw the target change during a sweep.
+    """Motion of the target during a sweep, seen by the tracking camera.
 
     Attributes:
         names: of the photographs before and after.
@@ -56,13 +56,13 @@ class TargetChange:
 
 @dataclass(frozen=True, eq=False)
 class _ViewChange:
-    """How the eyeball camera saw dots move.
+    """Displacement of dots during a sweep, seen by the eyeball camera.
 
     Attributes:
         names: of the two photographs.
         median_arcmin: median distance beyond noise.
         sigma_arcmin: its standard deviation.
-        seen: whether it is more than noise and more than can be neglected.
+        is_significant: whether it is more than noise and more than can be neglected.
         foreseen_arcmin: rms that the target's motion by the tracking camera would have made.
         follows: how much of that motion is in what is seen, 1 if all.
     """
@@ -70,7 +70,7 @@ class _ViewChange:
     names: tuple[str, str]
     median_arcmin: float
     sigma_arcmin: float
-    seen: bool
+    is_significant: bool
     foreseen_arcmin: float = 0.0
     follows: float = 0.0
 
@@ -94,7 +94,7 @@ def sweep_check(
     views = [_view_change(view, tracked, camera, device_from_camera) for view in repeated]
     step = f"sweep at target pose {target}"
     largest = max(views, key=lambda view: view.median_arcmin, default=None)
-    if tracked is not None and tracked.change.seen:
+    if tracked is not None and tracked.change.is_significant:
         moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked.change}"
         return tracked.change.check(step, f"{moved}; repeat this sweep with its tracking photographs", moved)
     if largest is None:
@@ -111,9 +111,9 @@ def sweep_check(
         largest.median_arcmin,
         largest.sigma_arcmin,
         NEGLIGIBLE_ARCMIN,
-        sentence if largest.seen else "nothing moved",
-        ok=not largest.seen,
-        contradictory=largest.seen and largest.median_arcmin > REFUSED_ARCMIN,
+        sentence if largest.is_significant else "nothing moved",
+        ok=not largest.is_significant,
+        contradictory=largest.is_significant and largest.median_arcmin > REFUSED_ARCMIN,
     )
 
 
@@ -156,7 +156,7 @@ def _view_change(
         change.names,
         change.median_arcmin,
         change.sigma_arcmin,
-        change.seen,
+        change.is_significant,
         float(np.sqrt(power / len(point))) * per_px,
         float(np.sum(foreseen * displaced)) / power if power > 0 else 0.0,
     )

@@ -1,4 +1,4 @@
-"""What calibration reads: which pixel, or which real point, a camera at a known viewpoint saw in which direction.
+"""Captures: in which direction a camera at a known viewpoint saw a panel pixel or a real point.
 
 Everything is in the device frame (OpenXR), metres. One row is one measured direction; `capture` says which camera
 position it was taken at, so that held-out tests can leave out whole positions.
@@ -49,7 +49,7 @@ class DisplayCaptures:
     sigma_arcmin: FloatArray
 
     def __post_init__(self) -> None:
-        _check_sightings(self)
+        _check_rows(self)
         _set_rows(self, "pixel", 2, len(self))
 
     @cached_property
@@ -85,7 +85,7 @@ class SeeThroughCaptures:
     sigma_arcmin: FloatArray
 
     def __post_init__(self) -> None:
-        _check_sightings(self)
+        _check_rows(self)
         _set_rows(self, "point", 3, len(self))
         _set_indices(self, "target_pose", len(self))
         if np.any(self.point[:, 2] >= self.viewpoint[:, 2]):
@@ -128,7 +128,7 @@ AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 
 
 def select(captures: AnyCaptures, rows: IntArray | NDArray[np.bool_]) -> AnyCaptures:
-    """The captures of some rows, by index or mask (n,)."""
+    """Return the captures of some rows, by index or mask (n,)."""
     per_row: dict[str, Any] = {
         field.name: getattr(captures, field.name)[rows]
         for field in fields(captures)
@@ -138,7 +138,7 @@ def select(captures: AnyCaptures, rows: IntArray | NDArray[np.bool_]) -> AnyCapt
 
 
 def concatenate(parts: Sequence[AnyCaptures]) -> AnyCaptures:
-    """Captures of one eye one after the other; `capture` indices keep their values. There must be at least one part."""
+    """Concatenate captures of one eye; `capture` indices keep their values. There must be at least one part."""
     first = parts[0]
     per_row: dict[str, Any] = {
         field.name: np.concatenate([getattr(part, field.name) for part in parts])
@@ -148,7 +148,7 @@ def concatenate(parts: Sequence[AnyCaptures]) -> AnyCaptures:
     return replace(first, **per_row)
 
 
-def _check_sightings(captures: DisplayCaptures | SeeThroughCaptures) -> None:
+def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
     if captures.eye not in ("left", "right"):
         raise BadInputError(f"captures: 'eye' is '{captures.eye}'; it must be 'left' or 'right'.")
     count = len(np.atleast_1d(captures.viewpoint))

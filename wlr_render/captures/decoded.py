@@ -15,7 +15,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
 _RIM_PX = 2  # camera pixels beside a rejected one that are not used
-_ROUNDS = 5  # strays bend the plane that they are judged by: the worst go first
+_ROUNDS = 5  # outliers bend the plane that they are judged by: the worst go first
 _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
@@ -73,14 +73,14 @@ class Decoded:
         return np.asarray(self.rejection == Rejection.ACCEPTED)
 
     def counts(self) -> dict[Rejection, int]:
-        """How many camera pixels have which fate, without those that none has."""
+        """Number of camera pixels per rejection, without zero counts."""
         number = np.bincount(self.rejection.ravel(), minlength=len(Rejection))
         return {reason: int(number[reason]) for reason in Rejection if number[reason]}
 
 
 @dataclass(frozen=True)
 class DecodeOptions:
-    """When a camera pixel is believed.
+    """Thresholds for accepting a camera pixel.
 
     Attributes:
         full_scale: the largest value that the camera can give: 255, 1023, 4095, 65535.
@@ -159,7 +159,7 @@ def sample(decoded: Decoded, count: int = 1500, reach_px: int = 4, filled: float
 def _planes(
     panel: FloatArray, kept: NDArray[np.bool_], du: NDArray[np.int64], dv: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Least-squares planes (n, 3, 2), constant first, of windows (n, m, 2), and what they leave (n, m, 2)."""
+    """Least-squares planes (n, 3, 2), constant first, of windows (n, m, 2), and residuals (n, m, 2)."""
     basis = np.stack([np.ones(len(du)), du, dv], axis=-1)
     weight = kept.astype(np.float64)
     values = np.where(kept[..., None], panel, 0.0)

@@ -1,4 +1,4 @@
-"""What a photographic session consists of: which photograph was taken of what, from where, with which camera.
+"""Photographic session: which photograph was taken of what, from where, with which camera.
 
 Device frame (OpenXR), metres; cameras have OpenCV's axes. Photographs are named by their place, not held: a session may
 have thousands. The lists are in the order of taking.
@@ -61,7 +61,7 @@ class BoardPhotograph:
 
 @dataclass(frozen=True, eq=False)
 class CodeSet:
-    """Photographs of the panel showing a code, from one place.
+    """Photographs of a pattern on the panel from one camera position.
 
     Attributes:
         folder: that holds them, in the order of showing by their names.

@@ -19,7 +19,7 @@ SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
 
 
 class BadPhotographError(BadInputError):
-    """A photograph that nothing can be read from, whatever it was to show: the sentence names it and says why."""
+    """An unusable photograph, e.g. black or cut short; the message names it and the reason."""
 
 
 def read_photograph(path: str | Path) -> Photograph:
@@ -40,7 +40,7 @@ def read_photograph(path: str | Path) -> Photograph:
 
 
 def check_photograph(image: Photograph, size_px: tuple[int, int], full_scale: int, name: str) -> None:
-    """See that a photograph can be one of its camera's, and shows anything.
+    """Refuse a photograph of another size or depth than its camera's, or that is black or blown out.
 
     Raises:
         BadInputError: it has another size than the camera, or brighter values than the camera can give.

@@ -1,4 +1,4 @@
-"""Reads, checks and writes the tables of a bench session: CSV, plain or gzipped, by their schemas."""
+"""Read, check and write the tables of a bench session: CSV, plain or gzipped, by their schemas."""
 
 import csv
 import difflib
@@ -35,7 +35,7 @@ def read_table(path: Path, schema: Schema) -> Columns:
     header = [name.strip() for name in lines[0][1].split(",")] if lines else []
     _check_header(path, header, schema)
     if len(lines) < 2:
-        raise BadInputError(f"{path}: has no rows; is the recording empty? Leave the file away if there are none.")
+        raise BadInputError(f"{path}: has no rows; is the recording empty? Omit the file if there are none.")
     numbers = [number for number, _ in lines[1:]]
     values = _values(path, header, [text for _, text in lines[1:]], numbers)
     columns = {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)}
@@ -70,7 +70,7 @@ def _text(path: Path) -> str:
 
 
 def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
-    """Every column known, once, and none missing."""
+    """Refuse unknown, repeated and missing columns."""
     known = {column.name: column for column in schema.columns}
     for name in header:
         if name not in known:
@@ -78,7 +78,7 @@ def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
                 f"{path}: {_unknown(name, [each for each in known.values() if each.name not in header])}"
             )
         if header.count(name) > 1:
-            raise BadInputError(f"{path}: column '{name}' is there twice; keep one.")
+            raise BadInputError(f"{path}: column '{name}' occurs twice; keep one.")
     present = {column.group for column in schema.columns if column.group and column.name in header}
     for column in schema.columns:
         if column.name not in header and (not column.group or column.group in present):
@@ -87,7 +87,7 @@ def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
 
 
 def _unknown(name: str, absent: Sequence[Column]) -> str:
-    """What to say of a column that the schema does not have."""
+    """Message about a column that the schema does not have."""
     for column in absent:
         if _UNIT_SUFFIX.sub("", name) == _UNIT_SUFFIX.sub("", column.name):
             unit = column.unit or "a bare number"
@@ -108,7 +108,7 @@ def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Seq
 
 
 def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> BadInputError:
-    """Why the rows are no table of numbers."""
+    """The error of the first row that is not a row of numbers."""
     for number, cells in zip(numbers, csv.reader(rows), strict=True):
         if len(cells) != len(header):
             return BadInputError(
@@ -117,7 +117,7 @@ def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers:
         for name, cell in zip(header, cells, strict=True):
             if not _is_number(cell):
                 return BadInputError(f"{path} line {number}: '{name}' is '{cell.strip()}', not a number; {_REMEDY}.")
-    return BadInputError(f"{path}: the rows are no numbers separated by commas.")
+    return BadInputError(f"{path}: the rows are not numbers separated by commas.")
 
 
 _REMEDY = "leave out rows without a measurement"
@@ -167,7 +167,7 @@ def _allowed(value: FloatArray, kind: Kind) -> NDArray[np.bool_]:
 
 
 def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:
-    """Each row once, one setup for a capture, one capture for a setup."""
+    """Refuse repeated rows, captures with two setups, and setups with two captures."""
     first = _first_alike(columns, tuple(columns))
     _refuse(path, numbers, first, np.arange(len(numbers)), "is the same row as line {}; remove one")
     setup = tuple(name for name in schema.setup if name in columns)
@@ -177,15 +177,16 @@ def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Seque
     of_capture = _first_alike(columns, schema.capture_key)
     of_setup = _first_alike(columns, (*pose, *setup))
     both = _first_alike(columns, (*schema.capture_key, *setup))
-    said = f"({', '.join(setup)})"
+    names = ", ".join(setup)
+    differs = f"its capture has another setup ({names}) in line {{}}; give each setup its own capture number"
+    _refuse(path, numbers, of_capture, both, differs)
     _refuse(
-        path, numbers, of_capture, both, f"the capture was set up otherwise {said} in line {{}}; number captures apart"
+        path, numbers, of_setup, both, f"the capture in line {{}} has the same setup ({names}); keep one of the two"
     )
-    _refuse(path, numbers, of_setup, both, f"another capture was set up alike {said} in line {{}}; keep one of them")
 
 
 def _first_alike(columns: Columns, names: Sequence[str]) -> NDArray[np.int64]:
-    """For each row (n,) the first row that has the same in these columns."""
+    """For each row (n,), the first row with the same values in these columns."""
     key = np.stack([columns[name] for name in names])
     order = np.lexsort(key)
     starts = np.append(True, np.any(key[:, order[1:]] != key[:, order[:-1]], axis=0))
@@ -198,7 +199,7 @@ def _first_alike(columns: Columns, names: Sequence[str]) -> NDArray[np.int64]:
 def _refuse(
     path: Path, numbers: Sequence[int], earlier: NDArray[np.int64], own: NDArray[np.int64], sentence: str
 ) -> None:
-    """Complain of the first row whose `earlier` row is not its `own`."""
+    """Refuse the first row whose `earlier` row is not its `own`."""
     wrong = np.flatnonzero(earlier != own)
     if wrong.size:
         row = int(wrong[0])

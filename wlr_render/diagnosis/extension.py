@@ -10,7 +10,7 @@ from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import Sights, simulate, simulate_near
+from wlr_render.simulation.simulate_session import DotViews, simulate, simulate_to_first_order
 
 _STEP = 2e-3  # of a parameter's plausible size, for the differences
 _NOTHING = 1e-6  # sigma per plausible size: the rounding of predictions that do not change
@@ -81,12 +81,12 @@ class State:
     Attributes:
         bench: the bench.
         readings: predicted.
-        sights: of the targets' dots, for neighbouring benches to start from; None where there is no target.
+        dot_views: of the targets' dots, for neighbouring benches to start from; None where there is no target.
     """
 
     bench: Bench
     readings: Readings
-    sights: Sights | None
+    dot_views: DotViews | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +118,8 @@ class Predictor:
     def __init__(self, observations: Observations) -> None:
         self.observations = observations
         nominal, plan = observations.nominal, observations.session.plan
-        sights = None if plan.see_through is None else Sights(nominal, plan.see_through)
-        self._nominal = State(nominal, simulate(nominal, plan, sights), sights)
+        dot_views = None if plan.see_through is None else DotViews(nominal, plan.see_through)
+        self._nominal = State(nominal, simulate(nominal, plan, dot_views), dot_views)
 
     def residual(self, extension: Extension) -> FloatArray:
         """Measured minus predicted, (n, 2), in units of sigma."""
@@ -133,10 +133,10 @@ class Predictor:
         """An extension's bench and its readings, starting from the nominal or a nearer state."""
         near, bench = near or self._nominal, extension.bench(self.observations.nominal)
         todo = self._touched(bench, near)
-        sights = near.sights
+        dot_views = near.dot_views
         if todo.see_through is not None:
-            sights = Sights(bench, todo.see_through, near.sights)
-        return State(bench, _merged(simulate(bench, todo, sights), near.readings), sights)
+            dot_views = DotViews(bench, todo.see_through, near.dot_views)
+        return State(bench, _merged(simulate(bench, todo, dot_views), near.readings), dot_views)
 
     def linearised(self, extension: Extension, state: State | None = None) -> Linearisation:
         """Residual and Jacobian at an extension, whose state may be known, by forward differences."""
@@ -160,7 +160,9 @@ class Predictor:
             moved = vector.copy()
             moved[number] += _STEP * parameter.plausible
             bench = extension.at(moved).bench(nominal)
-            readings = _merged(simulate_near(bench, self._touched(bench, base), base.sights), base.readings)
+            readings = _merged(
+                simulate_to_first_order(bench, self._touched(bench, base), base.dot_views), base.readings
+            )
             column = (residual - self.observations.residual(readings)) / _STEP
             if np.nanmax(np.abs(column), initial=0.0) > _NOTHING:
                 columns.append(column)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
@@ -33,7 +33,7 @@ class PairMisalignment:
         return len(self.index)
 
 
-def pair_misalignment(real: BoardSighting, virtual: BoardSighting, camera: LensCamera) -> PairMisalignment:
+def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera: LensCamera) -> PairMisalignment:
     """Match the dots of both photographs by what they are on the board; dots seen in one only are left out.
 
     Args:

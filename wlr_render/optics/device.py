@@ -57,7 +57,7 @@ class PlacedSurface:
 
 @dataclass(frozen=True)
 class Step:
-    """One encounter of a path.
+    """One surface interaction along a path.
 
     Attributes:
         surface: where.
@@ -72,7 +72,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Path:
-    """The encounters of a ray in order, from the eye outwards; it starts in air. No steps: a straight line."""
+    """Surface interactions of a ray in order, from the eye outwards, starting in air. No steps: a straight line."""
 
     steps: tuple[Step, ...] = ()
 
@@ -109,7 +109,7 @@ class PlacedPanel:
 
 @dataclass(frozen=True, eq=False)
 class EyeOptics:
-    """What lies before one eye.
+    """Optics, panel and eye box of one eye.
 
     Attributes:
         display: from the eye to the panel.

@@ -38,8 +38,8 @@ _EDGE_PX = 1e-6  # by so much a pixel may lie outside the panel, so that its ver
 
 
 @dataclass(frozen=True)
-class DisplayStart:
-    """The fitted guess.
+class DisplayFirstGuess:
+    """Polynomial first guess of the display's forward solve.
 
     Attributes:
         polynomial: (u, v, x, y, z) -> tangents.
@@ -53,7 +53,7 @@ class DisplayStart:
         return self.polynomial(np.clip(np.concatenate([pixel, viewpoint], axis=-1), box.low, box.high))
 
 
-def fit_display_start(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye_box: EyeBox) -> DisplayStart:
+def fit_display_first_guess(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye_box: EyeBox) -> DisplayFirstGuess:
     """Trace a spread of directions from a spread of viewpoints and fit those that reach the panel.
 
     Raises:
@@ -78,7 +78,7 @@ def fit_display_start(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye_box: 
         solution = least_squares.solve(basis(inputs, _DEGREE, box), targets)
     except least_squares.RankDeficientError as error:
         raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.") from error
-    return DisplayStart(Polynomial(_DEGREE, box, solution.coefficients))
+    return DisplayFirstGuess(Polynomial(_DEGREE, box, solution.coefficients))
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
@@ -173,8 +173,8 @@ class TracedDisplay:
         return self.optics.panel.pixel_of_local(local), status
 
     @cached_property
-    def _start(self) -> DisplayStart:
-        return fit_display_start(self.plane_pixel, self.panel, self.optics.eye_box)
+    def _start(self) -> DisplayFirstGuess:
+        return fit_display_first_guess(self.plane_pixel, self.panel, self.optics.eye_box)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ _FORWARD = 1e-12  # metres; a root must lie this far ahead
 
 @dataclass(frozen=True)
 class Trace:
-    """What became of rays.
+    """Result of tracing rays along a path.
 
     Attributes:
         points: (..., steps, 3) where they meet the path's surfaces.

@@ -1,4 +1,4 @@
-"""Bench files: what a bench's makers believe it to be, as TOML (docs/bench-session.md has the format)."""
+"""Read and write bench files, the nominal bench as TOML (format: docs/bench-session.md)."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the tables of a bench file hold: for every attribute of a bench's parts its keys, unit, frame and rule.
+"""Schema of bench files: keys, unit, frame and rule of every attribute of a bench.
 
 Reading, writing and docs/bench-session.md follow these tables. A key may be left out where the attribute has a default,
 and is left out in writing where the attribute equals it.

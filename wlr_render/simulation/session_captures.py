@@ -1,4 +1,4 @@
-"""What a session read, as calibration takes it: captures as true as the bench that is believed.
+"""Convert the readings of a bench session to captures, assuming its nominal bench.
 
 The camera, stage, target, tracking and readout of a bench turn camera pixels into viewpoints, directions and real
 points of the device frame. Only the headset's optics are left out: they are what calibration is to find.

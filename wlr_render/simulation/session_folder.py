@@ -1,4 +1,4 @@
-"""Session folders: bench.toml and one to three tables, as docs/bench-session.md has it."""
+"""Read and write session folders: bench.toml and one to three tables (format: docs/bench-session.md)."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Where the real dot and the virtual one that is meant to cover it are seen while the glasses run."""
+"""Simulate run-time readings: where the eye sees a real dot and the virtual dot drawn over it."""
 
 from functools import lru_cache
 

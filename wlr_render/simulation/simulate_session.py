@@ -25,8 +25,8 @@ _QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what i
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """Points, and from where they are seen.
+class ObservedPoints:
+    """Real points and the viewpoints they are observed from.
 
     Attributes:
         optics: looked through.
@@ -63,11 +63,11 @@ class Scene:
             inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
         return np.asarray(np.moveaxis(inverse, -1, 0))
 
-    def stepped(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
+    def newton_step(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
         """One Newton step (n, 2) from the tangents of a neighbouring scene: right to first order in the change."""
         return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
 
-    def followed(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
+    def solved_from(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
         """Tangents (n, 2) by as many such steps as it takes; rows that do not settle are solved from cold.
 
         A point that the neighbour sees and that has come to lie past the edge of an aperture keeps its tangents.
@@ -88,8 +88,8 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class Sights:
-    """The directions in which a bench sees the dots of its targets; what neighbouring benches start from.
+class DotViews:
+    """View directions of all target dots on a bench; the warm start for neighbouring benches.
 
     Attributes:
         bench: the bench.
@@ -100,13 +100,13 @@ class Sights:
 
     bench: Bench
     plan: SeeThroughPlan
-    near: "Sights | None" = None
+    near: "DotViews | None" = None
 
     @cached_property
     def tangents(self) -> FloatArray:
         """(n, 2), device frame; NaN where a dot is not seen."""
-        scene, near = _scene(self.bench, self.plan), self.near
-        tangents = scene.solved() if near is None else scene.followed(near.tangents, near.tangents_from_miss)
+        scene, near = _observed_points(self.bench, self.plan), self.near
+        tangents = scene.solved() if near is None else scene.solved_from(near.tangents, near.tangents_from_miss)
         # A chain of neighbours would otherwise keep all of them.
         object.__setattr__(self, "near", None)
         return tangents
@@ -114,33 +114,35 @@ class Sights:
     @cached_property
     def tangents_from_miss(self) -> FloatArray:
         """(n, 2, 2) inverse Jacobian of the solve."""
-        return _scene(self.bench, self.plan).tangents_from_miss(self.tangents)
+        return _observed_points(self.bench, self.plan).tangents_from_miss(self.tangents)
 
 
 @_QUIET
-def simulate(bench: Bench, plan: SessionPlan, sights: Sights | None = None) -> Readings:
+def simulate(bench: Bench, plan: SessionPlan, dot_views: DotViews | None = None) -> Readings:
     """Predict every reading of a session.
 
     Args:
         bench: the bench.
         plan: what is set up, row by row.
-        sights: of this bench, where they are known already.
+        dot_views: of this bench, where they are known already.
 
     Returns:
         The readings; NaN where the panel or a dot cannot be seen.
     """
     dots = None
     if plan.see_through is not None:
-        dots = dot_pixels(bench, plan.see_through, (sights or Sights(bench, plan.see_through)).tangents)
+        dots = dot_pixels(bench, plan.see_through, (dot_views or DotViews(bench, plan.see_through)).tangents)
     return _with_dots(bench, plan, dots)
 
 
 @_QUIET
-def simulate_near(bench: Bench, plan: SessionPlan, sights: Sights | None) -> Readings:
-    """As `simulate`, right to first order in the change from a neighbouring bench, whose sights these are."""
+def simulate_to_first_order(bench: Bench, plan: SessionPlan, dot_views: DotViews | None) -> Readings:
+    """As `simulate`, to first order in the change from a neighbouring bench, whose `dot_views` are given."""
     dots = None
-    if plan.see_through is not None and sights is not None:
-        tangents = _scene(bench, plan.see_through).stepped(sights.tangents, sights.tangents_from_miss)
+    if plan.see_through is not None and dot_views is not None:
+        tangents = _observed_points(bench, plan.see_through).newton_step(
+            dot_views.tangents, dot_views.tangents_from_miss
+        )
         dots = dot_pixels(bench, plan.see_through, tangents)
     return _with_dots(bench, plan, dots)
 
@@ -153,9 +155,9 @@ def _with_dots(bench: Bench, plan: SessionPlan, dots: FloatArray | None) -> Read
     )
 
 
-def _scene(bench: Bench, plan: SeeThroughPlan) -> Scene:
+def _observed_points(bench: Bench, plan: SeeThroughPlan) -> ObservedPoints:
     viewpoint, point, _ = dot_geometry(bench, plan)
-    return Scene(bench.optics, bench.target_wavelength_um, viewpoint, point)
+    return ObservedPoints(bench.optics, bench.target_wavelength_um, viewpoint, point)
 
 
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:

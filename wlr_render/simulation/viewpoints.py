@@ -1,4 +1,4 @@
-"""Where the bench puts its camera: in one plane, in the eye box, or at its centre; and random viewpoints to test at.
+"""Viewpoint designs: in one plane, in the eye box, at its centre; and random test viewpoints.
 
 A total-degree polynomial of degree N is determined only by viewpoints with more than N levels on every axis: a k x k
 grid carries no term of degree k in one variable, whatever k^2 is. The designs here therefore give every viewpoint

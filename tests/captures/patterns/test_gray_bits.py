@@ -5,7 +5,7 @@ import pytest
 
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.photometry import NoiseMeter, Shots, read_light
+from wlr_render.captures.patterns.photometry import NoiseMeter, PhotographReader, read_light
 
 AXIS = GrayAxis("u", 32)
 
@@ -14,9 +14,9 @@ def read(lines):
     """Read photographs of one row, given as (pictures, pixels) grey values of the axis."""
     references = [np.full(lines.shape[1], 200), np.zeros(lines.shape[1])]
     photographs = [np.round(line)[None].astype(np.uint8) for line in (*references, *lines)]
-    shots = Shots(photographs, ["white", "black", *AXIS.names()])
-    light = read_light(shots, DecodeOptions())
-    return read_gray(AXIS, shots, light, NoiseMeter(light))
+    reader = PhotographReader(photographs, ["white", "black", *AXIS.names()])
+    light = read_light(reader, DecodeOptions())
+    return read_gray(AXIS, reader, light, NoiseMeter(light))
 
 
 def lines_of(cell):

@@ -5,10 +5,10 @@ from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotation_about
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.photographs import exact
+from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
 from wlr_render.simulation.photographs.camera import SimulatedLens
-from wlr_render.simulation.photographs.sight import Sight
+from wlr_render.simulation.photographs.camera_view import CameraView
 
 CAMERA = LensCamera((320, 240), np.array([400.0, 400.0]), np.array([161.0, 118.0]), np.array([-0.1, 0.02, 1e-3, 0, 0]))
 LENS = SimulatedLens(CAMERA, 0.002, 0.6)
@@ -31,7 +31,7 @@ def test_dots_lie_where_their_middles_are_seen_and_are_as_large_as_printed():
     camera = LensCamera((320, 240), np.array([400.0, 400.0]), np.array([161.0, 118.0]))
     pose = rigid(OPENXR_FROM_OPENCV, [0.01, -0.02, -0.4])
     scene = BoardLight(board, pose, white=0.8, black=0.0)
-    light = Sight.without_headset(SimulatedLens(camera, 0.001, 0.4), LOOKING_AHEAD, samples=64).world_light(scene)
+    light = CameraView.without_headset(SimulatedLens(camera, 0.001, 0.4), LOOKING_AHEAD, samples=64).world_light(scene)
     for point in board.point_of(board.indices()):
         pixel = camera.pixel_of_point(apply(inverse(LOOKING_AHEAD) @ pose, point))
         amount, middle = darkness_around(light, pixel, 0.8)
@@ -42,9 +42,9 @@ def test_dots_lie_where_their_middles_are_seen_and_are_as_large_as_printed():
 @pytest.mark.parametrize("name", ["plane_plate", "freeform40", "birdbath28"])
 def test_dots_seen_through_optics_lie_where_exact_rays_say(name):
     eye = load_device(name).eyes["right"]
-    light = Sight.through_optics(eye, LENS, LOOKING_AHEAD).world_light(BoardLight(BOARD, TILTED, BLACK_WALL))
+    light = CameraView.through_optics(eye, LENS, LOOKING_AHEAD).world_light(BoardLight(BOARD, TILTED, BLACK_WALL))
     points = apply(TILTED, BOARD.point_of(BOARD.indices()))
-    pixels = exact.pixel_of_real_point(eye, CAMERA, LOOKING_AHEAD, points)
+    pixels = camera_view.pixel_of_real_point(eye, CAMERA, LOOKING_AHEAD, points)
     inside = np.flatnonzero(np.all((pixels > 12) & (pixels < np.array(CAMERA.size_px) - 12), axis=-1))
     assert inside.size > 15
     for pixel in pixels[inside]:
@@ -53,7 +53,9 @@ def test_dots_seen_through_optics_lie_where_exact_rays_say(name):
 
 
 def test_beyond_the_board_is_the_wall():
-    light = Sight.without_headset(LENS, LOOKING_AHEAD, samples=4).world_light(BoardLight(BOARD, TILTED, BLACK_WALL))
+    light = CameraView.without_headset(LENS, LOOKING_AHEAD, samples=4).world_light(
+        BoardLight(BOARD, TILTED, BLACK_WALL)
+    )
     half = 0.5 * BOARD.size_m
     corners = np.array([[x, y, 0] for x in (-1, 1) for y in (-1, 1)]) * [*half, 0]
     for scale, bright in [(0.97, True), (1.03, False)]:
@@ -64,14 +66,14 @@ def test_beyond_the_board_is_the_wall():
 def test_a_board_is_not_seen_from_behind_nor_behind_the_camera():
     turned = TILTED @ rigid(rotation_about("y", np.pi), np.zeros(3))
     behind = rigid(OPENXR_FROM_OPENCV, [0.0, 0.0, 0.6])
-    one = Sight.without_headset(LENS, LOOKING_AHEAD, samples=2)
+    one = CameraView.without_headset(LENS, LOOKING_AHEAD, samples=2)
     wall = one.world_light(FarWall())
     for pose in (turned, behind):
         np.testing.assert_array_equal(one.world_light(BoardLight(BOARD, pose)), wall)
 
 
 def test_the_wall_is_smooth_and_stays_within_its_contrast():
-    wall = Sight.without_headset(LENS, LOOKING_AHEAD, samples=2).world_light(FarWall(0.2, 0.5, 0.3))
+    wall = CameraView.without_headset(LENS, LOOKING_AHEAD, samples=2).world_light(FarWall(0.2, 0.5, 0.3))
     assert 0.1 <= wall.min() < 0.15
     assert 0.25 < wall.max() <= 0.3
     assert np.abs(np.diff(wall, axis=1)).max() < 0.2 * 0.5 * 2 * np.pi / 0.3 / 400 * 1.5
@@ -79,5 +81,7 @@ def test_the_wall_is_smooth_and_stays_within_its_contrast():
 
 def test_light_of_more_samples_converges():
     scene = BoardLight(BOARD, TILTED)
-    few, many = (Sight.without_headset(LENS, LOOKING_AHEAD, samples=count).world_light(scene) for count in (16, 128))
+    few, many = (
+        CameraView.without_headset(LENS, LOOKING_AHEAD, samples=count).world_light(scene) for count in (16, 128)
+    )
     assert np.sqrt(np.mean((few - many) ** 2)) < 0.01

@@ -68,7 +68,7 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
     names = sorted((path.name for path in root.glob("*") if path.name.isdigit() and path.is_dir()), key=int)
     if not names:
         raise BadInputError(f"{root}: holds no numbered view folders; give the 'data' folder of the set.")
-    views = [_View.read(root / name) for name in names]
+    views = [_ViewFolder.read(root / name) for name in names]
     for name, view in zip(names, views, strict=True):
         if not np.array_equal(view.dot_in_target, views[0].dot_in_target):
             raise BadInputError(f"{root / name}: its grid is not that of view {names[0]}; leave this view out.")
@@ -97,7 +97,7 @@ def _from_top(pixel_from_bottom: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _View:
+class _ViewFolder:
     """One folder, pixels still counted from the bottom."""
 
     device_from_camera: FloatArray
@@ -108,7 +108,7 @@ class _View:
     time_ns: tuple[int, int]
 
     @classmethod
-    def read(cls, folder: Path) -> "_View":
+    def read(cls, folder: Path) -> "_ViewFolder":
         bare_file, through_file = folder / "2dPointsOnViewPoint.txt", folder / "2dPointsOnViewPointThroughHMD.txt"
         dots, bare, through = _points(folder / "3dPointsOnGrid.txt", 3), _points(bare_file, 2), _points(through_file, 2)
         if not len(dots) == len(bare) == len(through):

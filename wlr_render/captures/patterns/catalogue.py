@@ -1,4 +1,4 @@
-"""Families of codes by name."""
+"""Make patterns by name."""
 
 from dataclasses import fields
 from typing import Any
@@ -10,7 +10,7 @@ from wlr_render.mappings import Panel
 
 
 def make_pattern(name: str, panel: Panel, **numbers: int) -> Pattern:
-    """A code for a panel.
+    """Return the pattern `name` for a panel.
 
     Args:
         name: one of `PATTERNS`.
@@ -31,7 +31,7 @@ def make_pattern(name: str, panel: Panel, **numbers: int) -> Pattern:
 
 
 def pattern_keys(name: str) -> tuple[str, ...]:
-    """Which numbers a code can be given.
+    """Names of the parameters of a pattern.
 
     Raises:
         BadInputError: there is no such code.

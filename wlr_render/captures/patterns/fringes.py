@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
 from wlr_render.captures.patterns.phase_steps import (
     FringeAxis,
@@ -16,8 +17,7 @@ from wlr_render.captures.patterns.phase_steps import (
     noise_gain,
     read_fringe,
 )
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots
-from wlr_render.captures.patterns.settle import AxisReading
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
 
 _LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
 _RATIO = 6.0  # of two periods at most: the phase of the longer must tell the periods of the shorter apart
@@ -67,19 +67,19 @@ class _Hierarchy:
         number, step = divmod(index, self.fringes[0].steps)
         return self.fringes[number].line(step)
 
-    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
+    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
         longest = self.fringes[0]
-        reading = read_fringe(longest, shots, light)
+        reading = read_fringe(longest, reader, light)
         noise.add(reading.steady, light.lit)
         position = nearest(longest, reading, np.full(light.lit.shape, 0.5 * longest.length_px))
         evidence, contradiction = reading.evidence, np.zeros(light.lit.shape, dtype=np.bool_)
         for fringe in self.fringes[1:]:
-            first = shots.taken
-            reading = read_fringe(fringe, shots, light)
+            first = reader.taken
+            reading = read_fringe(fringe, reader, light)
             noise.add(reading.steady, light.lit)
             about, position = position, nearest(fringe, reading, position)
             apart = np.abs(position - about) > _FAR * fringe.period_px
-            check_agreement(apart & (reading.evidence > 0), light.lit, shots, first)
+            check_agreement(apart & (reading.evidence > 0), light.lit, reader, first)
             contradiction |= apart
             evidence = np.minimum(evidence, reading.evidence)
         return AxisReading(

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.neighbours import neighbour_slices
 from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.patterns.photometry import Grey, Light, NoiseMeter, Shots, check_range, read_light
+from wlr_render.captures.patterns.photometry import (
+    Grey,
+    NoiseMeter,
+    PanelLight,
+    PhotographReader,
+    check_range,
+    read_light,
+)
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 
@@ -29,7 +36,7 @@ _ODD_SHARE = 0.2  # of the lit pixels
 
 _LINES = 128  # of neighbours that are compared along each axis of the picture
 _STRONG = 0.35  # of full contrast
-_TORN = 0.9  # another order that leaves less of the sum of squared steps is the better one
+_IMPROVED_BELOW = 0.9  # another order that leaves less of the sum of squared steps is the better one
 WEAK = 0.5
 """A bit is weak if its median strength is below this part of full contrast."""
 _WELL_LIT = 0.25  # of the contrast that the brightest twentieth of the lit pixels exceeds
@@ -67,7 +74,7 @@ class GrayAxis:
 
 @dataclass(frozen=True, eq=False)
 class GrayReading:
-    """What the photographs of one axis say, all (h, w).
+    """Decoded Gray code of one axis, all (h, w).
 
     Attributes:
         cell: int32, from 0; may lie beyond the last cell where bits were misread.
@@ -92,8 +99,8 @@ class GrayReading:
         return np.asarray(0.5 * side * (self.even_border - self.odd_border), dtype=np.float32)
 
 
-def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> GrayReading:
-    """Take the photographs of one axis.
+def read_gray(axis: GrayAxis, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> GrayReading:
+    """Decode the photographs of one axis.
 
     Raises:
         BadInputError: a photograph is missing, those of a bit and its inverse are not of one bit, or out of order.
@@ -103,12 +110,12 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
     evidence, even, odd = (np.ones(light.contrast.shape, dtype=np.float32) for _ in range(3))
     usual: list[float] = []
     for _ in range(axis.bits):
-        positive = shots.take()
-        check_range(positive, light, shots)
-        inverse = shots.take()
-        check_range(inverse, light, shots)
+        positive = reader.take()
+        check_range(positive, light, reader)
+        inverse = reader.take()
+        check_range(inverse, light, reader)
         steady = positive + inverse - 2 * light.middle
-        _check_pair(steady, light, shots)
+        _check_pair(steady, light, reader)
         signed = (positive - inverse) * per_contrast
         strength = np.abs(signed)
         usual.insert(0, float(np.mean(strength[light.lit])))
@@ -120,7 +127,7 @@ def read_gray(axis: GrayAxis, shots: Shots, light: Light, noise: NoiseMeter) -> 
         even = np.where(one, odd, even)
         odd = strength
         cell = 2 * cell + (one ^ (cell & 1)).astype(np.int32)
-    check_bits(cell, light.lit, usual, axis.cells, shots)
+    check_photograph_order(cell, light.lit, usual, axis.cells, reader)
     return GrayReading(cell, np.minimum(evidence, _resolved(even + odd, light.lit)), even, odd)
 
 
@@ -136,13 +143,13 @@ def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
     return np.asarray(np.clip(2 * total / np.maximum(number, 1) - 1, 0, 1), dtype=np.float32)
 
 
-def _check_pair(steady: Grey, light: Light, shots: Shots) -> None:
+def _check_pair(steady: Grey, light: PanelLight, reader: PhotographReader) -> None:
     """A bit and its inverse add up to white + black, whichever of the two a pixel sees."""
     off = np.abs(steady) > _ODD_SUM * light.contrast
     share = float(np.mean(off[light.lit]))
     if share > _ODD_SHARE:
         raise BadInputError(
-            f"{shots.label(shots.taken - 2)} and {shots.label(shots.taken - 1)} do not add up to white + black in "
+            f"{reader.label(reader.taken - 2)} and {reader.label(reader.taken - 1)} do not add up to white + black in "
             f"{share:.0%} of the lit pixels: one of them is missing, out of order or of another exposure."
         )
 
@@ -150,18 +157,18 @@ def _check_pair(steady: Grey, light: Light, shots: Shots) -> None:
 Codes = NDArray[np.int64]
 
 
-def check_bits(
-    cell: NDArray[np.int32], lit: NDArray[np.bool_], strengths: Sequence[float], cells: int, shots: Shots
+def check_photograph_order(
+    cell: NDArray[np.int32], lit: NDArray[np.bool_], strengths: Sequence[float], cells: int, reader: PhotographReader
 ) -> None:
-    """See that no other order of the photographs gives a clearly smoother picture.
+    """Refuse photographs that decode to a clearly smoother picture in another order.
 
     Args:
         cell: (h, w) as read.
-        lit: (h, w) which pixels to ask.
+        lit: (h, w) which pixels to test.
         strengths: mean of each bit, the finest first, as a part of full contrast; a weak bit is not accused, since blur
             alone can turn the contrast of fine stripes around.
         cells: how many there are.
-        shots: names the photographs; the last one taken is the finest bit's inverse.
+        reader: names the photographs; the last one taken is the finest bit's inverse.
 
     Raises:
         BadInputError: exchanging a bit with its inverse, or two bits, does.
@@ -169,25 +176,25 @@ def check_bits(
     pairs, count = _neighbouring_codes(cell ^ (cell >> 1), lit)
     if not count.size:
         return
-    as_read = _tearing(np.arange(1 << len(strengths)), pairs, count, cells)
+    as_read = _roughness(np.arange(1 << len(strengths)), pairs, count, cells)
     others = [
-        (_tearing(codes, pairs, count, cells), which)
+        (_roughness(codes, pairs, count, cells), which)
         for codes, which in _other_orders(len(strengths))
         if min(strengths[bit] for bit in which) > _STRONG
     ]
-    tearing, which = min(others, default=(np.inf, ()))
-    if tearing < _TORN * as_read:
-        photographs = [shots.taken - 2 * (1 + bit) for bit in which]
+    roughness, which = min(others, default=(np.inf, ()))
+    if roughness < _IMPROVED_BELOW * as_read:
+        photographs = [reader.taken - 2 * (1 + bit) for bit in which]
         exchanged = [photographs[0], photographs[0] + 1] if len(which) == 1 else photographs
         both = "" if len(which) == 1 else ", each with its inverse,"
         raise BadInputError(
-            f"{shots.label(exchanged[0])} and {shots.label(exchanged[1])}{both} seem to be exchanged: the decoded "
-            "picture is torn, and so it is whole."
+            f"Decoding fails in the order given but succeeds with {reader.label(exchanged[0])} and "
+            f"{reader.label(exchanged[1])}{both} exchanged."
         )
 
 
 def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tuple[Codes, NDArray[np.int64]]:
-    """Different pairs of Gray codes of neighbours, (n, 2), and how often each was met, (n,)."""
+    """Distinct pairs of Gray codes of neighbours, (n, 2), and their counts, (n,)."""
     found = []
     for (dx, dy), length in (((1, 0), gray.shape[0]), ((0, 1), gray.shape[1])):
         every = max(1, length // _LINES)
@@ -201,7 +208,7 @@ def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tupl
 
 
 def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
-    """What each Gray code as read would have been, were one bit inverted or two bits exchanged; and which."""
+    """Gray codes with one bit inverted or two bits exchanged, and the bits."""
     codes = np.arange(1 << bits)
     for bit in range(bits):
         yield codes ^ (1 << bit), (bit,)
@@ -210,8 +217,8 @@ def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
         yield codes ^ (differ << high) ^ (differ << low), (high, low)
 
 
-def _tearing(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
-    """Sum of the squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
+def _roughness(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
+    """Sum of squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
 
     Args:
         gray: (2**bits,) true Gray code of each that was read.
@@ -256,25 +263,25 @@ class BitStrength:
 def bit_strengths(
     photographs: Iterable[Photograph], pattern: Pattern, options: DecodeOptions = _USUAL
 ) -> tuple[BitStrength, ...]:
-    """Judge each bit that is shown with its inverse right after it; photographs as `pattern.decode` takes them.
+    """Measure the contrast of each bit that is followed by its inverse; photographs as `pattern.decode` takes them.
 
     Raises:
         BadInputError: photographs are missing or left over, of different sizes, or under- or over-exposed.
     """
     names = pattern.names()
-    shots = Shots(photographs, names)
-    light = read_light(shots, options)
+    reader = PhotographReader(photographs, names)
+    light = read_light(reader, options)
     well_lit = light.lit & (light.contrast >= _WELL_LIT * np.percentile(light.contrast[light.lit], 95))
     full = light.contrast[well_lit]
     strengths = []
     earlier = light.middle
     for number, name in enumerate(names[2:], start=2):
-        image = shots.take()
+        image = reader.take()
         if name == names[number - 1] + _INVERSE:
             strength = np.abs(image - earlier)[well_lit] / full
             strengths.append(_judged(names[number - 1], strength, options.min_confidence))
         earlier = image
-    shots.finish()
+    reader.finish()
     return tuple(strengths)
 
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
 from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots
-from wlr_render.captures.patterns.settle import AxisReading
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class _GrayPixels:
     def line(self, index: int) -> NDArray[np.uint8]:
         return self.gray.line(index)
 
-    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
-        reading = read_gray(self.gray, shots, light, noise)
+    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+        reading = read_gray(self.gray, reader, light, noise)
         return AxisReading(
             position=np.asarray(reading.cell + 0.5 + reading.offset, dtype=np.float64),
             # Half the difference of two strengths, each with the noise of a difference and that of the contrast.

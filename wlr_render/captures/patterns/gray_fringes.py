@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
 from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
 from wlr_render.captures.patterns.phase_steps import (
@@ -16,8 +17,7 @@ from wlr_render.captures.patterns.phase_steps import (
     noise_gain,
     read_fringe,
 )
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots
-from wlr_render.captures.patterns.settle import AxisReading
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
 from wlr_render.errors import BadInputError
 
 _FAR = 0.375  # of a period from the middle of its cell, half-way between the cell's end (1/4) and ambiguity (1/2)
@@ -73,14 +73,14 @@ class _NumberedFringes:
     def _cell_px(self) -> float:
         return self.fringe.period_px / 2
 
-    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
-        code = read_gray(self.gray, shots, light, noise)
-        first = shots.taken
-        phase = read_fringe(self.fringe, shots, light)
+    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+        code = read_gray(self.gray, reader, light, noise)
+        first = reader.taken
+        phase = read_fringe(self.fringe, reader, light)
         middle = np.asarray((code.cell + 0.5) * self._cell_px, dtype=np.float64)
         position = nearest(self.fringe, phase, middle)
         apart = np.abs(position - middle) > _FAR * self.fringe.period_px
-        check_agreement(apart & (phase.evidence > 0), light.lit, shots, first)
+        check_agreement(apart & (phase.evidence > 0), light.lit, reader, first)
         bits_are_weaker = code.evidence < phase.evidence
         return AxisReading(
             position=position,

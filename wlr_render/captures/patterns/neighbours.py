@@ -1,4 +1,4 @@
-"""Whether decoded positions fit those of the camera pixels around them."""
+"""Consistency of decoded positions with those of neighbouring camera pixels."""
 
 from collections.abc import Iterator
 
@@ -46,7 +46,7 @@ def typical_step(position: FloatArray, valid: Mask) -> float:
     return float(np.median(found)) if found.size else 0.0
 
 
-def fits_neighbours(position: FloatArray, valid: Mask, step: float) -> Mask:
+def agrees_with_neighbours(position: FloatArray, valid: Mask, step: float) -> Mask:
     """(h, w) where at least three neighbours, and half of the valid ones, lie about one step away at most.
 
     Raises:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, Decoded, DecodeOptions
-from wlr_render.captures.patterns.photometry import Light, NoiseMeter, Shots, read_light
-from wlr_render.captures.patterns.settle import AxisReading, settle
+from wlr_render.captures.patterns.axis_readings import AxisReading, combine_axes
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader, read_light
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
 
@@ -23,7 +23,7 @@ class Pattern(Protocol):
         """The panel it is made for."""
 
     def names(self) -> tuple[str, ...]:
-        """What the pictures show, e.g. "white", "black", "u bit 10", "u bit 10 inverse", in the order of showing."""
+        """Names of the pictures, e.g. "white", "black", "u bit 10", "u bit 10 inverse", in the order of showing."""
 
     def image(self, index: int) -> NDArray[np.uint8]:
         """(panel height, panel width) grey picture number `index`."""
@@ -40,7 +40,7 @@ class Pattern(Protocol):
 
 
 class AxisCode(Protocol):
-    """Pictures that vary along one axis only, and what their photographs say."""
+    """Code of one axis: images that vary along it, and their decoding."""
 
     def names(self) -> list[str]:
         """Names of its pictures in the order of showing."""
@@ -48,8 +48,8 @@ class AxisCode(Protocol):
     def line(self, index: int) -> NDArray[np.uint8]:
         """(length of the axis in panel pixels,) what picture `index` of `names` shows."""
 
-    def read(self, shots: Shots, light: Light, noise: NoiseMeter) -> AxisReading:
-        """Take one photograph per picture; `noise` learns from them.
+    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+        """Decode one photograph per picture; `noise` is updated from them.
 
         Raises:
             BadInputError: a photograph is missing or not in the order of showing.
@@ -58,7 +58,7 @@ class AxisCode(Protocol):
 
 @dataclass(frozen=True)
 class PanelCode(ABC):
-    """White, black, then the code of u, then that of v: a `Pattern` of which a family says only how one axis is coded.
+    """A `Pattern` of white, black, the code of u and the code of v; subclasses define the code of one axis.
 
     Attributes:
         panel: it is made for.
@@ -71,7 +71,7 @@ class PanelCode(ABC):
         """The code of the axis "u" or "v" of so many panel pixels."""
 
     def names(self) -> tuple[str, ...]:
-        """What the pictures show, in the order of showing: see `Pattern.names`."""
+        """Names of the pictures in the order of showing: see `Pattern.names`."""
         return "white", "black", *self._u.names(), *self._v.names()
 
     def image(self, index: int) -> NDArray[np.uint8]:
@@ -85,12 +85,12 @@ class PanelCode(ABC):
 
     def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
         """Panel positions from one photograph per picture; see `Pattern.decode`."""
-        shots = Shots(photographs, self.names())
-        light = read_light(shots, options)
+        reader = PhotographReader(photographs, self.names())
+        light = read_light(reader, options)
         noise = NoiseMeter(light)
-        readings: Sequence[AxisReading] = [axis.read(shots, light, noise) for axis in (self._u, self._v)]
-        shots.finish()
-        return settle(readings, light, shots.peak, noise.variance(), options, self.panel)
+        readings: Sequence[AxisReading] = [axis.read(reader, light, noise) for axis in (self._u, self._v)]
+        reader.finish()
+        return combine_axes(readings, light, reader.peak, noise.variance(), options, self.panel)
 
     @property
     def _u(self) -> AxisCode:

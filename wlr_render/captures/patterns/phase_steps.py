@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.patterns.photometry import Grey, Light, Shots, check_range
+from wlr_render.captures.patterns.photometry import Grey, PanelLight, PhotographReader, check_range
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 
@@ -21,11 +21,11 @@ _REVERSED = 0.22
 """Blur wider than a period reverses fringes; a disc leaves 0.13 of their contrast then, a square 0.217 at most."""
 _ASKED = 64  # pixels along each side of the picture that are asked whether the steps are in order
 
-_SUSPECT = 0.02  # mean square of what no waveform explains, as a part of the fringe's
-_HOPELESS = 0.3
+_MIN_UNEXPLAINED = 0.02  # mean square of what no waveform explains, as a part of the fringe's
+_MAX_UNEXPLAINED = 0.3
 _FOREIGN = 2.0  # times the mean of all steps; noise leaves the same in each
-_TORN = 0.2  # of the lit pixels
-_BETTER = 0.6  # another order that leaves less of it is the true one
+_MAX_CONTRADICTING = 0.2  # of the lit pixels
+_IMPROVED_BELOW = 0.6  # another order that leaves less of it is the true one
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class FringeAxis:
 
 @dataclass(frozen=True, eq=False)
 class FringeReading:
-    """What the photographs of one fringe say, all (h, w).
+    """Decoded phase of one fringe, all (h, w).
 
     Attributes:
         turns: float64, 0 to 1: where in its period the pixel lies.
@@ -71,7 +71,7 @@ class FringeReading:
 
 
 def check_fringe(period_px: float, steps: int) -> None:
-    """See that a fringe can be shown.
+    """Refuse a fringe that cannot be shown.
 
     Raises:
         BadInputError: too short a period for a panel's pixels, or too few steps for a phase.
@@ -82,31 +82,31 @@ def check_fringe(period_px: float, steps: int) -> None:
         raise BadInputError(f"'steps' is {steps}; a phase needs at least {_MIN_STEPS}, and 6 to be immune to gamma.")
 
 
-def read_fringe(axis: FringeAxis, shots: Shots, light: Light) -> FringeReading:
-    """Take the photographs of one fringe.
+def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelLight) -> FringeReading:
+    """Decode the photographs of one fringe.
 
     Args:
         axis: the fringe.
-        shots: at its first photograph.
+        reader: at its first photograph.
         light: of the set.
 
     Raises:
         BadInputError: a photograph is missing, or the steps are not in order.
     """
-    first = shots.taken
+    first = reader.taken
     real, imaginary, steady = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
     every = tuple(slice(None, None, max(1, size // _ASKED)) for size in light.contrast.shape)
     asked = []
     for step in range(axis.steps):
-        image = shots.take()
-        check_range(image, light, shots)
+        image = reader.take()
+        check_range(image, light, reader)
         value = image - light.middle
         asked.append(value[every][light.lit[every]])
         angle = 2 * np.pi * step / axis.steps
         real += np.float32(np.cos(angle)) * value
         imaginary += np.float32(np.sin(angle)) * value
         steady += value
-    check_steps(np.array(asked), shots, first)
+    check_step_order(np.array(asked), reader, first)
     turns = np.arctan2(imaginary, real).astype(np.float64) / (2 * np.pi) % 1
     evidence = np.float32(4 / axis.steps) * np.hypot(real, imaginary) * light.per_contrast
     evidence[evidence < _REVERSED] = 0.0
@@ -128,14 +128,14 @@ def nearest(axis: FringeAxis, reading: FringeReading, about: NDArray[np.float64]
     return about + axis.period_px * ((reading.turns - about / axis.period_px + 0.5) % 1 - 0.5)
 
 
-def check_steps(values: NDArray[np.float32], shots: Shots, first: int) -> None:
-    """See that no exchange of two steps makes a clearly better fringe.
+def check_step_order(values: NDArray[np.float32], reader: PhotographReader, first: int) -> None:
+    """Refuse steps that make a clearly better fringe with two of them exchanged.
 
     Three steps make a fringe in any order; there is nothing to see then.
 
     Args:
         values: (steps, n) grey values of some lit pixels.
-        shots: names the photographs.
+        reader: names the photographs.
         first: number of the first step's.
 
     Raises:
@@ -145,44 +145,44 @@ def check_steps(values: NDArray[np.float32], shots: Shots, first: int) -> None:
     varying = values.astype(np.float64) - values.mean(axis=0)
     by_step = _unexplained(varying)
     as_read = float(np.sum(by_step))
-    if as_read < _SUSPECT:
+    if as_read < _MIN_UNEXPLAINED:
         return
     swaps = list(combinations(range(steps), 2))
     left = [float(np.sum(_unexplained(varying[_swapped(steps, swap)]))) for swap in swaps]
-    if min(left) < _BETTER * as_read:
+    if min(left) < _IMPROVED_BELOW * as_read:
         # An exchange at two steps' distance has a twin that makes the fringe run backwards, and just as well.
-        likely = [swap for swap, rest in zip(swaps, left, strict=True) if rest < 1.2 * min(left) + _SUSPECT]
-        named = ", or ".join(" and ".join(shots.label(first + step) for step in swap) for swap in likely)
-        raise BadInputError(f"{named} seem to be exchanged: the steps of the fringe fit together if they are.")
+        likely = [swap for swap, rest in zip(swaps, left, strict=True) if rest < 1.2 * min(left) + _MIN_UNEXPLAINED]
+        named = ", or ".join(" and ".join(reader.label(first + step) for step in swap) for swap in likely)
+        raise BadInputError(f"{named} seem to be exchanged: the fringe is consistent only in that order.")
     worst = int(np.argmax(by_step))
     if by_step[worst] > _FOREIGN * as_read / steps:
         raise BadInputError(
-            f"{shots.label(first + worst)} does not belong to its fringe: it is out of order, shows something else, "
+            f"{reader.label(first + worst)} does not belong to its fringe: it is out of order, shows something else, "
             "or is of another exposure."
         )
-    if as_read > _HOPELESS:
+    if as_read > _MAX_UNEXPLAINED:
         raise BadInputError(
-            f"{shots.label(first)} to {shots.label(first + steps - 1)} show no fringe shifted step by step: one is "
+            f"{reader.label(first)} to {reader.label(first + steps - 1)} show no fringe shifted step by step: one is "
             "missing, out of order or of another exposure."
         )
 
 
-def check_agreement(apart: NDArray[np.bool_], lit: NDArray[np.bool_], shots: Shots, first: int) -> None:
-    """See that fringes fit what was read before them.
+def check_agreement(apart: NDArray[np.bool_], lit: NDArray[np.bool_], reader: PhotographReader, first: int) -> None:
+    """Refuse fringes that contradict the photographs before them.
 
     Args:
         apart: (h, w) where they do not.
-        lit: (h, w) which pixels to ask.
-        shots: names the photographs; the last taken is the fringe's last.
+        lit: (h, w) which pixels to test.
+        reader: names the photographs; the last taken is the fringe's last.
         first: number of the fringe's first photograph.
 
     Raises:
         BadInputError: in too many pixels they do not.
     """
     share = float(np.mean(apart[lit])) if lit.any() else 0.0
-    if share > _TORN:
+    if share > _MAX_CONTRADICTING:
         raise BadInputError(
-            f"{shots.label(first)} to {shots.label(shots.taken - 1)} contradict those before them in {share:.0%} of "
+            f"{reader.label(first)} to {reader.label(reader.taken - 1)} contradict those before them in {share:.0%} of "
             "the lit pixels: the set is out of order, or the camera moved."
         )
 

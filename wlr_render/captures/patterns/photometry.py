@@ -22,8 +22,8 @@ _BETWEEN = 0.02  # of a warped picture, pixels on its rim
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
 
-class Shots:
-    """Photographs of one size, one per name; none is kept.
+class PhotographReader:
+    """Reader of the photographs of a set, in order, one at a time; all have one size.
 
     They are numbered from 0, as `Pattern.image` and the files of `show_page` are.
     """
@@ -36,13 +36,13 @@ class Shots:
 
     @property
     def peak(self) -> Photograph:
-        """(h, w) the brightest value that any photograph so far has."""
+        """(h, w) maximum of all photographs so far."""
         if self._peak is None:
             raise ValueError("no photograph was taken yet")
         return self._peak
 
     def label(self, index: int) -> str:
-        """How a sentence calls a photograph: photograph 12 ('u bit 5')."""
+        """Name of a photograph in messages: photograph 12 ('u bit 5')."""
         return f"photograph {index} ('{self._names[index]}')"
 
     def take(self) -> Grey:
@@ -68,7 +68,7 @@ class Shots:
         return image.astype(np.float32)
 
     def finish(self) -> None:
-        """See that no photograph is left over.
+        """Refuse further photographs.
 
         Raises:
             BadInputError: there is one.
@@ -93,7 +93,7 @@ def _kind(image: Photograph) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class PanelLight:
     """The panel's light in each camera pixel; ambient light is in both references and cancels.
 
     Attributes:
@@ -119,32 +119,32 @@ class Light:
         return np.asarray(self.lit / np.maximum(self.contrast, 1), dtype=np.float32)
 
 
-def read_light(shots: Shots, options: DecodeOptions) -> Light:
-    """Take white and black, the first two photographs of every set.
+def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelLight:
+    """Measure the panel's light from white and black, the first two photographs of every set.
 
     Raises:
         BadInputError: white is not brighter than black anywhere, black is brighter than white, or most of what is lit
             is at the end of the scale.
     """
-    white, black = shots.take(), shots.take()
+    white, black = reader.take(), reader.take()
     contrast = white - black
     enough = options.min_contrast * options.full_scale
     end_of_scale = math.inf if _never_photographed(white, black, options) else options.full_scale
     full = white >= end_of_scale
     bright = contrast >= max(enough, _CLEAR * _noise_of_dark(contrast))
     if np.count_nonzero(contrast <= -enough) > 2 * np.count_nonzero(contrast >= enough):
-        raise BadInputError(f"{shots.label(0)} is darker than {shots.label(1)}: the two seem to be exchanged.")
+        raise BadInputError(f"{reader.label(0)} is darker than {reader.label(1)}: the two seem to be exchanged.")
     if np.count_nonzero(full) > 0.5 * np.count_nonzero(bright | full):
         raise BadInputError(
-            f"{shots.label(0)} is over-exposed: {np.mean(full):.0%} of it is at the end of the scale "
+            f"{reader.label(0)} is over-exposed: {np.mean(full):.0%} of it is at the end of the scale "
             f"({options.full_scale}); expose less, or state the camera's true full scale."
         )
     if not np.any(bright):
         raise BadInputError(
-            f"{shots.label(0)} is nowhere brighter than {shots.label(1)} by {options.min_contrast:.0%} of the scale "
+            f"{reader.label(0)} is nowhere brighter than {reader.label(1)} by {options.min_contrast:.0%} of the scale "
             f"({options.full_scale}): was the panel on, and the exposure long enough?"
         )
-    return Light(0.5 * (white + black), contrast, bright & ~full, end_of_scale)
+    return PanelLight(0.5 * (white + black), contrast, bright & ~full, end_of_scale)
 
 
 def _noise_of_dark(contrast: Grey) -> float:
@@ -159,8 +159,8 @@ def _never_photographed(white: Grey, black: Grey, options: DecodeOptions) -> boo
     return not np.any(black) and float(np.mean(between)) < _BETWEEN
 
 
-def check_range(image: Grey, light: Light, shots: Shots) -> None:
-    """See that the photograph just taken lies between black and white.
+def check_range(image: Grey, light: PanelLight, reader: PhotographReader) -> None:
+    """Refuse the last photograph if it does not lie between black and white.
 
     Raises:
         BadInputError: in too many pixels it does not: a reference shows something else, or the light has changed.
@@ -169,15 +169,15 @@ def check_range(image: Grey, light: Light, shots: Shots) -> None:
     share = np.count_nonzero(beyond) / np.count_nonzero(light.lit)
     if share > _BEYOND:
         raise BadInputError(
-            f"{shots.label(shots.taken - 1)} is brighter than {shots.label(0)} or darker than {shots.label(1)} in as "
-            f"many pixels as {share:.0%} of the lit ones: one of them shows something else, or the light has changed."
+            f"{reader.label(reader.taken - 1)} is brighter than {reader.label(0)} or darker than {reader.label(1)} in "
+            f"{share:.0%} of the lit pixels: one of them shows something else, or the light has changed."
         )
 
 
 class NoiseMeter:
     """Variance of photographs, from sums that would all be equal without noise; running moments only."""
 
-    def __init__(self, light: Light) -> None:
+    def __init__(self, light: PanelLight) -> None:
         self._count, self._sum, self._square = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
 
     def add(self, steady: Grey, where: NDArray[np.bool_]) -> None:

@@ -18,7 +18,7 @@ RealArray = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, eq=False)
 class DotBoard:
-    """What is printed: dark dots on white.
+    """A printed board: dark dots of two sizes on white.
 
     Attributes:
         pitch_m: distance of neighbouring dots.
@@ -91,15 +91,15 @@ class BoardNotFoundError(BadInputError):
 
 
 @dataclass(frozen=True, eq=False)
-class BoardSighting:
-    """Identified dots.
+class BoardObservation:
+    """Dots of a board identified in one photograph.
 
     Attributes:
         index: (n, 2) column and row of each dot on the board.
         pixel: (n, 2) where the dot's *centre* is seen, camera pixels from the outer corner of the top-left pixel; the
             bias of a perspective view of a disc is taken out.
         sigma_px: (n,) estimated standard deviation of `pixel` per axis.
-        unidentified: number of dots that were seen but not told apart.
+        unidentified: number of dots that were seen but not identified.
         disagreeing: number of dots whose size is not what the board has there.
     """
 
@@ -109,7 +109,7 @@ class BoardSighting:
     unidentified: int = 0
     disagreeing: int = 0
 
-    def only(self, rows: NDArray[np.bool_]) -> "BoardSighting":
+    def only(self, rows: NDArray[np.bool_]) -> "BoardObservation":
         """Some of the dots, by mask (n,)."""
         return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows])
 

@@ -28,7 +28,7 @@ _QUANTUM_VARIANCE = 1.0 / 12.0  # of rounding to whole grey values
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
+class _Patches:
     """Square patches around m dots, each as a row of p pixels.
 
     Attributes:
@@ -47,10 +47,10 @@ class Patches:
     outside: BoolArray
 
 
-def patches_around(
+def _patches_around(
     grey: FloatArray, dots: Dots, which: IntArray, near_px: FloatArray, reach_px: FloatArray
-) -> Iterator[Patches]:
-    """Patches of those dots that have a place in the picture.
+) -> Iterator[_Patches]:
+    """_Patches of those dots that have a place in the picture.
 
     Args:
         grey: (h, w).
@@ -77,14 +77,14 @@ def patches_around(
 
 def _of_one_size(
     of: IntArray, dots: Dots, half: int, padded: FloatArray, owner: NDArray[np.int32], border: int
-) -> Patches:
+) -> _Patches:
     steps = np.arange(-half, half + 1)
     u, v = (np.floor(dots.centre[of, axis]).astype(np.int64)[:, None] + steps for axis in (0, 1))
     where = v[:, :, None] + border, u[:, None, :] + border
     x = np.broadcast_to((u + 0.5 - dots.centre[of, :1])[:, None, :], where[0].shape[:1] + (len(steps),) * 2)
     y = np.broadcast_to((v + 0.5 - dots.centre[of, 1:])[:, :, None], x.shape)
     theirs = owner[where].reshape(len(of), -1)
-    return Patches(
+    return _Patches(
         dot=of,
         grey=padded[where].reshape(len(of), -1),
         x=x.reshape(len(of), -1),
@@ -192,7 +192,7 @@ def _measured_once(grey: FloatArray, dots: Dots, which: IntArray, band: FloatArr
     centre, spread = np.full((number, 2), np.nan), np.full((number, 2, 2), np.nan)
     darkness, contrast, sigma, blur = np.full((4, number), np.nan)
     reach = band + _ring_width(dots)
-    for patches in patches_around(grey, dots, which, band, reach):
+    for patches in _patches_around(grey, dots, which, band, reach):
         of = patches.dot
         centre[of], spread[of], darkness[of], contrast[of], sigma[of], blur[of] = _moments(patches, dots[of], band[of])
     return MeasuredDots(Dots(centre, spread), darkness, contrast, sigma, blur)
@@ -202,7 +202,7 @@ def _ring_width(dots: Dots) -> FloatArray:
     return _RING_PX + _RING_PART * dots.radius
 
 
-def _moments(patches: Patches, dots: Dots, band: FloatArray) -> tuple[FloatArray, ...]:
+def _moments(patches: _Patches, dots: Dots, band: FloatArray) -> tuple[FloatArray, ...]:
     """Centre, spread, darkness, contrast, sigma and blur of m dots; NaN where a dot is cut off or has no ground."""
     regions = _regions(patches, dots, band)
     ground = _ground(patches, regions.ring)
@@ -228,7 +228,7 @@ def _moments(patches: Patches, dots: Dots, band: FloatArray) -> tuple[FloatArray
     return tuple(np.where(sound.reshape(-1, *[1] * (each.ndim - 1)), each, np.nan) for each in results)
 
 
-def _regions(patches: Patches, dots: Dots, band: FloatArray) -> _Regions:
+def _regions(patches: _Patches, dots: Dots, band: FloatArray) -> _Regions:
     beyond_edge = _beyond_edge(patches, dots.spread)
     width, own = band[:, None], ~patches.foreign
     ring = (beyond_edge > width) & (beyond_edge < width + _ring_width(dots)[:, None]) & own & ~patches.outside
@@ -236,7 +236,7 @@ def _regions(patches: Patches, dots: Dots, band: FloatArray) -> _Regions:
     return _Regions((np.abs(beyond_edge) <= width) & own, beyond_edge < -width, middle, ring)
 
 
-def _beyond_edge(patches: Patches, spread: FloatArray) -> FloatArray:
+def _beyond_edge(patches: _Patches, spread: FloatArray) -> FloatArray:
     """(m, p) distance of pixels from an ellipse, negative inside, to first order of a cone through it."""
     inverse = np.linalg.inv(spread)[..., None]
     steep_x = inverse[:, 0, 0] * patches.x + inverse[:, 0, 1] * patches.y
@@ -246,7 +246,7 @@ def _beyond_edge(patches: Patches, spread: FloatArray) -> FloatArray:
     return np.asarray((height - 2.0) * np.maximum(height, 1e-6) / np.maximum(np.hypot(steep_x, steep_y), 1e-9))
 
 
-def _ground(patches: Patches, ring: BoolArray) -> _Ground:
+def _ground(patches: _Patches, ring: BoolArray) -> _Ground:
     basis = np.stack([np.ones_like(patches.x), patches.x, patches.y], axis=-1)
     of_ring = np.swapaxes(np.where(ring[..., None], basis, 0.0), 1, 2)
     # A ring without pixels gives a plane of zero; it is refused for that.
@@ -257,7 +257,7 @@ def _ground(patches: Patches, ring: BoolArray) -> _Ground:
     return _Ground(plane[:, 0, 0], deficit, np.asarray(covariance))
 
 
-def _lever(patches: Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:
+def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:
     """(m,) variance of first moments per axis for pixels of unit noise: of the band itself, and by the ground's plane
     that is subtracted from all of it.
     """

@@ -1,4 +1,4 @@
-"""Which part of a board a fragment of its lattice is: every place, turned every way, and by how much the best wins."""
+"""Identify which part of a board a lattice fragment shows, over all positions and rotations."""
 
 import math
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class _Placed:
 
 
 def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
-    """Column and row (k, 2) on the board of each dot of a fragment; some may lie beyond the board.
+    """Return the column and row (k, 2) on the board of each dot of a fragment; some may lie beyond the board.
 
     Args:
         index: (k, 2) lattice coordinates, the second axis clockwise of the first as in a picture.

@@ -28,7 +28,7 @@ _NEAR_FIRST = _AROUND[np.argsort(np.abs(_AROUND).max(axis=1) * 3 + np.abs(_AROUN
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class DotLattice:
     """Dots that lie on one lattice.
 
     Attributes:
@@ -43,14 +43,14 @@ class Lattice:
         return len(self.dot)
 
 
-def link_lattices(dots: Dots) -> list[Lattice]:
+def link_lattices(dots: Dots) -> list[DotLattice]:
     """All lattices of 9 dots or more, the largest first; no dot is in two."""
     if len(dots) < LEAST_DOTS:
         return []
     tree = cKDTree(dots.centre)
     seeds, steps = _crosses(dots, tree)
     free = np.ones(len(dots), dtype=bool)
-    found: list[Lattice] = []
+    found: list[DotLattice] = []
     for seed, step in zip(seeds, steps, strict=True):
         if len(found) >= _MOST_SEEDS:
             break
@@ -94,7 +94,7 @@ def _straightening(dots: Dots, near: IntArray) -> FloatArray:
     return np.asarray(np.einsum("nik,nk,njk->nij", axes, np.maximum(squares, 1e-9) ** -0.5, axes))
 
 
-def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free: NDArray[np.bool_]) -> Lattice:
+def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free: NDArray[np.bool_]) -> DotLattice:
     """All that hangs together with a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
     at = {(0, 0): seed}
     index_of = {seed: (0, 0)}
@@ -117,7 +117,7 @@ def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free:
                 continue
             at[place], index_of[int(other)], steps_of[int(other)] = int(other), place, steps_of[dot]
             waiting.append(int(other))
-    return Lattice(np.array(list(index_of)), np.array(list(index_of.values())))
+    return DotLattice(np.array(list(index_of)), np.array(list(index_of.values())))
 
 
 def _local_step(centre: FloatArray, dot: int, known: list[tuple[IntArray, int]], inherited: FloatArray) -> FloatArray:

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from wlr_render.captures.photographs import Photograph
-from wlr_render.captures.targets.dot_board import BoardNotFoundError, BoardSighting, DotBoard
+from wlr_render.captures.targets.dot_board import BoardNotFoundError, BoardObservation, DotBoard
 from wlr_render.captures.targets.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.targets.dot_detection import find_dots
 from wlr_render.captures.targets.dot_identity import identify
-from wlr_render.captures.targets.dot_lattice import LEAST_DOTS, Lattice, link_lattices
+from wlr_render.captures.targets.dot_lattice import LEAST_DOTS, DotLattice, link_lattices
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _NEIGHBOURS = 24  # a 5 x 5 window without its middle
@@ -72,7 +72,7 @@ class LatticeShape:
 
 
 def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
-    """Fit the maps.
+    """Fit a third-order map around each dot.
 
     Args:
         index: (n, 2) lattice coordinates, n >= 2.
@@ -90,8 +90,8 @@ def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
     return LatticeShape(pixel + term[:, 0], np.sqrt(1.0 + covariance[:, 0, 0]), slope, curvature, near)
 
 
-def find_board(image: Photograph, board: DotBoard, name: str = "photograph") -> BoardSighting:
-    """Find the dots of a board in a photograph and tell which they are.
+def find_board(image: Photograph, board: DotBoard, name: str = "photograph") -> BoardObservation:
+    """Find and identify the dots of a board in a photograph.
 
     Dots whose size is not as printed, or which lie beside the lattice of their neighbours, are left out and counted.
 
@@ -113,13 +113,13 @@ def find_board(image: Photograph, board: DotBoard, name: str = "photograph") -> 
     measured = measure_dots(image, dots, np.concatenate([lattice.dot for lattice in lattices]))
     for lattice in lattices:
         try:
-            return _sighting(lattice, measured, board)
+            return _identified(lattice, measured, board)
         except BoardNotFoundError as error:
             complaint = complaint or error
     raise BoardNotFoundError(f"{name}: {complaint}")
 
 
-def _sighting(lattice: Lattice, measured: MeasuredDots, board: DotBoard) -> BoardSighting:
+def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) -> BoardObservation:
     """Identify one lattice.
 
     Raises:
@@ -136,7 +136,7 @@ def _sighting(lattice: Lattice, measured: MeasuredDots, board: DotBoard) -> Boar
     pixel = measured.dots.centre[dot] - shape.centroid_shift(0.5 * diameter / board.pitch_m)
     order = np.nonzero(agreeing)[0]
     order = order[np.lexsort(index[order].T)]
-    return BoardSighting(
+    return BoardObservation(
         index[order],
         pixel[order],
         measured.sigma_px[dot][order],
@@ -145,7 +145,7 @@ def _sighting(lattice: Lattice, measured: MeasuredDots, board: DotBoard) -> Boar
     )
 
 
-def _smooth_part(lattice: Lattice, measured: MeasuredDots) -> tuple[Lattice, LatticeShape]:
+def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattice, LatticeShape]:
     """The dots that lie where their neighbours expect them, the worst taken out first.
 
     Raises:
@@ -153,14 +153,14 @@ def _smooth_part(lattice: Lattice, measured: MeasuredDots) -> tuple[Lattice, Lat
     """
     keep = np.isfinite(measured.sigma_px[lattice.dot])
     while True:
-        lattice = Lattice(lattice.dot[keep], lattice.index[keep])
+        lattice = DotLattice(lattice.dot[keep], lattice.index[keep])
         if len(lattice) < LEAST_DOTS:
             raise BoardNotFoundError(f"only {len(lattice)} dots in one piece were seen whole; show more of the board.")
         pixel = measured.dots.centre[lattice.dot]
         shape = lattice_shape(lattice.index, pixel)
         off = np.linalg.norm(pixel - shape.expected, axis=-1) / shape.doubt
         most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
-        # A stray dot makes its neighbours look stray too; only the worst of a neighbourhood goes.
+        # A outlier dot makes its neighbours look outlier too; only the worst of a neighbourhood goes.
         keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
         keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
         if keep.all():

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.calibration.capture_outliers import Moved, follow_their_photograph, moved_display, moved_see_through
+from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures, select
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.calibrate.reading import Reading
 from wlr_render.jobs.calibrate.reading_tasks import SetAside
@@ -33,14 +33,14 @@ def sound_captures(
     display = captures.display
     _refuse_far_places(session, display.viewpoint)
     keys, photograph = _photographs(see_through)
-    follows = follow_their_photograph(see_through, photograph)
+    follows = dot_inliers(see_through, photograph)
     see_through, photograph = select(see_through, follows), photograph[follows]
-    moved = moved_display(display)
+    moved = display_outliers(display)
     sets = [session.name_of(each.folder) for each, _ in reading.decoded(session.display)]
     aside = [_aside([sets[each.group]], each) for each in moved]
     display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
     names = _names(reading.seen(session.see_through))
-    gone = moved_see_through(see_through, photograph)
+    gone = see_through_outliers(see_through, photograph)
     aside += [_aside(names[keys[each.group]], each) for each in gone]
     see_through = select(see_through, ~np.isin(photograph, [each.group for each in gone]))
     return replace(captures, display=display, see_through=see_through), tuple(aside)
@@ -58,7 +58,7 @@ def _photographs(captures: SeeThroughCaptures) -> tuple[list[tuple[int, int]], I
     return [(int(pose), int(place)) for pose, place in keys], np.asarray(index.ravel())
 
 
-def _names(seen: Sequence[tuple[BoardPhotograph, BoardSighting]]) -> dict[tuple[int, int], list[str]]:
+def _names(seen: Sequence[tuple[BoardPhotograph, BoardObservation]]) -> dict[tuple[int, int], list[str]]:
     """Names of photographs by target pose and camera position; one position may have been photographed twice."""
     photographs = [each for each, _ in seen]
     names: dict[tuple[int, int], list[str]] = {}
@@ -67,7 +67,7 @@ def _names(seen: Sequence[tuple[BoardPhotograph, BoardSighting]]) -> dict[tuple[
     return names
 
 
-def _aside(names: Sequence[str], moved: Moved) -> SetAside:
+def _aside(names: Sequence[str], moved: CaptureOutlier) -> SetAside:
     reason = (
         f"what it shows lies {moved.arcmin:.0f}' from where the other photographs have it: it was taken at another "
         "stage reading or target pose than session.toml says, or something moved; correct its entry, or take it again."

@@ -22,7 +22,7 @@ from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import load_photo_session
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.geometry.lens_camera import LensCamera
@@ -33,7 +33,7 @@ from wlr_render.jobs.calibrate.store import Store
 from wlr_render.models.model_file import add_eye_models
 from wlr_render.progress import SILENT, Progress
 
-Seen = Sequence[tuple[BoardPhotograph, BoardSighting]]
+Seen = Sequence[tuple[BoardPhotograph, BoardObservation]]
 
 _NAMED = 3  # of what was set aside, in one sentence
 CHOSEN_BY_HELD_OUT = FitOptions("planar", None, None)
@@ -90,7 +90,7 @@ class SessionCalibration:
     def left_out(self) -> tuple[tuple[str, str], ...]:
         """Name and reason of every photograph that the results were made without."""
         read = [(each.name, each.reason) for each in self.reading.set_aside]
-        return (*read, *self.eyeball.poses.set_aside.items(), *self.tracking.poses.set_aside.items())
+        return (*read, *self.eyeball.poses.rejected.items(), *self.tracking.poses.rejected.items())
 
 
 def run(
@@ -133,7 +133,9 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
     eyeball = _lens(session, session.eyeball_camera, "eyeball_camera", bare, reading)
     tracking = _lens(session, session.tracking_camera, "tracking_camera", tracked, reading)
     through = reading.seen(session.see_through)
-    views = {each.name: BoardView.of_sighting(each.name, sighting, session.board) for each, sighting in through}
+    views = {
+        each.name: BoardView.of_observation(each.name, observation, session.board) for each, observation in through
+    }
     repeated = repeated_views([each for each, _ in through], views)
     photos = StationPhotos([each for each, _ in bare], [each for each, _ in tracked], repeated)
     station = find_station(photos, eyeball.poses, tracking.poses, session.device_from_tracking)
@@ -149,11 +151,11 @@ def _calibrated(session: PhotoSession, reading: Reading, into: Path, options: Fi
 
 def _lens(session: PhotoSession, camera: SessionCamera, name: str, seen: Seen, reading: Reading) -> Lens:
     """The camera and the board's poses: from all photographs without the headset, or by the lens that is given."""
-    views = [BoardView.of_sighting(each.name, sighting, session.board) for each, sighting in seen]
+    views = [BoardView.of_observation(each.name, observation, session.board) for each, observation in seen]
     if camera.known is not None:
         return Lens(poses_of(camera.known, views), None)
     views += [
-        BoardView.of_sighting(session.name_of(path), reading.boards[path], session.board)
+        BoardView.of_observation(session.name_of(path), reading.boards[path], session.board)
         for path in camera.intrinsics
         if path in reading.boards
     ]
@@ -178,9 +180,9 @@ def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, stati
             station.device_from_target[each.target_pose].b_from_a,
             each.target_pose,
             place,
-            sighting,
+            observation,
         )
-        for (each, sighting), place in zip(seen, places, strict=True)
+        for (each, observation), place in zip(seen, places, strict=True)
     ]
     display = display_captures(headset, session.pattern.panel, camera, panels)
     see_through = see_through_captures(headset, session.board, camera, targets)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
-from wlr_render.captures.targets.dot_board import BoardSighting
+from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.jobs.calibrate.reading_tasks import BoardTask, PanelReading, PanelTask, SetAside, Task, do_task
 from wlr_render.jobs.calibrate.store import Store
 from wlr_render.jobs.processes import as_finished, few_workers
@@ -23,19 +23,19 @@ class Reading:
     """What a session's photographs say.
 
     Attributes:
-        boards: sighting of each photograph of the board that could be read.
+        boards: observation of each photograph of the board that could be read.
         panels: of each set of code photographs that could be decoded, by its folder.
         set_aside: what could not be read, and why.
         kept: how many were found read already by an earlier run.
     """
 
-    boards: dict[Path, BoardSighting] = field(default_factory=dict)
+    boards: dict[Path, BoardObservation] = field(default_factory=dict)
     panels: dict[Path, PanelReading] = field(default_factory=dict)
     set_aside: tuple[SetAside, ...] = ()
     kept: int = 0
 
-    def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardSighting]]:
-        """Those of some photographs that could be read, with their sightings."""
+    def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
+        """Those of some photographs that could be read, with their observations."""
         return [(each, self.boards[each.path]) for each in photographs if each.path in self.boards]
 
     def decoded(self, sets: Sequence[CodeSet]) -> list[tuple[CodeSet, PanelReading]]:

@@ -16,7 +16,7 @@ from wlr_render.captures.photographs import (
     read_each,
     read_photograph,
 )
-from wlr_render.captures.targets.dot_board import BoardSighting, DotBoard
+from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
 from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.calibrate.store import Store, fingerprint
@@ -67,15 +67,15 @@ class BoardTask:
     size_px: tuple[int, int]
     full_scale: int
 
-    def stored(self, store: Store) -> BoardSighting | None:
-        """The sighting as kept, or None."""
+    def stored(self, store: Store) -> BoardObservation | None:
+        """The observation as kept, or None."""
         if not self.path.is_file():
             return None
         kept = store.find(self.name, self._fingerprint())
         if kept is None:
             return None
         unidentified, disagreeing = (int(number) for number in kept["counts"])
-        return BoardSighting(kept["index"], kept["pixel"], kept["sigma_px"], unidentified, disagreeing)
+        return BoardObservation(kept["index"], kept["pixel"], kept["sigma_px"], unidentified, disagreeing)
 
     def do(self, store: Store) -> None:
         """Read the photograph and keep what it says."""

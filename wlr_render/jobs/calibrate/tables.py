@@ -58,8 +58,8 @@ def _read_table(found: SessionCalibration) -> ReportTable:
         ("target by the tracking camera", session.tracking),
         ("target through the optics", session.see_through),
     ):
-        dots = [len(sighting) for _, sighting in reading.seen(photographs)]
-        sigma = [float(np.median(sighting.sigma_px)) for _, sighting in reading.seen(photographs)]
+        dots = [len(observation) for _, observation in reading.seen(photographs)]
+        sigma = [float(np.median(observation.sigma_px)) for _, observation in reading.seen(photographs)]
         rows.append([name, len(photographs), len(dots), sum(dots), float(np.median(sigma)) if sigma else None])
     samples = [each.samples for _, each in reading.decoded(session.display)]
     sigma_px = float(np.median(np.concatenate([each.sigma_px for each in samples]))) if samples else None
@@ -114,8 +114,8 @@ def _lens_rows(name: str, lens: Lens) -> list[list[Cell]]:
         for value, number, one in zip(VALUES, values, sigma, strict=True)
         if number != 0
     ]
-    misfit = float(np.sqrt(np.mean(lens.poses.rms_px**2)))
-    return [*rows, [name, "misfit of dots, rms (px)", f"{misfit:.3g}", None]]
+    error = float(np.sqrt(np.mean(lens.poses.rms_px**2)))
+    return [*rows, [name, "reprojection error, rms (px)", f"{error:.3g}", None]]
 
 
 def _poses_table(found: SessionCalibration) -> ReportTable:

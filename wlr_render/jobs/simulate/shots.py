@@ -15,7 +15,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
-from wlr_render.simulation.photographs.sight import Sight
+from wlr_render.simulation.photographs.camera_view import CameraView
 
 _DARK_ROOM = FarWall(brightness=0.03)  # while the panel is photographed
 
@@ -94,9 +94,9 @@ def take(place: Place) -> int:
     if not missing:
         return 0
     if place.optics is None:
-        sight = Sight.without_headset(place.lens, place.frame_from_camera)
+        sight = CameraView.without_headset(place.lens, place.frame_from_camera)
     else:
-        sight = Sight.through_optics(place.optics, place.lens, place.frame_from_camera)
+        sight = CameraView.through_optics(place.optics, place.lens, place.frame_from_camera)
     for shot in place.boards:
         if shot.path in missing:
             light = sight.world_light(BoardLight(place.board, shot.frame_from_board))

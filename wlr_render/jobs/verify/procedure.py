@@ -60,10 +60,10 @@ def track_targets(
     _retake(Place(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.board, shots))
     poses = []
     for shot in shots:
-        sighting = find_board(read_photograph(shot.path), bench.board, shot.path.name)
-        seen = poses_of(station.tracking_camera, [BoardView.of_sighting(shot.path.name, sighting, bench.board)])
+        observation = find_board(read_photograph(shot.path), bench.board, shot.path.name)
+        seen = poses_of(station.tracking_camera, [BoardView.of_observation(shot.path.name, observation, bench.board)])
         if not len(seen):
-            raise BadInputError(f"{shot.path}: {seen.set_aside[shot.path.name]}")
+            raise BadInputError(f"{shot.path}: {seen.rejected[shot.path.name]}")
         poses.append(station.device_from_tracking @ seen.camera_from_board[0])
     return poses
 

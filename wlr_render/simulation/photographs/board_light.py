@@ -1,4 +1,4 @@
-"""A dot board before a far background, as bright as rays find it."""
+"""Radiance of a dot board before a far background."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class FarWall:
     patch_rad: float = 0.15
 
     def __call__(self, ray: Float32Array) -> Float32Array:
-        """See `sight.Radiance`."""
+        """See `camera_view.Radiance`."""
         x, y, z = np.moveaxis(ray[..., 3:] * np.float32(2.0 * np.pi / self.patch_rad), -1, 0)
         patches = (np.sin(x + 0.7 * z) + np.sin(y + 1.3 * z) + np.sin(0.61 * (x + y))) / 3.0
         return np.asarray(self.brightness * (1.0 + self.contrast * patches))
@@ -32,11 +32,11 @@ class FarWall:
 
 @dataclass(frozen=True, eq=False)
 class BoardLight:
-    """What `Sight.world_light` asks of a dot board and the background behind it.
+    """Radiance of a dot board before a background, as `CameraView.world_light` takes it.
 
     Attributes:
         board: what is printed.
-        frame_from_target: (4, 4) pose of the board in the frame of the sight; it is seen from its front only.
+        frame_from_target: (4, 4) pose of the board in the frame of the view; it is seen from its front only.
         wall: the background.
         white: brightness of its white.
         black: brightness of its dots.
@@ -52,7 +52,7 @@ class BoardLight:
     softness: float = 0.25
 
     def __call__(self, ray: Float32Array) -> Float32Array:
-        """See `sight.Radiance`."""
+        """See `camera_view.Radiance`."""
         place = self._place(ray)
         reflectance = self.board.reflectance(place, self.softness * _footprint(place))
         light = np.asarray(self.black + (self.white - self.black) * reflectance, dtype=np.float32)

@@ -21,7 +21,7 @@ _CANDIDATES = 2000  # sets of samples among which the most even one is taken
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLens:
-    """A camera whose entrance pupil has a size: sharp in one plane only.
+    """A camera with an entrance pupil of finite size: sharp in one plane only.
 
     Attributes:
         camera: where the rays through the middle of the pupil land.

@@ -31,7 +31,7 @@ _FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
 
 @dataclass(frozen=True)
 class PhotoBenchOptions:
-    """What a simulated bench is made of.
+    """Options of a simulated photographic bench.
 
     Attributes:
         camera_px: width and height of the eyeball camera's photographs.
@@ -56,7 +56,7 @@ class PhotoBenchOptions:
 
 @dataclass(frozen=True, eq=False)
 class PhotoBench:
-    """What stands on the bench. Device frame, metres; cameras have OpenCV's axes.
+    """True poses, lenses and sensors of a bench. Device frame, metres; cameras have OpenCV's axes.
 
     Attributes:
         device: the headset.
@@ -220,7 +220,7 @@ class PhotoPlan:
 
 
 def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
-    """The whole procedure for a bench, with so many camera positions."""
+    """Plan all photographs of a session with `viewpoints` camera positions."""
     sweep = stage_readings(bench, viewpoints)
     steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
     steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])

@@ -8,9 +8,9 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_about
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.photographs import exact
+from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.camera import SimulatedLens
-from wlr_render.simulation.photographs.sight import Sight
+from wlr_render.simulation.photographs.camera_view import CameraView
 
 LOOKING_AHEAD = rigid(OPENXR_FROM_OPENCV, np.zeros(3))
 BROWN = np.array([-0.1, 0.03, 1e-3, -5e-4, 0.0])
@@ -26,7 +26,7 @@ def optics(name):
 
 
 def sight(name, lens, pose=LOOKING_AHEAD, samples=16):
-    return Sight.through_optics(optics(name), lens, pose, samples)
+    return CameraView.through_optics(optics(name), lens, pose, samples)
 
 
 def place_at_depth(depth_m):
@@ -66,10 +66,10 @@ def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name
     lens = SimulatedLens(camera((96, 64), 100.0, BROWN))
     eye = optics(name)
     light = sight(name, lens).panel_light(uniform(255, (eye.panel.pixels.height_px, eye.panel.pixels.width_px)))
-    seen = exact.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((96, 64)))
+    seen = camera_view.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((96, 64)))
     inner = np.abs(seen.value / eye.panel.pixels.size_px - 0.5).max(axis=-1) < 0.44
     assert 300 < inner.sum() < 5000
-    finer = exact.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((768, 512)) / 8)
+    finer = camera_view.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((768, 512)) / 8)
     np.testing.assert_allclose(light[inner], 1.0, atol=1e-5)
     assert light.min() == 0.0
     assert light.max() < 1.0 + 1e-5
@@ -103,7 +103,7 @@ def test_the_edge_of_a_mirror_cuts_the_panel_off():
         return replace(surface, aperture=ClearAperture(surface.aperture.low, high))
 
     lens = SimulatedLens(camera((140, 61), 400.0), 0.0)
-    one = Sight.through_optics(optics("flat_mirror").with_surfaces(narrowed), lens, LOOKING_AHEAD)
+    one = CameraView.through_optics(optics("flat_mirror").with_surfaces(narrowed), lens, LOOKING_AHEAD)
     middle = one.panel_light(uniform(255, (1080, 1920)))[30]
     # 5 mm at the mirror's 40 mm are 50 pixels right of the middle, well within the panel's picture.
     np.testing.assert_allclose(middle[:119], 1.0, atol=1e-5)
@@ -119,7 +119,7 @@ def test_spots_on_the_panel_land_where_exact_rays_say(name):
     for u, v in spots:
         picture[v - 5 : v + 5, u - 5 : u + 5] = 255
     light = sight(name, lens).panel_light(picture)
-    expected = exact.pixel_of_panel_position(eye, lens.camera, LOOKING_AHEAD, spots.astype(float))
+    expected = camera_view.pixel_of_panel_position(eye, lens.camera, LOOKING_AHEAD, spots.astype(float))
     inside = np.all((expected > 12) & (expected < np.array([228, 168])), axis=-1)
     assert inside.sum() >= 12
     at = pixel_centres((240, 180))
@@ -147,7 +147,7 @@ def test_the_world_through_a_plate_is_shifted_by_the_closed_form():
 def test_a_turned_camera_without_headset_sees_straight_rays_in_the_frame_that_it_is_given():
     lens = SimulatedLens(camera((60, 40), 100.0, BROWN), 0.001, 2.0)
     pose = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", 0.3), [0.1, -0.2, 0.3])
-    one = Sight.without_headset(lens, pose, samples=2)
+    one = CameraView.without_headset(lens, pose, samples=2)
     direction = lens.camera.dir_of_pixel(pixel_centres((60, 40))) @ pose[:3, :3].T
     expected = pose[:3, 3] + (-1.0 - 0.3) / direction[..., 2:] * direction
     for axis, radiance in enumerate(place_at_depth(1.0)):
@@ -170,12 +170,12 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal):
     eye = optics(name)
     pose = rigid(OPENXR_FROM_OPENCV, eye.eye_box.centre)
     lens = SimulatedLens(camera((240, 180), focal, BROWN))
-    error = Sight.through_optics(eye, lens, pose, samples=4).interpolation_error(np.random.default_rng(0), 500)
+    error = CameraView.through_optics(eye, lens, pose, samples=4).interpolation_error(np.random.default_rng(0), 500)
     assert 0.0 < error.panel_px < 0.01
     assert 0.0 < error.world_arcmin < 0.01
 
-    one = Sight.through_optics(eye, lens, pose, samples=1)
-    seen = exact.panel_position(eye, lens.camera, pose, pixel_centres((240, 180)))
+    one = CameraView.through_optics(eye, lens, pose, samples=1)
+    seen = camera_view.panel_position(eye, lens.camera, pose, pixel_centres((240, 180)))
     there = np.moveaxis(one.on_panel[0].planes(), 0, -1)[seen.ok]
     assert seen.ok.mean() > 0.3
     np.testing.assert_allclose(there, seen.value[seen.ok], atol=0.01)
@@ -194,7 +194,7 @@ def test_a_spot_is_blurred_by_the_thin_lens_formula(depth_m, focus_m):
             return (np.hypot(x, y) < radius).astype(np.float32)
 
         lens = SimulatedLens(camera((40, 40), focal), pupil_diameter_m, focus_m)
-        light = Sight.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
+        light = CameraView.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
         mean = np.average(np.arange(40), weights=light.sum(axis=0))
         return np.average((np.arange(40) - mean) ** 2, weights=light.sum(axis=0))
 
@@ -211,7 +211,7 @@ def test_distortion_moves_a_spot_as_the_camera_says():
         x, y = (radiance(ray) for radiance in place_at_depth(1.0))
         return (np.hypot(x - point[0], y - point[1]) < 0.03).astype(np.float32)
 
-    light = Sight.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
+    light = CameraView.without_headset(lens, LOOKING_AHEAD, samples=64).world_light(spot)
     found = np.array(
         [np.average(np.arange(80) + 0.5, weights=light.sum(0)), np.average(np.arange(60) + 0.5, weights=light.sum(1))]
     )
@@ -228,14 +228,14 @@ def test_a_camera_that_looks_away_takes_a_dark_picture():
 
 
 def test_without_headset_there_is_no_panel():
-    one = Sight.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
+    one = CameraView.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
     light = one.panel_light(uniform())
     assert light.shape == (10, 20)
     assert not light.any()
 
 
 def test_what_radiance_does_not_know_is_dark():
-    one = Sight.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
+    one = CameraView.without_headset(SimulatedLens(camera((20, 10), 30.0)), LOOKING_AHEAD, samples=2)
     assert not one.world_light(lambda ray: np.full(ray.shape[:-1], np.nan)).any()
 
 

@@ -1,4 +1,4 @@
-"""What a lens sees from where it stands: panel and world at once through true optics, or the world without them.
+"""Simulated camera at one pose: light from panel and world through exact optics, or from the world alone.
 
 Light is a part of full scale, linear. A pixel's light is the mean over a fixed set of rays spread over the pixel and
 the pupil; each ray is traced exactly, or interpolated with an error that is bounded and can be measured.
@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.transforms import inverse
-from wlr_render.mappings import Panel, Status
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.transforms import inverse, rotate
+from wlr_render.mappings import Panel, QueryResult, Status
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.photographs.camera import SimulatedLens
-from wlr_render.simulation.photographs.pixel_field import PixelField
+from wlr_render.simulation.photographs.pixel_map import PixelMap
 
 Radiance = Callable[[Float32Array], NDArray[np.floating]]
 """Rays (h, w, 6) of some rows, away from the lens, NaN where no light comes -> how bright what they meet is, (h, w)."""
@@ -39,15 +40,15 @@ _NARROWEST_PX = 1e-3  # of a ramp between two panel pixels
 
 
 class InterpolationError(NamedTuple):
-    """Largest errors found: of places on the panel in its pixels; of world rays at 0.3 m and beyond in arcminutes."""
+    """Maximum interpolation errors: of panel positions in pixels; of world rays at 0.3 m and beyond in arcminutes."""
 
     panel_px: float
     world_arcmin: float
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """A lens in its place. Made by `through_optics` or `without_headset`.
+class CameraView:
+    """A lens at one pose. Made by `through_optics` or `without_headset`.
 
     Attributes:
         lens: the lens.
@@ -60,8 +61,8 @@ class Sight:
     lens: SimulatedLens
     frame_from_camera: FloatArray
     panel: Panel | None
-    on_panel: tuple[PixelField, ...]
-    in_world: tuple[PixelField, ...]
+    on_panel: tuple[PixelMap, ...]
+    in_world: tuple[PixelMap, ...]
 
     @classmethod
     def through_optics(
@@ -71,7 +72,7 @@ class Sight:
         device_from_camera: FloatArray,
         samples: int = 16,
         wavelength_um: float = 0.55,
-    ) -> "Sight":
+    ) -> "CameraView":
         """The lens in the place of an eye; its rays are traced exactly at one vacuum wavelength in micrometres."""
         display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
         camera_from_device = inverse(device_from_camera)
@@ -94,7 +95,7 @@ class Sight:
         return cls(lens, device_from_camera, optics.panel.pixels, panel_fields, world_fields)
 
     @classmethod
-    def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = 16) -> "Sight":
+    def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = 16) -> "CameraView":
         """The lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
 
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -144,7 +145,7 @@ class Sight:
         return InterpolationError(float(panel), float(angle.max(initial=0.0)) / ARCMIN)
 
     def _rays(self, bend: Float32Array) -> Float32Array:
-        """Rays (h, w, 6) in the sight's frame from how they pass the camera, (4, h, w)."""
+        """Rays (h, w, 6) in the view's frame from how they pass the camera, (4, h, w)."""
         x, y, tx, ty = bend
         rotation, origin = self.frame_from_camera[:3, :3].astype(np.float32), self.frame_from_camera[:3, 3]
         scale = 1.0 / np.sqrt(1.0 + tx * tx + ty * ty)
@@ -171,9 +172,9 @@ def _fields(
     samples: int,
     exact: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]],
     tolerance: FloatArray,
-) -> tuple[PixelField, ...]:
+) -> tuple[PixelMap, ...]:
     return tuple(
-        PixelField.of(partial(exact, pupil_point), lens.camera.size_px, offset, tolerance)
+        PixelMap.of(partial(exact, pupil_point), lens.camera.size_px, offset, tolerance)
         for offset, pupil_point in zip(*lens.samples(samples), strict=True)
     )
 
@@ -206,3 +207,39 @@ def _sharpen(place: Float32Array, blur: FloatArray) -> None:
         own -= np.float32(0.5)
         whole = np.floor(own)
         own[...] = whole + np.clip((own - whole - np.float32(0.5)) / width + np.float32(0.5), 0.0, 1.0)
+
+
+def panel_position(
+    optics: EyeOptics,
+    camera: LensCamera,
+    device_from_camera: FloatArray,
+    pixel: FloatArray,
+    wavelength_um: float = 0.55,
+) -> QueryResult:
+    """Which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
+    direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
+    return TracedDisplay(optics, wavelength_um).pixel_of_view_dir(direction, device_from_camera[:3, 3])
+
+
+def pixel_of_panel_position(
+    optics: EyeOptics,
+    camera: LensCamera,
+    device_from_camera: FloatArray,
+    position: FloatArray,
+    wavelength_um: float = 0.55,
+) -> FloatArray:
+    """The camera pixels (..., 2) that see places on the panel (..., 2); NaN where they are not seen."""
+    seen = TracedDisplay(optics, wavelength_um).view_dir_of_pixel(position, device_from_camera[:3, 3])
+    return camera.pixel_of_point(rotate(inverse(device_from_camera), seen.value))
+
+
+def pixel_of_real_point(
+    optics: EyeOptics,
+    camera: LensCamera,
+    device_from_camera: FloatArray,
+    point: FloatArray,
+    wavelength_um: float = 0.55,
+) -> FloatArray:
+    """The camera pixels (..., 2) that see real points (..., 3), device frame, through the optics; NaN where not."""
+    seen = TracedSeeThrough(optics, wavelength_um).view_dir_of_real_point(point, device_from_camera[:3, 3])
+    return camera.pixel_of_point(rotate(inverse(device_from_camera), seen.value))

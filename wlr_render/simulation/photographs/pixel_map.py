@@ -1,4 +1,4 @@
-"""A quantity that is costly to know, such as a traced ray, for every pixel of a picture.
+"""Interpolate an expensive quantity, such as a traced ray, to every pixel of an image.
 
 It is known exactly on a grid of nodes and carried to the pixels by polynomials of degree 5 through the nearest 6 x 6
 nodes. Of each cell of the grid the middle is known exactly too: where the polynomial misses it, or the corners and
@@ -21,7 +21,7 @@ _STENCIL = 6
 
 
 @dataclass(frozen=True, eq=False)
-class PixelField:
+class PixelMap:
     """A quantity of k components at one place in every pixel.
 
     Attributes:
@@ -44,8 +44,8 @@ class PixelField:
     alone_value: Float32Array
 
     @classmethod
-    def of(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelField":
-        """Find the field.
+    def of(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelMap":
+        """Sample the quantity on the grid, and pixel by pixel where the tolerance is not met.
 
         Args:
             exact: the quantity.

@@ -1,4 +1,4 @@
-"""Chains of poses from the device to the eyeball camera, one by way of each pose of the target, and their mean."""
+"""PoseChains of poses from the device to the eyeball camera, one by way of each pose of the target, and their mean."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Targets:
+class TrackedTargets:
     """The target in the device frame, as the tracking camera sees it.
 
     Attributes:
@@ -27,7 +27,7 @@ class Targets:
 
 
 @dataclass(frozen=True, eq=False)
-class Chains:
+class PoseChains:
     """The eyeball camera in the device frame by way of each target pose that both cameras saw.
 
     Attributes:
@@ -45,8 +45,8 @@ class Chains:
 
 def tracked_targets(
     tracking: BoardPoses, by_target: Mapping[int, Sequence[str]], device_from_tracking: FloatArray
-) -> Targets:
-    """Average the tracking camera's photographs of each target pose.
+) -> TrackedTargets:
+    """Return the mean device_from_target of each target pose seen by the tracking camera.
 
     Args:
         tracking: poses of the board before the tracking camera.
@@ -67,11 +67,11 @@ def tracked_targets(
     covariance = (flat @ tracking.covariance @ flat.T).reshape(covariance.shape)
     for row, pose in enumerate(poses.values()):
         covariance[row, :, row] = pose.covariance  # this one is widened where photographs contradict each other
-    return Targets(poses, covariance.reshape(len(flat), len(flat)))
+    return TrackedTargets(poses, covariance.reshape(len(flat), len(flat)))
 
 
-def chains_through(stage: StageFit, targets: Targets) -> Chains:
-    """Follow device_from_target @ target_from_camera by way of each target pose that both cameras saw.
+def pose_chains(stage: StageFit, targets: TrackedTargets) -> PoseChains:
+    """Return device_from_target @ target_from_camera for each target pose that both cameras saw.
 
     Raises:
         BadInputError: there is none.
@@ -81,10 +81,10 @@ def chains_through(stage: StageFit, targets: Targets) -> Chains:
     if not common:
         raise BadInputError(
             f"no pose of the target has both a photograph without the headset (poses {seen}) and one by the tracking "
-            f"camera (poses {tracked}); one pose must have both, so that the eyeball camera has a place in the device."
+            f"camera (poses {tracked}); one pose must have both, to place the eyeball camera in the device frame."
         )
     chains = np.array([targets.poses[k].b_from_a @ transforms.inverse(stage.camera_from_target[k]) for k in common])
-    axes = 3 * len(stage.moved)
+    axes = 3 * len(stage.moved_axes)
     of_seen = axes + _rows([seen.index(k) for k in common])
     of_tracked = _rows([tracked.index(k) for k in common])
     by_seen = np.zeros((len(common), 6, len(common), 6))
@@ -93,11 +93,11 @@ def chains_through(stage: StageFit, targets: Targets) -> Chains:
     flat = by_seen.reshape(6 * len(common), -1)
     covariance = targets.covariance[np.ix_(of_tracked, of_tracked)]
     covariance = covariance + flat @ stage.covariance[np.ix_(of_seen, of_seen)] @ flat.T
-    return Chains(tuple(common), chains, covariance, flat @ stage.covariance[of_seen, :axes])
+    return PoseChains(tuple(common), chains, covariance, flat @ stage.covariance[of_seen, :axes])
 
 
-def combined(stage: StageFit, chains: Chains) -> tuple[FloatArray, FloatArray]:
-    """Mean device_from_camera (4, 4) at the reference, and its joint covariance (6 + 3 m, 6 + 3 m) with the axes."""
+def mean_camera_pose(stage: StageFit, chains: PoseChains) -> tuple[FloatArray, FloatArray]:
+    """Return the mean device_from_camera at the reference, and its covariance (6 + 3 m, 6 + 3 m) with the axes."""
     mean = mean_of_dependent(chains.device_from_camera, chains.covariance)
     with_axes = np.concatenate(list(mean.weights), axis=1) @ chains.with_axes
     axes = with_axes.shape[1]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
-from wlr_render.captures.patterns.neighbours import fits_neighbours, typical_step
-from wlr_render.captures.patterns.photometry import Grey, Light
+from wlr_render.captures.patterns.neighbours import agrees_with_neighbours, typical_step
+from wlr_render.captures.patterns.photometry import Grey, PanelLight
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -27,7 +27,7 @@ _SURE = 2.0  # evidence over the noise of a difference
 _EDGE = 0.5  # of the contrast of the brightest neighbour, below which a pixel sees past an edge,
 _BESIDE_EDGE = 0.3  # or it does if its darkest neighbour has less than this of its own contrast
 _OVERHANG_PX = 0.5  # noise may carry a position over the panel's edge by this much
-_STRAY_PX, _STRAY_STEPS, _STRAY_SIGMAS = 0.75, 0.5, 4.0  # a stray lies off its neighbours by more than all of these
+_STRAY_PX, _STRAY_STEPS, _STRAY_SIGMAS = 0.75, 0.5, 4.0  # an outlier lies off its neighbours by more than all of these
 _VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
 
@@ -87,7 +87,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class AxisReading:
-    """What a code says of one axis, each camera pixel by itself; all (h, w).
+    """Decoded positions along one axis, each camera pixel by itself; all (h, w).
 
     Attributes:
         position: panel pixels, finite everywhere.
@@ -105,15 +105,15 @@ class AxisReading:
     contradiction: NDArray[np.bool_]
 
 
-def settle(
+def combine_axes(
     readings: Sequence[AxisReading],
-    light: Light,
+    light: PanelLight,
     peak: Photograph,
     noise_variance: Grey,
     options: DecodeOptions,
     panel: Panel,
 ) -> Decoded:
-    """Reject what cannot be believed, and fit the rest to its neighbours.
+    """Combine both axes into panel positions: reject unreliable pixels and fit local planes to the others.
 
     Args:
         readings: of u and v.
@@ -132,9 +132,9 @@ def settle(
     rejection = _rejected_alone(readings, light, peak, np.sqrt(relative), options, panel)
     alone = rejection == Rejection.ACCEPTED
     step = typical_step(position, alone)
-    valid = alone & fits_neighbours(position, alone, step)
-    stray = np.maximum(max(_STRAY_PX, _STRAY_STEPS * step), _STRAY_SIGMAS * np.sqrt(variance))
-    valid &= np.all(np.abs(fit_planes(position, valid).value - position) <= stray, axis=0)
+    valid = alone & agrees_with_neighbours(position, alone, step)
+    outlier = np.maximum(max(_STRAY_PX, _STRAY_STEPS * step), _STRAY_SIGMAS * np.sqrt(variance))
+    valid &= np.all(np.abs(fit_planes(position, valid).value - position) <= outlier, axis=0)
     rejection[alone & ~valid] = Rejection.ISOLATED
     fit = fit_planes(position, valid)
     by_noise = variance * fit.gain
@@ -150,9 +150,14 @@ def settle(
 
 
 def _rejected_alone(
-    readings: Sequence[AxisReading], light: Light, peak: Photograph, noise: Grey, options: DecodeOptions, panel: Panel
+    readings: Sequence[AxisReading],
+    light: PanelLight,
+    peak: Photograph,
+    noise: Grey,
+    options: DecodeOptions,
+    panel: Panel,
 ) -> NDArray[np.uint8]:
-    """(h, w) the first reason that applies, without asking the neighbours; `noise` as a part of the contrast."""
+    """(h, w) the first rejection that applies to each pixel by itself; `noise` as a part of the contrast."""
     u, v = readings
     reasons: tuple[tuple[Mask, Any], ...] = (
         (peak >= light.end_of_scale, Rejection.SATURATED),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.simulate_session import Scene
+from wlr_render.simulation.simulate_session import ObservedPoints
 
 COUNT = 50
 
@@ -16,7 +16,7 @@ def scene(device="northstar", seed=5):
     rng = np.random.default_rng(seed)
     viewpoint = optics.eye_box.centre + rng.uniform(-3e-3, 3e-3, (COUNT, 3))
     sight = np.column_stack([rng.uniform(-0.25, 0.2, COUNT), rng.uniform(-0.4, 0.1, COUNT), np.full(COUNT, -1.0)])
-    return Scene(optics, 0.55, viewpoint, viewpoint + rng.uniform(0.3, 2.0, (COUNT, 1)) * sight)
+    return ObservedPoints(optics, 0.55, viewpoint, viewpoint + rng.uniform(0.3, 2.0, (COUNT, 1)) * sight)
 
 
 @pytest.mark.parametrize("device", ["northstar", "birdbath28", "plane_plate", "no_optics"])
@@ -34,7 +34,7 @@ def test_without_optics_the_miss_is_the_difference_of_tangents():
     np.testing.assert_allclose(here.miss(tangents), tangents - straight, atol=1e-12)
     inverse = here.tangents_from_miss(tangents)
     np.testing.assert_allclose(inverse, np.broadcast_to(np.eye(2), (COUNT, 2, 2)), atol=1e-9)
-    np.testing.assert_allclose(here.stepped(tangents, inverse), straight, atol=1e-9)
+    np.testing.assert_allclose(here.newton_step(tangents, inverse), straight, atol=1e-9)
 
 
 def test_rows_are_solved_and_missed_by_themselves():
@@ -59,7 +59,7 @@ def test_a_step_from_a_neighbour_errs_by_the_square_of_the_distance():
     errors = []
     for size in (0.04, 0.02, 0.01):
         moved = replace(here, point=here.point + size * np.array([1.0, -0.5, 0.7]))
-        errors.append(np.abs(moved.stepped(solved, inverse) - moved.solved()).max())
+        errors.append(np.abs(moved.newton_step(solved, inverse) - moved.solved()).max())
     assert errors[-1] > 1e-10
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.2)
 
@@ -70,7 +70,7 @@ def test_following_a_neighbour_ends_where_a_cold_solve_does(size):
     solved = here.solved()
     inverse = here.tangents_from_miss(solved)
     moved = replace(here, point=here.point + size * np.array([1.0, -0.5, 0.7]))
-    np.testing.assert_allclose(moved.followed(solved, inverse), moved.solved(), atol=1e-11)
+    np.testing.assert_allclose(moved.solved_from(solved, inverse), moved.solved(), atol=1e-11)
 
 
 def test_rows_that_the_neighbour_does_not_see_or_misleads_are_solved_from_cold():
@@ -82,7 +82,7 @@ def test_rows_that_the_neighbour_does_not_see_or_misleads_are_solved_from_cold()
     misled[5:10] *= -1.0  # leads away from the point
     misled[10:12] = np.nan
     start = lost.copy()
-    np.testing.assert_allclose(here.followed(lost + 1e-3, misled), solved, atol=1e-11)
+    np.testing.assert_allclose(here.solved_from(lost + 1e-3, misled), solved, atol=1e-11)
     np.testing.assert_array_equal(lost, start)
 
 
@@ -90,7 +90,7 @@ def test_points_behind_the_eye_are_not_seen():
     here = scene()
     behind = replace(here, point=2 * here.viewpoint - here.point)
     assert np.isnan(behind.solved()).all()
-    assert np.isnan(behind.followed(np.full((COUNT, 2), np.nan), np.full((COUNT, 2, 2), np.nan))).all()
+    assert np.isnan(behind.solved_from(np.full((COUNT, 2), np.nan), np.full((COUNT, 2, 2), np.nan))).all()
 
 
 def test_a_follower_keeps_points_that_come_to_lie_past_an_aperture_and_a_cold_solve_does_not():
@@ -99,8 +99,8 @@ def test_a_follower_keeps_points_that_come_to_lie_past_an_aperture_and_a_cold_so
     solved = here.solved()
     moved = replace(here, point=here.point + 3.0 * (here.point - here.viewpoint) * [1.0, 1.0, 0.0])
     cold = moved.solved()
-    followed = moved.followed(solved, here.tangents_from_miss(solved))
+    solved_from = moved.solved_from(solved, here.tangents_from_miss(solved))
     hidden = np.isnan(cold).any(axis=1)
     assert 0 < hidden.sum() < COUNT
-    np.testing.assert_allclose(followed[~hidden], cold[~hidden], atol=1e-11)
-    assert np.abs(moved.miss(followed)).max() < 1e-11
+    np.testing.assert_allclose(solved_from[~hidden], cold[~hidden], atol=1e-11)
+    assert np.abs(moved.miss(solved_from)).max() < 1e-11

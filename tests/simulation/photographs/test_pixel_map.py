@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.simulation.photographs.pixel_field import PixelField
+from wlr_render.simulation.photographs.pixel_map import PixelMap
 
 SIZE = (150, 90)
 OFFSET = np.array([0.3, -0.2])
@@ -32,7 +32,7 @@ def bent_along_a_line(place):
 
 @pytest.mark.parametrize("exact", [smooth, behind_a_round_hole, bent_along_a_line])
 def test_every_pixel_has_its_exact_value_and_light(exact):
-    field = PixelField.of(exact, SIZE, OFFSET, TOLERANCE)
+    field = PixelMap.of(exact, SIZE, OFFSET, TOLERANCE)
     value, lit = exact(places())
     np.testing.assert_array_equal(field.lit, lit)
     error = np.abs(np.moveaxis(field.planes(), 0, -1) - value)[lit]
@@ -40,13 +40,13 @@ def test_every_pixel_has_its_exact_value_and_light(exact):
 
 
 def test_few_pixels_are_computed_one_by_one_where_it_is_smooth():
-    assert len(PixelField.of(smooth, SIZE, OFFSET, TOLERANCE).alone) == 0
-    bent = PixelField.of(bent_along_a_line, (600, 40), OFFSET, TOLERANCE)
+    assert len(PixelMap.of(smooth, SIZE, OFFSET, TOLERANCE).alone) == 0
+    bent = PixelMap.of(bent_along_a_line, (600, 40), OFFSET, TOLERANCE)
     assert 0 < len(bent.alone) < 0.25 * 600 * 40
 
 
 def test_the_error_that_is_told_is_the_error():
-    field = PixelField.of(smooth, SIZE, OFFSET, np.array([np.inf, np.inf]))
+    field = PixelMap.of(smooth, SIZE, OFFSET, np.array([np.inf, np.inf]))
     true = np.moveaxis(field.planes(), 0, -1) - smooth(places())[0]
     told = field.error(np.random.default_rng(0), 3000)
     assert told.shape == (3000, 2)
@@ -54,7 +54,7 @@ def test_the_error_that_is_told_is_the_error():
 
 
 def test_a_picture_without_light_is_dark_everywhere():
-    field = PixelField.of(
+    field = PixelMap.of(
         lambda place: (np.full((*place.shape[:-1], 2), np.nan), np.zeros(place.shape[:-1], bool)),
         (7, 3),
         np.zeros(2),
