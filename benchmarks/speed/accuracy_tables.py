@@ -51,8 +51,8 @@ def _field_rows(device: str, mappings: EyeMappings, context: str) -> Iterator[li
         for name, warp_grid, bound, goal in (
             ("every pixel", WarpGrid.of_pixels(panel), None, SHADER_GOAL_ARCMIN),
             (
-                f"{chosen.warp_grid.columns} x {chosen.warp_grid.rows} points",
-                chosen.warp_grid,
+                f"{chosen.grid.columns} x {chosen.grid.rows} points",
+                chosen.grid,
                 chosen.bound_arcmin,
                 TOLERANCE_ARCMIN,
             ),

@@ -93,7 +93,7 @@ def _node_rows(on: Running) -> Iterator[list[Cell]]:
     plan, mappings = on.compositor.plan("right"), on.work.mappings
     count = choose_plan(mappings).node_count
     nodes = GlNodeSolver(
-        on.gl_context, mappings, RayMapPlan.onto_grid(plan.warp_grid.warp_grid, count, plan.device_from_camera)
+        on.gl_context, mappings, RayMapPlan.onto_grid(plan.warp_grid.grid, count, plan.device_from_camera)
     )
     for step_m in STEPS_M:
         yield [f"{count} x {count} nodes, CPU, {step_m * 1e3:g} mm", None, None, None, *_times(on, nodes, step_m), None]

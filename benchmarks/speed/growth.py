@@ -88,7 +88,7 @@ def _over_terms(work: Workload, context: str, degrees: Sequence[int]) -> Iterato
             solve = GlNodeSolver(
                 on.gl_context,
                 model,
-                RayMapPlan.onto_grid(plan.warp_grid.warp_grid, choose_plan(model).node_count, axes),
+                RayMapPlan.onto_grid(plan.warp_grid.grid, choose_plan(model).node_count, axes),
             )
             return on.then_finished(lambda turn: solve.solve(work.viewpoints[turn]))
 

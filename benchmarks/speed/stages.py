@@ -55,7 +55,7 @@ def _pictures(on: Running) -> dict[str, Run]:
 def _fields(on: Running) -> dict[str, Run]:
     """The rays of the pixels, for a new viewpoint, in three ways."""
     context, mappings, plan = on.gl_context, on.work.mappings, on.compositor.plan("right")
-    axes, coarse, viewpoints = plan.device_from_camera, plan.warp_grid.warp_grid, on.work.viewpoints
+    axes, coarse, viewpoints = plan.device_from_camera, plan.warp_grid.grid, on.work.viewpoints
     count = choose_plan(mappings).node_count
     pixels = GlPlanarSolver(context, mappings, WarpGrid.of_pixels(mappings.display.panel, plan.size_px), axes)
     points = GlPlanarSolver(context, mappings, coarse, axes)

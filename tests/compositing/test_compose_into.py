@@ -125,13 +125,13 @@ def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(theirs, one
         (theirs.simple_framebuffer((2 * WIDTH, HEIGHT)), "144 x 60"),
         (foreign, "another OpenGL context"),
         (0, "has no window"),
-        (12345, "12345 is no framebuffer object"),
-        (-1, "is no framebuffer object"),
-        (released, "is no framebuffer object"),
+        (12345, "12345 is not a framebuffer object"),
+        (-1, "is not a framebuffer object"),
+        (released, "is not a framebuffer object"),
         (theirs.framebuffer([theirs.texture(SMALL, 4, dtype="u1")]), "fractions"),
         (theirs.framebuffer([theirs.texture(SMALL, 2)]), "red, green and blue"),
         (theirs.framebuffer([], theirs.depth_texture(SMALL)), "first attachment"),
-        (theirs.texture(SMALL, 4), "Texture is no framebuffer"),
+        (theirs.texture(SMALL, 4), "Texture is not a framebuffer"),
         ({"left": theirs.simple_framebuffer(SMALL)}, "no framebuffer for the right eye"),
     ):
         with pytest.raises(BadInputError, match=words) as told:

@@ -124,7 +124,7 @@ def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, compositor,
 def test_what_is_no_context_is_told_in_a_sentence(caller, flat_image_headset, compositor):
     ours = compositor(flat_image_headset, context="egl").context
     for context in (None, 5, ours):
-        with pytest.raises(BadInputError, match="is no context; give"):
+        with pytest.raises(BadInputError, match="is not an OpenGL context; give"):
             Compositor(flat_image_headset, SMALL, context=context)
     caller.ctx.release()
     with pytest.raises(MissingGlError, match="has been released"):

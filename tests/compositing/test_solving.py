@@ -137,7 +137,7 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troub
     assert set(unsolved) == {"right"}
     assert set(unsolved["right"]) == {"not converged"}
     quarter = SMALL[0] // 4
-    warp_grid = made.plan("right").warp_grid.warp_grid
+    warp_grid = made.plan("right").warp_grid.grid
     share = unsolved["right"]["not converged"] / (np.prod(SMALL) if context == "cpu" else np.prod(warp_grid.size))
     assert 0.2 < share < 0.4
     assert (frame.read()[:, : quarter - 1] == [9, 8, 7]).all()

@@ -185,7 +185,7 @@ def test_words_do_not_stand_for_kinds_and_rows(compositor, flat_image_headset, c
     for wrong in ({"rows": "TOP_FIRST"}, {"stored": "metres"}, {"stored": DepthKind.WINDOW}):
         with pytest.raises(BadInputError, match="must be a StoredDepth, and rows one of Rows"):
             made.submit(*given, **wrong)
-    with pytest.raises(BadInputError, match="'WINDOW' is no kind of depth"):
+    with pytest.raises(BadInputError, match="'WINDOW' is not a kind of depth"):
         StoredDepth("WINDOW", 0.05, np.inf)
 
 

@@ -66,7 +66,7 @@ def test_the_bound_holds_at_other_pixels_and_viewpoints(device):
         warp_grid_error_arcmin(
             eye,
             axes,
-            chosen.warp_grid,
+            chosen.grid,
             eye.eye_box.at(unit),
             rng.uniform(0.5, eye.display.panel.size_px - 0.5, (200, 2)),
         ).max()
@@ -91,8 +91,8 @@ def test_half_the_cell_makes_a_quarter_of_the_error():
 
 def test_what_no_coarser_lattice_reaches_is_known_at_every_pixel_of_the_picture(toy_headset):
     chosen = choose_warp_grid(toy_headset, np.eye(3), (48, 40), tolerance_arcmin=1e-9)
-    assert chosen.warp_grid.size == (48, 40)
-    np.testing.assert_allclose(chosen.warp_grid.first_px, [1, 1])
+    assert chosen.grid.size == (48, 40)
+    np.testing.assert_allclose(chosen.grid.first_px, [1, 1])
     assert chosen.bound_arcmin < 1e-9
     assert chosen.hole_share == 0
 
@@ -112,7 +112,7 @@ def test_a_panel_that_is_not_seen_at_all_is_known_nowhere(toy_headset):
     chosen = choose_warp_grid(dataclasses.replace(toy_headset, display=hidden), np.eye(3), (96, 80))
     assert chosen.hole_share == 1
     assert chosen.bound_arcmin == np.inf
-    assert chosen.warp_grid.size == (96, 80)
+    assert chosen.grid.size == (96, 80)
 
 
 def test_the_corner_cells_are_judged():

@@ -32,7 +32,7 @@ def _eye_of(models: EyeMappings | Sequence[EyeMappings]) -> str:
     first = models[0] if isinstance(models, Sequence) and models else models
     if not isinstance(first, EyeMappings):
         raise BadInputError(
-            f"a {type(first).__name__} is no model of an eye; give EyeMappings, by eye if there are two."
+            f"a {type(first).__name__} is not a model of an eye; give EyeMappings, or a dictionary by eye for two."
         )
     return first.eye
 

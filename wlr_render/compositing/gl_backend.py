@@ -166,7 +166,7 @@ def _context(context: Any) -> gl.GlContext:
     if isinstance(context, str):
         return gl.adopt_context() if context == "current" else gl.open_context(context)
     if not isinstance(context, gl.Context):
-        raise BadInputError(f"a {type(context).__name__} is no context; give a moderngl.Context, or a name.")
+        raise BadInputError(f"a {type(context).__name__} is not an OpenGL context; give a moderngl.Context, or a name.")
     return gl.adopt_context(context)
 
 
@@ -175,7 +175,7 @@ def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve
     axes = plan.device_from_camera
     if solve == "pixels" or (solve == "auto" and planar and not context.is_software):
         return GlPlanarSolver(context, mappings, WarpGrid.of_pixels(mappings.display.panel, plan.size_px), axes)
-    warp_grid = plan.warp_grid.warp_grid
+    warp_grid = plan.warp_grid.grid
     if planar:
         return GlPlanarSolver(context, mappings, warp_grid, axes)
     count = choose_plan(mappings).node_count

@@ -68,7 +68,7 @@ class CallersFramebuffers:
             raise BadInputError("the framebuffer belongs to another OpenGL context than the compositor works in.")
         number = into.glo if isinstance(into, gl.Framebuffer) else into
         if not isinstance(number, Integral):
-            raise BadInputError(f"a {type(into).__name__} is no framebuffer; give ModernGL's, or an OpenGL number.")
+            raise BadInputError(f"a {type(into).__name__} is not a framebuffer; give ModernGL's, or an OpenGL number.")
         framebuffer = self._checked(int(number))
         # The size of a window's picture is its toolkit's affair: OpenGL cannot be asked for it.
         size = self._ask.measure(COLOUR)[:2] if number else into.size if into is not number else size_px
@@ -84,7 +84,7 @@ class CallersFramebuffers:
         """A framebuffer that takes colours, bound."""
         ask = self._ask
         if number and not ask.exists(number):
-            raise BadInputError(f"number {number} is no framebuffer object of the OpenGL context.")
+            raise BadInputError(f"number {number} is not a framebuffer object of the OpenGL context.")
         ask.bind(number)
         if not ask.is_complete():
             what = "the framebuffer is incomplete" if number else "the OpenGL context has no window"

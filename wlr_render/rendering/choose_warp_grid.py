@@ -32,20 +32,20 @@ class ChosenWarpGrid:
     """A warp grid and its measured interpolation error.
 
     Attributes:
-        warp_grid: the points.
+        grid: the points.
         bound_arcmin: the largest error found, as `warp_grid_error_arcmin`; no more than rounding if the points are the
             picture's pixels; infinite if no ray was found anywhere.
         hole_share: 0..1, the share of the judged places where a ray is missing, exact or read, and no error known.
     """
 
-    warp_grid: WarpGrid
+    grid: WarpGrid
     bound_arcmin: float
     hole_share: float
 
     @property
     def cell_px(self) -> FloatArray:
         """(2,) panel pixels from one point to the next."""
-        return self.warp_grid.step_px
+        return self.grid.step_px
 
 
 def choose_warp_grid(

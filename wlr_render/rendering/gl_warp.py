@@ -244,7 +244,7 @@ class GlWarp:
 
 def _check(fields: int, channels: int, image_from_ray_map: FloatArray, size_px: tuple[int, int]) -> None:
     if fields != channels:
-        raise BadInputError(f"{fields} ray fields for a warp of {channels} channels; give one field for each channel.")
+        raise BadInputError(f"{fields} ray maps for a warp of {channels} channels; give one ray map for each channel.")
     if image_from_ray_map.shape not in ((4, 4), (size_px[1], 4, 4)):
         raise BadInputError(
             f"image_from_ray_map has the shape {image_from_ray_map.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with "

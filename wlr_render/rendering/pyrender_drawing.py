@@ -48,7 +48,7 @@ class PyrenderDrawing:
         self._context, self._graph, self._node = context, graph, camera_node
         self._pyrender = _import_pyrender(context.backend)
         if camera_node not in graph.camera_nodes:
-            raise BadInputError("The node is no camera of the pyrender scene: add it with scene.add(camera).")
+            raise BadInputError("The node is not a camera of the pyrender scene: add it with scene.add(camera).")
         self._renderer = _renderer(self._pyrender)
         self._imports: defaultdict[str, PictureImport] = defaultdict(lambda: PictureImport(context))
 

@@ -17,7 +17,7 @@ _RAYS_PER_BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class Intersections:
     """Nearest intersections of rays; the arrays share one shape (...).
 
     Attributes:
@@ -34,7 +34,7 @@ class Hits:
     barycentric_v: Float32Array
 
     @classmethod
-    def misses(cls, shape: tuple[int, ...]) -> "Hits":
+    def misses(cls, shape: tuple[int, ...]) -> "Intersections":
         """Rays that meet nothing, to be filled in."""
         return cls(
             np.full(shape, np.inf, np.float32),
@@ -45,9 +45,9 @@ class Hits:
         )
 
     @property
-    def flat(self) -> "Hits":
+    def flat(self) -> "Intersections":
         """Views of shape (n,)."""
-        return Hits(
+        return Intersections(
             self.distance.reshape(-1),
             self.instance.reshape(-1),
             self.triangle.reshape(-1),
@@ -55,7 +55,7 @@ class Hits:
             self.barycentric_v.reshape(-1),
         )
 
-    def fill(self, where: slice | NDArray[np.intp], hits: "Hits") -> None:
+    def fill(self, where: slice | NDArray[np.intp], hits: "Intersections") -> None:
         """Write `hits` into some places."""
         self.distance[where] = hits.distance
         self.instance[where] = hits.instance
@@ -82,7 +82,7 @@ class SceneTracer:
         # The first query builds the tree; it must not happen in several threads at once.
         self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
-    def intersect(self, origin: ArrayLike, direction: ArrayLike) -> Hits:
+    def intersect(self, origin: ArrayLike, direction: ArrayLike) -> Intersections:
         """Return the nearest intersection of each ray, on all processors.
 
         Args:
@@ -90,10 +90,10 @@ class SceneTracer:
             direction: (..., 3) world frame, of any length.
 
         Returns:
-            Hits of shape (...); a ray with a NaN or an infinity is a miss.
+            Intersections of shape (...); a ray with a NaN or an infinity is a miss.
         """
         origin, direction, shape = _flat(origin, direction)
-        hits = Hits.misses(shape)
+        hits = Intersections.misses(shape)
         flat = hits.flat
 
         def trace(block: slice) -> None:
@@ -107,11 +107,11 @@ class SceneTracer:
         for_blocks(trace, len(direction), _RAYS_PER_BLOCK)
         return hits
 
-    def _run(self, origin: Float32Array, direction: Float32Array) -> Hits:
+    def _run(self, origin: Float32Array, direction: Float32Array) -> Intersections:
         distance = np.full(len(direction), np.inf, np.float32)
         # Embree shortens the reach it is given to the hit, in place.
         found = self._embree.run(origin, direction, dists=distance, output=True)
-        return Hits(distance, found["geomID"], found["primID"], found["u"], found["v"])
+        return Intersections(distance, found["geomID"], found["primID"], found["u"], found["v"])
 
     def occluded(self, origin: ArrayLike, direction: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
         """Whether anything lies on the rays nearer than `distance`, on all processors.
@@ -136,7 +136,7 @@ class SceneTracer:
         for_blocks(trace, len(direction), _RAYS_PER_BLOCK)
         return result.reshape(shape)
 
-    def hit_positions(self, hits: Hits, origin: ArrayLike, direction: ArrayLike) -> FloatArray:
+    def hit_positions(self, hits: Intersections, origin: ArrayLike, direction: ArrayLike) -> FloatArray:
         """Where the rays meet the planes of the triangles they hit, in float64.
 
         Args:

@@ -12,7 +12,7 @@ from wlr_render.geometry import directions, rays
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.ray_intersections import Hits, SceneTracer
+from wlr_render.rendering.ray_intersections import Intersections, SceneTracer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.shading import Shaded, Surfaces, shade
@@ -41,7 +41,7 @@ class TracedImage:
         distance: (height, width) float32 along the ray, in lengths of its direction; inf where nothing is.
         position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
         normal: (height, width, 3) float32 world frame unit, facing the ray's origin, NaN where nothing is; or None.
-        instance, triangle: (height, width) int32 as in `Hits`, -1 where nothing is; None when not asked for.
+        instance, triangle: (height, width) int32 as in `Intersections`, -1 where nothing is; None when not asked for.
     """
 
     colour: NDArray[np.uint8]
@@ -151,7 +151,7 @@ class RayRenderer:
 
         for_blocks(add, len(total), _rows_per_block(total.shape))
 
-    def _trace(self, rays: tuple[Float32Array, Float32Array], shadows: bool) -> tuple[Hits, Shaded]:
+    def _trace(self, rays: tuple[Float32Array, Float32Array], shadows: bool) -> tuple[Intersections, Shaded]:
         origin, direction = rays
         origin = np.broadcast_to(origin, direction.shape)
         hits = self.tracer.intersect(origin, direction)
@@ -181,7 +181,7 @@ def _scattered(
     return result
 
 
-def _keep(image: TracedImage, rows: slice, hits: Hits, shaded: Shaded) -> None:
+def _keep(image: TracedImage, rows: slice, hits: Intersections, shaded: Shaded) -> None:
     """Write a block's buffers into the frame."""
     _flat_rows(image.distance, rows)[:] = hits.distance
     if image.position is not None:

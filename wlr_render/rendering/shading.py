@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering import sampling
-from wlr_render.rendering.ray_intersections import Hits, SceneTracer
+from wlr_render.rendering.ray_intersections import Intersections, SceneTracer
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_normals
 from wlr_render.rendering.srgb import decode_srgb
 
@@ -22,7 +22,7 @@ IndexArray = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class SurfaceHits:
-    """Hits without the misses, component by component.
+    """Intersections without the misses, component by component.
 
     Attributes:
         triangle: (n,) number of the triangle over all instances.
@@ -168,7 +168,7 @@ class Shaded:
 def shade(
     scene: Scene,
     surfaces: Surfaces,
-    hits: Hits,
+    hits: Intersections,
     origin: Float32Array,
     direction: Float32Array,
     shadow_tracer: SceneTracer | None = None,

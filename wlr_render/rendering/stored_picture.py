@@ -49,7 +49,7 @@ class StoredDepth:
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, DepthKind):
-            raise BadInputError(f"{self.kind!r} is no kind of depth; give one of {', '.join(map(str, DepthKind))}.")
+            raise BadInputError(f"{self.kind!r} is not a kind of depth; give one of {', '.join(map(str, DepthKind))}.")
         if self.kind is DepthKind.WINDOW and not (self.near_m > 0 and self.far_m > 0 and self.near_m != self.far_m):
             raise BadInputError(
                 f"Depth buffer values need two different positive distances, not near_m = {self.near_m} and "
