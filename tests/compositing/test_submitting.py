@@ -140,8 +140,8 @@ def test_a_gpu_picture_of_elsewhere_is_told_in_a_sentence(compositor, flat_image
         ((image.colour,), "Texture and a NoneType"),
         ((image.colour, np.ones(camera.size_px[::-1], np.float32)), "Texture and a ndarray"),
         ((image.colour, elsewhere.inverse_depth), "another ModernGL context"),
-        ((0,), "no framebuffer object"),
-        ((4321,), "no framebuffer object"),
+        ((0,), "not a framebuffer object"),
+        ((4321,), "not a framebuffer object"),
     ):
         with pytest.raises(BadInputError, match=words):
             made.submit(*given)

@@ -104,7 +104,7 @@ def test_holes_are_not_judged_but_told(toy_headset, toy_headset_with_hole):
     assert holed.bound_arcmin <= TOLERANCE_ARCMIN
     in_hole = 0.5 * toy_headset.display.panel.size_px[None]
     viewpoint = toy_headset.eye_box.centre
-    assert np.isnan(warp_grid_error_arcmin(toy_headset_with_hole, np.eye(3), holed.warp_grid, viewpoint, in_hole)).all()
+    assert np.isnan(warp_grid_error_arcmin(toy_headset_with_hole, np.eye(3), holed.grid, viewpoint, in_hole)).all()
 
 
 def test_a_panel_that_is_not_seen_at_all_is_known_nowhere(toy_headset):

@@ -130,5 +130,5 @@ def test_a_picture_stays_until_the_next_one_of_its_name(gl_context, graph):
 
 
 def test_a_node_that_is_no_camera_of_the_scene_is_refused(gl_context, graph):
-    with pytest.raises(BadInputError, match="no camera of the pyrender scene"):
+    with pytest.raises(BadInputError, match="not a camera of the pyrender scene"):
         PyrenderDrawing(gl_context, graph, next(iter(graph.mesh_nodes)))
