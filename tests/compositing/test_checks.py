@@ -112,7 +112,7 @@ def test_three_models_of_one_eye_need_no_name(flat_image_headset):
     for models, words in (
         ((flat_image_headset, moved, flat_image_headset), "eye box is not that"),
         (None, "NoneType is not a model"),
-        ({"right": [flat_image_headset, "green", flat_image_headset]}, "str is no model"),
+        ({"right": [flat_image_headset, "green", flat_image_headset]}, "str is not a model"),
     ):
         with pytest.raises(BadInputError, match=words):
             checked_models(models)

@@ -139,7 +139,7 @@ class FramebufferCopy:
         ask = self._ask
         if not ask.exists(number):
             raise BadInputError(
-                f"Number {number} is not a framebuffer object of this context: draw into one (the window is unreadable)."
+                f"Number {number} is not a framebuffer object of this context: draw into one; a window is not read."
             )
         ask.bind(number)
         for point, name in ((COLOUR, "colour"), (DEPTH, "depth")):
