@@ -38,6 +38,13 @@ VERBS = (
         "evaluate.evaluate:evaluate",
         "Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs.",
     ),
+    Verb(
+        "hold-out",
+        EXPLAIN,
+        "hold_out:hold_out",
+        "Diagnose a session and cross-validate: predict left-out captures and target distances.",
+    ),
+    Verb("import", DATA, "import_session:import_session", "Convert a third-party data set into a bench session."),
 )
 FOLDERS_OF_VERBS = {
     "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),

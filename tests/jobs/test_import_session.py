@@ -67,7 +67,7 @@ def imported(monkeypatch, tmp_path, capsys):
 
     def by_verb(pairs):
         monkeypatch.setattr(import_session, "read_itoh_seethrough", lambda source: pairs)
-        assert main(["import", "itoh-seethrough", "anywhere", "--out", str(tmp_path / "session")]) == 0
+        assert main(["import", "itoh-seethrough", str(tmp_path), "--out", str(tmp_path / "session")]) == 0
         return tmp_path / "session", capsys.readouterr().out
 
     return by_verb
@@ -109,25 +109,38 @@ def test_the_plate_is_found_and_predicts_the_other_distance(imported, few_causes
     assert (found.verdict, cause.name) == ("explained", "see_through_plate")
     thickness = cause.parameters[0]
     assert abs(thickness.value - THICKNESS_MM) < 4 * thickness.sigma < 0.01 * THICKNESS_MM
-    result = hold_out.run(folder, tmp_path / "out")
-    assert [row[:2] for row in result.table.rows] == [
+    report = hold_out.hold_out(hold_out.HoldOutOptions(folder, out=tmp_path / "out"))
+    (table,) = report.tables
+    assert [row[:2] for row in table.rows] == [
         ["all other captures", "each see-through capture"],
         ["all other distances", "1.02 m"],
         ["all other distances", "1.31 to 1.32 m"],
     ]
-    for *_, readings, before, after, noise in result.table.rows:
+    for *_, readings, before, after, noise in table.rows:
         assert readings == len(DOTS) * (8 if readings > 4 * len(DOTS) else 4)
         assert before > 10 * noise
         assert after == pytest.approx(noise, rel=0.1)
     assert main(["hold-out", str(folder), "--out", str(tmp_path / "out")]) == 0
-    assert "Held out of session" in capsys.readouterr().out
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["hold-out.json", "hold-out.md"]
+    printed = capsys.readouterr().out
+    assert printed.startswith("Fitted to all other captures, the causes found predict each see-through capture to 0.")
+    assert "Fitted to all other distances, the causes found predict 1." in printed
+    assert "Held out of session" in printed
+    names = ["report.html", "report.json", "report.md"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
 
 
 def test_where_nothing_is_wrong_nothing_can_be_held_out(imported, few_causes, tmp_path, capsys):
     folder, _ = imported(pairs_through_plate(0.0))
     assert main(["hold-out", str(folder), "--out", str(tmp_path / "out")]) == 2
     assert "finds no cause (no effect)" in capsys.readouterr().err
+
+
+def test_an_unknown_format_is_refused_and_the_known_ones_are_named(tmp_path, capsys):
+    assert main(["import", "itoh", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
+    error = capsys.readouterr().err
+    assert "itoh-seethrough" in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "session").exists()
 
 
 def test_a_folder_that_is_no_such_set_is_refused(tmp_path, capsys):

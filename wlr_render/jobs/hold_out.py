@@ -1,11 +1,13 @@
-"""How well the causes that a diagnosis found predict what they were not fitted to: other captures, other distances.
+"""Cross-validation of a diagnosis: the causes found predict captures and target distances that were left out.
 
-Which causes act, and how, stays as it was found; their values are fitted again to all that is not held out.
+The causes and their variants stay as the diagnosis found them; their values are fitted again to all that is not left
+out.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -17,10 +19,13 @@ from wlr_render.diagnosis.held_out import held_out_squares
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder, write_text
+from wlr_render.files import output_folder
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import BoolArray
-from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Cell, Report, ReportTable
+from wlr_render.report.save import save_report
 from wlr_render.simulation.session_folder import check_enough_captures, load_session
 from wlr_render.simulation.simulate_session import dot_geometry
 
@@ -28,29 +33,51 @@ _APART = 1.05  # ratio of neighbouring distances from which they are different o
 
 
 @dataclass(frozen=True)
-class Result:
-    """What to tell, and what was written."""
+class HoldOutOptions(Options):
+    """Options of `hold-out`."""
 
-    table: ReportTable
-    files: tuple[Path, ...]
+    session: Annotated[Path, described("Session folder.")]
+    _: KW_ONLY
+    out: Annotated[Path, described("Output folder.")] = Path("out/hold-out")
 
 
-def run(folder: Path, out: Path, tell: Callable[[str], None] = lambda _: None) -> Result:
-    """Diagnose a session and hold out its captures and distances; writes hold-out.md and hold-out.json.
+def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Diagnose a session and predict each capture and each target distance from the others.
 
     Raises:
         BadInputError: a faulty session, too few captures, no cause found, or a place that cannot be written.
     """
-    nominal, session = load_session(folder)
+    progress.say("reading the session")
+    nominal, session = load_session(options.session)
     check_enough_captures(session)
-    out = output_folder(out)
-    found = diagnose(nominal, session, tell)
+    folder = output_folder(options.out)
+    found = diagnose(nominal, session, progress.say)
     if not found.causes:
-        raise BadInputError(f"{folder}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out.")
+        raise BadInputError(
+            f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out."
+        )
+    progress.say("predicting left-out captures and distances")
     table = hold_out_table(found)
-    record = tables_as_json([table], session=session.name)
-    files = write_text(out / "hold-out.md", table.markdown()), write_text(out / "hold-out.json", record)
-    return Result(table, files)
+    report = Report(
+        f"Cross-validation of {session.name}",
+        verdict=" ".join(_sentences(table)),
+        blocks=[table],
+        inputs=[options.session],
+    )
+    return save_report(report, folder, "report")
+
+
+def _sentences(table: ReportTable) -> Iterator[str]:
+    """For each kind of prediction, the row that exceeds the noise most, in words."""
+    worst: dict[Cell, Sequence[Cell]] = {}
+    for row in table.rows:
+        worst[row[0]] = max(worst.get(row[0], row), row, key=lambda each: float(each[4] or 0) / float(each[5] or 1))
+    for fitted_to, tested_on, _, *errors in worst.values():
+        before, after, noise = (f"{cell:.2g}'" for cell in errors)
+        yield (
+            f"Fitted to {fitted_to}, the causes found predict {tested_on} to {after} rms; the bench as described is "
+            f"wrong by {before}, and the noise is {noise}."
+        )
 
 
 def hold_out_table(found: Diagnosis) -> ReportTable:

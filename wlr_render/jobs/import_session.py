@@ -1,16 +1,22 @@
-"""Measured sets of others as bench sessions: one function a set, from what its importer read to a folder."""
+"""Convert third-party data sets into bench sessions: one function for each format."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs, read_itoh_seethrough
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.files import output_folder
+from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis
 from wlr_render.optics.device_file import load_device
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.save import save_report
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.session_folder import save_session
 
@@ -18,36 +24,51 @@ _SMOOTH_DEGREE = 3  # of the surface that a view's dots are scattered about
 _MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal components
 
 
+Format = Literal["itoh-seethrough"]
+
+
 @dataclass(frozen=True)
-class Imported:
-    """What was written.
+class ImportOptions(Options):
+    """Options of `import`."""
 
-    Attributes:
-        folder: of the session.
-        captures, readings: how many it has.
-        sigma_px: scatter of a reading per axis, as the bench states it.
-    """
-
-    folder: Path
-    captures: int
-    readings: int
-    sigma_px: float
+    format: Annotated[Format, described("Format of the data set (docs/measured-data.md).")]
+    folder: Annotated[Path, described("Folder of the data set.")]
+    _: KW_ONLY
+    out: Annotated[Path, described("Folder of the session.")] = Path("out/import")
 
 
-def import_itoh_seethrough(source: Path, folder: Path) -> Imported:
-    """Write the see-through captures that `read_itoh_seethrough` reads from `source` as a bench session.
+def import_session(options: ImportOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Convert a third-party data set into a bench session in `options.out`.
 
     Raises:
         BadInputError: the set is faulty, or the folder cannot be written or holds another session.
     """
-    pairs = read_itoh_seethrough(source)
-    bench, session = see_through_session(pairs)
-    save_session(output_folder(folder), bench, session)
-    return Imported(folder, len(pairs.view), pairs.through_px[..., 0].size, bench.camera.point_sigma_px)
-
-
-FORMATS = {"itoh-seethrough": import_itoh_seethrough}
-"""Sets that can be imported, by name."""
+    progress.say("reading the data set")
+    bench, session = FORMATS[options.format](options.folder)
+    folder = output_folder(options.out)
+    save_session(folder, bench, session)
+    plan = session.plan.see_through
+    captures, readings = (0, 0) if plan is None else (len(np.unique(plan.capture)), len(plan.capture))
+    sigma_px = bench.camera.point_sigma_px
+    report = Report(
+        f"Import of {options.folder.resolve().name}",
+        verdict=f"{captures} captures, {readings} readings; they scatter by {sigma_px:.3f} px per axis.",
+        advice=[f"Diagnose the session: wlr-render diagnose {folder}"],
+        blocks=[
+            ReportTable(
+                "The session",
+                ("quantity", "value"),
+                [
+                    ["captures", captures],
+                    ["readings", readings],
+                    ["sigma per reading and axis (px)", sigma_px],
+                ],
+            )
+        ],
+        inputs=[options.folder],
+        files=[folder],
+    )
+    return save_report(report, folder, "report")
 
 
 def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:
@@ -102,3 +123,11 @@ def scatter_px(pairs: SeeThroughPairs) -> float:
         freedom = len(bare) / (len(bare) - design.shape[1])
         sigmas.append(np.sqrt(freedom) * np.median(np.linalg.norm(left, axis=1)) / _MEDIAN_LENGTH)
     return float(np.median(sigmas))
+
+
+def _itoh_seethrough(source: Path) -> tuple[Bench, Session]:
+    return see_through_session(read_itoh_seethrough(source))
+
+
+FORMATS: dict[Format, Callable[[Path], tuple[Bench, Session]]] = {"itoh-seethrough": _itoh_seethrough}
+"""Converters from a folder, by format."""
