@@ -117,7 +117,7 @@ FAULTS = {
     "travel": ("40.0,-1", "40.0,0", "line 4: 'travel' is 0; it must be +1 or -1"),
     "channel": ("33,1,60.0", "33,3,60.0", "line 3: 'channel' is 3; it must be 0, 1 or 2"),
     "fraction": ("\n1,40.0", "\n1.5,40.0", "line 4: 'capture' is 1.5"),
-    "capture moved": ("\n1,40.0", "\n0,40.0", "line 4: its capture has another setup"),
+    "capture moved": ("\n1,40.0", "\n0,40.0", "line 4: capture 0 has another setup"),
     "capture twice": ("1,40.0,-1,30", "1,0.0,1,32", "line 4: the capture in line 2 has the same setup"),
     "row twice": ("60.0,50.0,120.0", "40.0,50.0,100.0", "line 3: is the same row as line 2"),
 }

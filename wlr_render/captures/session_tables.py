@@ -178,11 +178,13 @@ def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Seque
     of_setup = _first_alike(columns, (*pose, *setup))
     both = _first_alike(columns, (*schema.capture_key, *setup))
     names = ", ".join(setup)
-    differs = f"its capture has another setup ({names}) in line {{}}; give each setup its own capture number"
-    _refuse(path, numbers, of_capture, both, differs)
-    _refuse(
-        path, numbers, of_setup, both, f"the capture in line {{}} has the same setup ({names}); keep one of the two"
-    )
+    wrong = np.flatnonzero(of_capture != both)
+    if wrong.size:
+        capture = f"capture {columns['capture'][wrong[0]]:.0f}"
+        differs = f"{capture} has another setup ({names}) in line {{}}; give each setup its own capture number"
+        _refuse(path, numbers, of_capture, both, differs)
+    same = f"the capture in line {{}} has the same setup ({names}); keep one of the two"
+    _refuse(path, numbers, of_setup, both, same)
 
 
 def _first_alike(columns: Columns, names: Sequence[str]) -> NDArray[np.int64]:

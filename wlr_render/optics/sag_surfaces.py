@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.surfaces import SurfaceHits, unit
+from wlr_render.optics.surfaces import SurfaceIntersections, unit
 
 _MAX_STEPS = 25
 # Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
@@ -23,7 +23,7 @@ class _Sag(Protocol):
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
-def _meet(shape: _Sag, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+def _meet(shape: _Sag, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
     """Newton along each ray from where it crosses z = 0; one root."""
     (ox, oy, oz), (dx, dy, dz) = origin, direction
     distance = -oz / dz
@@ -34,7 +34,7 @@ def _meet(shape: _Sag, origin: FloatArray, direction: FloatArray) -> SurfaceHits
         distance = distance - step
         if not (np.abs(step) > _LAST_STEP).any():
             break
-    return SurfaceHits(distance[None], ~(np.abs(step) > _LAST_STEP))
+    return SurfaceIntersections(distance[None], ~(np.abs(step) > _LAST_STEP))
 
 
 def _normal(shape: _Sag, point: FloatArray) -> FloatArray:
@@ -63,7 +63,7 @@ class Toroid:
         height = np.copysign(np.sqrt(arm * arm - x * x), self.radius_x)
         return profile + x * x / (arm + height), x / height, arm / height * curvature * y / root
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `surfaces.Shape`."""
         return _meet(self, origin, direction)
 
@@ -117,7 +117,7 @@ class XYPolynomial:
         base = _conicoid(x, y, (self.curvature, self.curvature), (self.conic, self.conic))
         return sag + base[0], slope_x + base[1], slope_y + base[2]
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `surfaces.Shape`."""
         return _meet(self, origin, direction)
 
@@ -179,7 +179,7 @@ class AnamorphicAsphere:
             slope_y = slope_y + 2.0 * term.power * ay * rest * y
         return sag, slope_x, slope_y
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `surfaces.Shape`."""
         return _meet(self, origin, direction)
 

@@ -13,7 +13,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
-class SurfaceHits:
+class SurfaceIntersections:
     """Where rays meet a shape.
 
     Attributes:
@@ -28,7 +28,7 @@ class SurfaceHits:
 class Shape(Protocol):
     """A surface without edges, in its own frame."""
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """All distances at which rays (3, n) with unit directions (3, n) may meet the surface."""
 
     def normal(self, point: FloatArray) -> FloatArray:
@@ -70,7 +70,7 @@ class Conic:
     curvature: float
     conic: float = 0.0
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `Shape`; the equation is c (x^2 + y^2 + (1 + k) z^2) - 2 z = 0."""
         c, p = self.curvature, 1.0 + self.conic
         (ox, oy, oz), (dx, dy, dz) = origin, direction
@@ -79,7 +79,7 @@ class Conic:
         distance = _quadratic_roots(a, half_b, c * (ox * ox + oy * oy + p * oz * oz) - 2.0 * oz)
         if c != 0.0:
             distance[p * c * (oz + distance * dz) > 1.0] = np.nan
-        return SurfaceHits(distance, np.ones(ox.shape, dtype=bool))
+        return SurfaceIntersections(distance, np.ones(ox.shape, dtype=bool))
 
     def normal(self, point: FloatArray) -> FloatArray:
         """See `Shape`; points to +z at the vertex."""
@@ -98,12 +98,12 @@ class Ellipsoid:
 
     semi_axes: FloatArray
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `Shape`; |o / s + t d / s| = 1."""
         scale = self.semi_axes[:, None]
         o, d = origin / scale, direction / scale
         distance = _quadratic_roots(dot(d, d), dot(o, d), dot(o, o) - 1.0)
-        return SurfaceHits(distance, np.ones(distance.shape[1], dtype=bool))
+        return SurfaceIntersections(distance, np.ones(distance.shape[1], dtype=bool))
 
     def normal(self, point: FloatArray) -> FloatArray:
         """See `Shape`; points outwards."""
@@ -122,7 +122,7 @@ class Offset:
     base: Shape
     distance: float
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceHits:
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `Shape`.
 
         A ray meets the offset surface at q + h n(q) where the ray shifted by -h n(q) meets the base at q. Repeating
@@ -135,7 +135,7 @@ class Offset:
             if (distance[row] > -10.0 * abs(self.distance)).any():
                 distance[row], settled = self._settle(row, origin, direction)
                 converged &= settled
-        return SurfaceHits(distance, converged)
+        return SurfaceIntersections(distance, converged)
 
     def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Follow one root of the base to the offset surface: distance (n,), and where it settled (n,)."""

@@ -95,7 +95,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Section:
+class BenchSection:
     """One [table] of the file.
 
     Attributes:
@@ -137,7 +137,7 @@ _GAZE_RADIUS = "pupil motion with gaze that tracking misses: this radius * (gaze
 _AXES = "true displacement from `origin` = axes @ displacement read"
 
 SECTIONS = {
-    "camera": Section(
+    "camera": BenchSection(
         parts.EyeballCamera,
         (
             Entry("size_px", ("width", "height"), "image size, pixels", rule=COUNT),
@@ -154,7 +154,7 @@ SECTIONS = {
             Entry("pupil_offset", ("pupil_offset_mm",), "true minus nominal centre of projection, mm", (3,), POINT),
         ),
     ),
-    "stage": Section(
+    "stage": BenchSection(
         parts.Stage,
         (
             Entry("origin", ("origin",), "stage reading at which `axes` changes nothing, mm", (3,), POINT),
@@ -168,7 +168,7 @@ SECTIONS = {
             ),
         ),
     ),
-    "target": Section(
+    "target": BenchSection(
         parts.Target,
         (
             Entry("scale", ("scale",), "true size divided by stated size, in x and y", (2,), rule=POSITIVE),
@@ -181,7 +181,7 @@ SECTIONS = {
             ),
         ),
     ),
-    "mount": Section(
+    "mount": BenchSection(
         parts.Mount,
         (
             Entry("panel_creep", ("panel_creep_mm",), "total creep of the panel along u and v, mm", (2,), LENGTH),
@@ -193,21 +193,21 @@ SECTIONS = {
             ),
         ),
     ),
-    "readout": Section(
+    "readout": BenchSection(
         parts.PanelReadout,
         (
             Entry("origin_px", ("origin_px",), "decoded minus true panel position", (2,)),
             Entry("channel_scale", ("channel_scale",), "magnification of red, green, blue", (3,), rule=POSITIVE),
         ),
     ),
-    "eye_tracking": Section(
+    "eye_tracking": BenchSection(
         parts.EyeTracking,
         (
             Entry("bias", ("bias_mm",), "true minus tracked position of the pupil, mm", (3,), POINT),
             Entry("gaze_radius", ("gaze_radius_mm",), _GAZE_RADIUS, (), LENGTH),
         ),
     ),
-    "clock": Section(
+    "clock": BenchSection(
         parts.Clock,
         (
             Entry(
@@ -218,7 +218,7 @@ SECTIONS = {
             Entry("scanout_s", ("scanout_s",), "time from the display of the panel's first row to its last, s"),
         ),
     ),
-    "light": Section(
+    "light": BenchSection(
         parts.Bench,
         (
             Entry(
