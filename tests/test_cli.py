@@ -1,41 +1,36 @@
 """The command line: what it prints, what it refuses and how, and that it starts quickly."""
 
+import dataclasses
+import importlib
+import inspect
 import json
 import os
+import shutil
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import refused
+from cyclopts import Parameter
 
-from wlr_render.cli import main
+from wlr_render import __version__
+from wlr_render.cli import FOLDERS_OF_VERBS, VERBS, main, make_app
 from wlr_render.errors import MissingGlError
 from wlr_render.files import resource
-from wlr_render.jobs import demo as alignment_demo
-from wlr_render.jobs import render as render_sequence
+from wlr_render.jobs.compare import CompareOptions
+from wlr_render.jobs.demo import DemoOptions
+from wlr_render.jobs.options import Range, flag_of
+from wlr_render.jobs.render import RenderOptions
 from wlr_render.rendering import gl
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.terminal import print_report
 
-VERBS = (
-    "demo",
-    "trace",
-    "board",
-    "pattern",
-    "simulate",
-    "decode",
-    "verify",
-    "calibrate",
-    "evaluate",
-    "render",
-    "compare",
-    "diagnose",
-    "hold-out",
-    "import",
-)
-TABLE = ReportTable("A title", ("what", "how much (arcmin)"), [["this", 1.25]], ("A note.",))
+ROOT = Path(__file__).resolve().parent.parent
+every_verb = pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
+HEAVY = ("numpy", "scipy", "cv2", "trimesh", "pyrender", "moderngl", "matplotlib", "embreex", "jinja2", "plotly")
 
 
 def device(folder, *changes):
@@ -49,53 +44,156 @@ def device(folder, *changes):
     return str(path)
 
 
-@pytest.fixture(scope="module")
-def model_file(tmp_path_factory):
-    """A model that the command line itself has calibrated."""
-    out = tmp_path_factory.mktemp("calibrated")
-    simulated = ["--simulate", "birdbath28", "--viewpoints", "12", "--degree", "3", "--see-through-degree", "2"]
-    assert main(["calibrate", *simulated, "--out", str(out)]) == 0
-    return out / "model.json"
+def run_python(*arguments):
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60)
 
 
-def run_python(code, *arguments):
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
+def printed_by(arguments, capsys):
+    """What a command that succeeds prints, with single spaces."""
+    assert main(arguments) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return " ".join(printed.out.split())
 
 
-def test_starting_loads_nothing_heavy():
-    heavy = ("numpy", "scipy", "cv2", "trimesh", "pyrender", "moderngl", "matplotlib", "embreex", "rich")
-    code = f"import sys, wlr_render.cli; print(*(name for name in {heavy} if name in sys.modules))"
-    result = run_python(code)
-    assert (result.returncode, result.stdout.split()) == (0, [])
+# Start and help.
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_explains_itself(verb, capsys):
-    with pytest.raises(SystemExit) as left:
-        main([verb, "--help"])
-    text = capsys.readouterr().out
-    assert left.value.code == 0
-    assert all(option in text for option in ("--debug", f"wlr-render {verb}"))
-    assert ("--out" in text) == (verb != "simulate")  # which writes into the folder that it is given
+@pytest.mark.parametrize("then", ["make_app()", "main(['--help'])", "main(['--version'])"])
+def test_starting_loads_nothing_heavy(then):
+    code = f"import sys; from wlr_render.cli import main, make_app; {then}"
+    result = run_python("-c", f"{code}; print(*('loaded: ' + n for n in {HEAVY} if n in sys.modules))")
+    assert result.returncode == 0, result.stderr
+    assert "loaded" not in result.stdout
 
 
-def test_help_lists_all_verbs_and_what_a_headset_and_a_scene_are(capsys):
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    text = capsys.readouterr().out
-    assert all(f"    {verb}" in text for verb in VERBS)
-    assert "HEADSET is" in text
-    assert "SCENE a" in text
+def test_the_package_runs_as_a_module_and_states_its_version():
+    for module in ("wlr_render", "wlr_render.cli"):
+        result = run_python("-m", module, "--version")
+        assert (result.returncode, result.stdout, result.stderr) == (0, f"{__version__}\n", "")
 
 
-def test_without_a_verb_it_says_how_to_use_it(capsys):
-    with pytest.raises(SystemExit) as left:
-        main([])
-    assert left.value.code == 2
-    assert "VERB" in capsys.readouterr().err
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"], []], ids=str)
+def test_help_lists_the_verbs_in_their_groups(arguments, capsys):
+    text = printed_by(arguments, capsys)
+    places = [text.index(f"─ {group} ─") for group in dict.fromkeys(verb.group for verb in VERBS)]
+    assert places == sorted(places)
+    assert all(f"{verb.words.split()[0]} " in text for verb in VERBS)
+    assert all(part in text for part in ("HEADSET is a shipped device", "SCENE is a shipped scene", "--debug"))
+    assert "--install-completion" in text
+
+
+def test_a_verb_with_verbs_of_its_own_lists_them(capsys):
+    for folder in FOLDERS_OF_VERBS:
+        text = printed_by([folder], capsys)
+        own = [verb.words.split()[1] for verb in VERBS if verb.words.startswith(f"{folder} ")]
+        assert all(f"│ {name} " in text for name in own)
+
+
+def test_completion_knows_the_verbs_and_their_options():
+    script = make_app().generate_completion(shell="bash")
+    assert all(word in script for word in ("render", "--supersample", "raytrace"))
+
+
+def options_of(verb):
+    """The dataclass of a verb's options."""
+    module, function = verb.function.split(":")
+    job = getattr(importlib.import_module(f"wlr_render.jobs.{module}"), function)
+    return typing.get_type_hints(inspect.unwrap(job))["options"]
+
+
+@every_verb
+def test_every_verb_explains_itself(verb, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    text = printed_by([*verb.words.split(), "--help"], capsys)
+    assert text.startswith(f"Usage: wlr-render {verb.words} ")
+    assert verb.help in text
+    assert "default: None" not in text
+    hints = typing.get_type_hints(options_of(verb), include_extras=True)
+    for field in dataclasses.fields(options_of(verb)):
+        notes = [note for note in hints[field.name].__metadata__ if isinstance(note, Parameter)]
+        assert notes[0].help[0].isupper(), field.name
+        assert notes[0].help.endswith("."), field.name
+        assert notes[0].help in text, field.name
+
+
+STAND_IN = '#!/bin/sh\nprintf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo\n'
+
+
+@pytest.mark.parametrize(
+    ("arguments", "called"),
+    [
+        ([], "wlr-render [demo]"),
+        (["--eye", "left"], "wlr-render [demo] [--eye] [left]"),
+        (["render", "a b", "desk"], "wlr-render [render] [a b] [desk]"),
+        (["--version"], "wlr-render [--version]"),
+        (["--help"], "wlr-render [--help]"),
+        (["bench", "speed"], "python [-m] [benchmarks] [speed]"),
+    ],
+    ids=str,
+)
+def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_path):
+    """With stand-ins for the program and for what is installed already."""
+    bin_folder = tmp_path / ".venv" / "bin"
+    bin_folder.mkdir(parents=True)
+    for name in ("wlr", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in ("wlr-render", "python"):
+        (bin_folder / name).write_text(STAND_IN)
+        (bin_folder / name).chmod(0o755)
+    stamp = subprocess.run("cat pyproject.toml constraints.txt | cksum", shell=True, cwd=tmp_path, capture_output=True)
+    (tmp_path / ".venv" / "wlr-stamp").write_bytes(stamp.stdout)
+    (tmp_path / ".venv" / "wlr-gl").write_text("egl\n")
+    result = subprocess.run([tmp_path / "wlr", *arguments], capture_output=True, text=True, timeout=60)
+    assert (result.returncode, result.stderr) == (0, "")
+    *own_help, last = result.stdout.splitlines()
+    assert last == called
+    described = [line.split("./wlr")[1].split()[0] for line in own_help if line.startswith("  ./wlr")]
+    assert ({"test", "check", "bench", "VERB"} <= set(described)) == (arguments == ["--help"])
 
 
 # What is refused.
+
+
+@every_verb
+def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    sentence = refused([*verb.words.split(), "--nonsense"], capsys)
+    assert sentence.startswith("wlr-render: Unknown option: --nonsense.")
+    assert not list(tmp_path.iterdir())
+
+
+@every_verb
+def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    options = options_of(verb)
+    hints = typing.get_type_hints(options, include_extras=True)
+    fields = dataclasses.fields(options)
+    required = [field.name for field in fields if field.default is field.default_factory is dataclasses.MISSING]
+    for field in fields:
+        limits = [note for note in hints[field.name].__metadata__ if isinstance(note, Range)]
+        values = typing.get_args(typing.get_args(hints[field.name])[0])
+        if limits and "tuple" not in str(hints[field.name]):
+            flag, sentence = [flag_of(options, field.name), "-1"], "is -1"
+        elif values and all(isinstance(value, str) for value in values):
+            flag, sentence = [flag_of(options, field.name), "nonsense"], 'Invalid value "nonsense"'
+        else:
+            continue
+        assert sentence in refused([*verb.words.split(), *required, *flag], capsys), field.name
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("arguments", [["rendr"], ["--nonsense"], ["calibrate", "nonsense"]], ids=str)
+def test_an_unknown_verb_is_refused(arguments, capsys):
+    sentence = refused(arguments, capsys)
+    assert f'Unknown command "{arguments[-1]}".' in sentence
+    assert ('Did you mean "render"?' in sentence) == (arguments == ["rendr"])
+
+
+def test_an_argument_too_many_is_refused(capsys):
+    assert refused(["trace", "northstar", "desk"], capsys) == (
+        "wlr-render: Unexpected argument 'desk'; add --help to see what this verb takes."
+    )
 
 
 def empty_mesh(folder):
@@ -163,14 +261,22 @@ FAULTS = {
         lambda f: ["compare", device(f), "dots", "--viewpoint-offset-mm", "0", "0", "9"],
         "--viewpoint-offset-mm: the viewpoint (0.00, 0.00, 9.00) mm lies outside",
     ),
-    "contradiction": (lambda f: ["render", device(f), "dots", "--shadows"], "need the method raytrace"),
-    "endless frame rate": (lambda f: ["render", device(f), "dots", "--fps", "inf"], "The frame rate is inf"),
-    "too few viewpoints": (lambda f: ["demo", "--viewpoints", "4"], "--viewpoints is 4"),
-    "too few captures": (
-        lambda f: ["calibrate", "--simulate", "birdbath28", "--viewpoints", "3", "--degree", "5"],
-        "viewpoints",
+    "contradiction": (
+        lambda f: ["render", device(f), "dots", "--shadows"],
+        "--shadows is used with --method raytrace only; leave it out, or give --method raytrace.",
     ),
-    "no captures": (lambda f: ["calibrate", "--captures", str(f / "none.npz")], "none.npz"),
+    "endless frame rate": (
+        lambda f: ["render", device(f), "dots", "--fps", "inf"],
+        "--fps is inf; it must be a finite number above 0.",
+    ),
+    "one colour of three": (
+        lambda f: ["render", device(f), "dots", "--red-model", "red.json"],
+        "--red-model and --blue-model go together; give both or neither.",
+    ),
+    "unknown choice": (lambda f: ["compare", device(f), "dots", "--eye", "third"], '"third" for --eye'),
+    "no number": (lambda f: ["demo", "--viewpoints", "many"], 'unable to convert "many" into int'),
+    "fewer numbers": (lambda f: ["compare", device(f), "dots", "--viewpoint-offset-mm", "1"], "--viewpoint-offset-mm"),
+    "too few viewpoints": (lambda f: ["demo", "--viewpoints", "4"], "--viewpoints is 4"),
     "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: cannot be read"),
 }
 
@@ -184,24 +290,23 @@ def test_a_fault_is_told_in_one_line_and_leaves_nothing_behind(fault, tmp_path, 
 
 
 def test_model_files_that_cannot_be_read_are_refused(model_file, tmp_path, capsys):
-    text = model_file.read_text(encoding="utf-8")
+    text = Path(model_file).read_text(encoding="utf-8")
     short = text_file(tmp_path, "short.json", text[: len(text) // 2])
     newer = text_file(tmp_path, "newer.json", json.dumps(json.loads(text) | {"version": 99}))
-    for path, sentence in ((short, "cut short"), (newer, "has version 99; this program reads version 1")):
+    for path, sentence in ((short, "cut short"), (newer, "has version 99; this program reads version")):
         assert sentence in refused(["compare", path, "dots", "--out", str(tmp_path / "out")], capsys)
-    left = refused(["render", str(model_file), "dots", "--eye", "left", "--out", str(tmp_path / "out")], capsys)
+    left = refused(["render", model_file, "dots", "--eye", "left", "--out", str(tmp_path / "out")], capsys)
     assert "is a model of the right eye" in left
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("verb", ["trace", "render", "compare", "demo", "calibrate"])
+@pytest.mark.parametrize("verb", ["trace", "render", "compare", "demo"])
 def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
     arguments = {
         "trace": [device(tmp_path)],
         "render": [device(tmp_path), "dots"],
         "compare": [device(tmp_path), "dots"],
         "demo": ["--device", device(tmp_path)],
-        "calibrate": ["--simulate", device(tmp_path), "--viewpoints", "5"],
     }
     text_file(tmp_path, "taken", "a file")
     sentence = refused([verb, *arguments[verb], "--out", str(tmp_path / "taken")], capsys)
@@ -220,32 +325,24 @@ def test_missing_opengl_is_told_and_leaves_nothing_behind(verb, tmp_path, capsys
     assert not out.exists() or not list(out.iterdir())
 
 
-def test_numbers_that_make_no_sense_are_refused_by_the_parser(tmp_path, capsys):
-    for arguments in (["demo", "--viewpoints", "0"], ["calibrate", "--simulate", "x", "--noise-px", "-1"]):
-        with pytest.raises(SystemExit) as left:
-            main(arguments)
-        assert left.value.code == 2
-        assert f"argument {arguments[-2]}" in capsys.readouterr().err
-
-
 def test_debug_shows_where_a_fault_comes_from():
-    code = "import sys; from wlr_render.cli import main; sys.exit(main(sys.argv[1:]))"
-    result = run_python(code, "trace", "nothstar", "--debug")
-    assert result.returncode == 1
-    assert "Traceback" in result.stderr
-    assert "BadInputError" in result.stderr
-    quiet = run_python(code, "trace", "nothstar")
+    for fault, error in (("nothstar", "BadInputError"), ("--nonsense", "UnknownOptionError")):
+        result = run_python("-m", "wlr_render", "trace", fault, "--debug")
+        assert result.returncode == 1
+        assert "Traceback" in result.stderr
+        assert error in result.stderr
+    quiet = run_python("-m", "wlr_render", "trace", "nothstar")
     assert (quiet.returncode, quiet.stdout) == (2, "")
     assert quiet.stderr.count("\n") == 1
 
 
 def test_an_interruption_has_its_own_status(monkeypatch, capsys):
-    def interrupt(*arguments):
+    def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wlr_render.jobs.trace.trace", interrupt)
+    monkeypatch.setattr("wlr_render.jobs.trace.load_device", interrupt)
     assert main(["trace", "northstar"]) == 130
-    assert capsys.readouterr().err == "wlr-render: interrupted; what is finished is kept.\n"
+    assert capsys.readouterr().err == "wlr-render: interrupted; finished files are kept.\n"
 
 
 # What is printed, and what reaches the jobs.
@@ -255,22 +352,7 @@ def test_trace_prints_its_figures_and_where_the_drawing_is(tmp_path, capsys):
     assert main(["trace", device(tmp_path), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "pupil swim per mm in x" in printed
-    assert str(tmp_path / "out" / "no_optics-right.png") in printed.replace("\n", "")
-
-
-def test_calibrate_writes_a_model_that_render_takes(model_file, tmp_path, capsys):
-    assert sorted(path.name for path in model_file.parent.iterdir()) == [
-        "captures.npz",
-        "fit.json",
-        "fit.md",
-        "model.json",
-    ]
-    out = tmp_path / "again"
-    captures = str(model_file.parent / "captures.npz")
-    degrees = ["--degree", "3", "--see-through-degree", "2"]
-    assert main(["calibrate", "--captures", captures, *degrees, "--out", str(out)]) == 0
-    assert (out / "model.json").read_text() == model_file.read_text()
-    assert "Written: " in capsys.readouterr().out
+    assert str(tmp_path / "out" / "no_optics-right.png") in printed
 
 
 def test_render_says_what_it_drew_and_what_it_kept(tmp_path, capsys):
@@ -286,61 +368,55 @@ def test_compare_prints_its_table(tmp_path, capsys):
     arguments = ["compare", device(tmp_path), "dots", *offset, "--backend", "cpu", "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     assert "raster + warp" in capsys.readouterr().out
-    record = json.loads((tmp_path / "out" / "compare.json").read_text())
-    np.testing.assert_allclose(record["viewpoint_in_device_m"], [0.001, -0.001, 0.0005])
+    record = json.loads((tmp_path / "out" / "report.json").read_text())
+    np.testing.assert_allclose(record["record"]["viewpoint_in_device_m"]["right"], [0.001, -0.001, 0.0005])
 
 
-def test_render_options_reach_the_job(monkeypatch):
-    given = []
-    monkeypatch.setattr(
-        render_sequence,
-        "run",
-        lambda options, progress: given.append(options) or render_sequence.Rendered(0, 0, options.out, ()),
-    )
+def options_given_by(arguments):
+    """The options that a command line makes."""
+    _, bound, _ = make_app().parse_args(arguments, exit_on_error=False, print_error=False)
+    return bound.arguments.get("options")
+
+
+def test_options_reach_the_jobs():
     files = ["--head", "h.tum", "--eye-track", "e.txt"]
-    drawing = ["--method", "raytrace", "--supersample", "2", "--shadows", "--fps", "72", "--frames", "9"]
-    assert main(["render", "l.json", "r.json", "desk", "--eye", "both", *files, *drawing, "--video"]) == 0
+    drawing = ["--method", "raytrace", "--supersample", "2", "--shadows", "--fps", "72", "--frames", "9", "--video"]
+    assert options_given_by(["render", "l.json", "desk", "--eye", "both", *files, *drawing]) == RenderOptions(
+        "l.json",
+        "desk",
+        head=Path("h.tum"),
+        eye_track=Path("e.txt"),
+        eye="both",
+        method="raytrace",
+        frames_per_second=72.0,
+        frame_limit=9,
+        supersample=2,
+        shadows=True,
+        video=True,
+    )
     warping = ["--materials", "gltf", "--resolution", "1.5", "--map-from", "mesh", "--maps", "pfm", "--per-colour"]
-    assert main(["render", "northstar", "desk", *warping, "--backend", "osmesa", "--out", "elsewhere"]) == 0
-    assert given == [
-        render_sequence.Options(
-            headset=("l.json", "r.json"),
-            scene="desk",
-            head=Path("h.tum"),
-            eyes_file=Path("e.txt"),
-            eyes=("left", "right"),
-            method="raytrace",
-            frames_per_second=72.0,
-            frame_limit=9,
-            supersample=2,
-            shadows=True,
-            video=True,
-        ),
-        render_sequence.Options(
-            headset=("northstar",),
-            scene="desk",
-            materials="gltf",
-            resolution=1.5,
-            map_from="mesh",
-            maps="pfm",
-            per_colour=True,
-            backend="osmesa",
-            out=Path("elsewhere"),
-        ),
-    ]
-
-
-def test_demo_options_reach_the_job_and_its_tables_are_printed(monkeypatch, capsys):
-    given = []
-    result = alignment_demo.Result([TABLE], Path("out/demo/alignment.png"))
-    monkeypatch.setattr(alignment_demo, "run", lambda options, progress: given.append(options) or result)
-    assert main(["demo"]) == 0
+    colours = ["--red-model", "r.json", "--blue-model", "b.json", "--backend", "osmesa", "--out", "elsewhere"]
+    assert options_given_by(["render", "g.json", "desk", *warping, *colours]) == RenderOptions(
+        "g.json",
+        "desk",
+        materials="gltf",
+        resolution=1.5,
+        map_from="mesh",
+        maps="pfm",
+        per_colour=True,
+        red_model=Path("r.json"),
+        blue_model=Path("b.json"),
+        backend="osmesa",
+        out=Path("elsewhere"),
+    )
     chosen = ["--device", "birdbath28", "--scene", "desk", "--eye", "left", "--viewpoints", "9", "--seed", "4"]
-    assert main(["demo", *chosen, "--backend", "cpu", "--out", "elsewhere"]) == 0
-    expected = alignment_demo.Options("birdbath28", "desk", "left", 9, 4, "cpu", Path("elsewhere"))
-    assert given == [alignment_demo.Options(), expected]
-    printed = capsys.readouterr().out
-    assert all(text in printed for text in ("A title", "how much (arcmin)", "1.25", "A note.", "alignment.png"))
+    assert options_given_by(["demo", *chosen, "--backend", "cpu", "--out", "elsewhere"]) == DemoOptions(
+        device="birdbath28", scene="desk", eye="left", viewpoints=9, seed=4, backend="cpu", out=Path("elsewhere")
+    )
+    offset = ["--viewpoint-offset-mm", "1", "-2", "0.5"]
+    assert options_given_by(["compare", "a", "b", "--eye", "left", *offset]) == CompareOptions(
+        "a", "b", eye="left", viewpoint_offset_mm=(1.0, -2.0, 0.5)
+    )
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):

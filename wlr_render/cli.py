@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cyclopts import App, CycloptsError, Group, Parameter
+from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
 
 from wlr_render import __version__
 from wlr_render.errors import BadInputError
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BadInputError, CycloptsError) as error:
         if debug:
             raise
-        return _refuse(str(error), 2)
+        return _refuse(_sentence(error), 2)
     except BrokenPipeError:
         # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -117,6 +117,12 @@ def _run(tokens: Sequence[str]) -> int:
     if report.faults:
         return _refuse(f"{len(report.faults)} faulty item(s) were left out: {', '.join(report.faults)}.", 2)
     return 0
+
+
+def _sentence(error: BadInputError | CycloptsError) -> str:
+    if isinstance(error, UnusedCliTokensError):
+        return f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help to see what this verb takes."
+    return str(error)
 
 
 def _refuse(sentence: str, status: int) -> int:
