@@ -1,11 +1,12 @@
-"""Explain a measured session: what the simulation gets wrong, why, and the bench that gets it right."""
+"""Explain a measured session: why the simulation differs from it, and the corrected bench."""
 
 from pathlib import Path
 
+from wlr_render.diagnosis.explain import advice, verdict_sentence
 from wlr_render.diagnosis.procedure import diagnose
-from wlr_render.diagnosis.report_html import report_html
-from wlr_render.diagnosis.report_text import advice, verdict_sentence
-from wlr_render.files import output_folder, write_text
+from wlr_render.diagnosis.report import diagnosis_report
+from wlr_render.files import output_folder
+from wlr_render.report.save import save_report
 from wlr_render.simulation.session_folder import load_session, save_session
 
 # A session as a bench delivers it: bench.toml says what its makers believe, and something is not as they believe.
@@ -15,5 +16,5 @@ found = diagnose(bench, session)
 print(verdict_sentence(found), *advice(found), sep="\n")
 
 out = output_folder("out/diagnose")
-write_text(out / "diagnosis.html", report_html(found))
-save_session(out / "extended", found.extended, found.observations.of_rows(found.used).session)
+save_report(diagnosis_report(found), out, "diagnosis")
+save_session(out / "corrected", found.corrected, found.observations.of_rows(found.used).session)

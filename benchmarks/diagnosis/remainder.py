@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from wlr_render.diagnosis.candidates import best_fit, hypotheses, screen
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.fit import Fit, fit
-from wlr_render.diagnosis.hypotheses import best_fit, hypotheses, prospect
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 _RIVALS = 6
 _WORTH_A_FIT = 0.3  # of what the truth gains: who promises less leaves far more than the truth does
@@ -26,19 +26,19 @@ def remainder(said: Diagnosis, hidden: Sequence[str], name: str) -> float:
         name: which of them is to be imitated, the others being at work.
     """
     predictor = Predictor(said.observations)
-    rest = fit(predictor, Extension(), said.used)
+    rest = fit(predictor, Explanation(), said.used)
     for other in hidden:
         if other != name:
             rest = min(_fitted(predictor, rest, [other], 1), key=lambda each: each.chi_squared)
     truth = min(each.chi_squared for each in _fitted(predictor, rest, [name], _RIVALS))
     promising = _WORTH_A_FIT * (rest.chi_squared - truth)
-    rivals = _fitted(predictor, rest, set(CAUSES) - set(hidden), _RIVALS, promising)
-    return float(min([rest.chi_squared, *(each.chi_squared for each in rivals)]) - truth)
+    ranking = _fitted(predictor, rest, set(CAUSES) - set(hidden), _RIVALS, promising)
+    return float(min([rest.chi_squared, *(each.chi_squared for each in ranking)]) - truth)
 
 
 def _fitted(predictor: Predictor, rest: Fit, names: Iterable[str], most: int, least_gain: float = -np.inf) -> list[Fit]:
     """One more cause on top of the rest, in the most promising ways; none that promises less than `least_gain`."""
     causes = {name: CAUSES[name] for name in names}
-    prospects = [found for each in hypotheses(causes) if (found := prospect(predictor, rest, each)) is not None]
-    chosen = sorted((p for p in prospects if p.gain > least_gain), key=lambda p: -p.gain)[:most]
+    screened = [found for each in hypotheses(causes) if (found := screen(predictor, rest, each)) is not None]
+    chosen = sorted((p for p in screened if p.gain > least_gain), key=lambda p: -p.gain)[:most]
     return [best_fit(predictor, rest, each) for each in chosen] or [rest]

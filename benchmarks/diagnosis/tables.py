@@ -68,8 +68,8 @@ def _figures(outcomes: Sequence[Outcome]) -> ReportTable:
         ("held-out residual over the noise, median", held_out, _median, "<= 1.03"),
         ("held-out residual within 3 % of the noise (%)", held_out, _at_floor, None),
         ("both of two causes and no other, where 5 sigma remain (%)", _strong(two), _share(_exact), None),
-        ("capture that moved set aside (%)", moved, _share(lambda o: o.moved[0] in o.set_aside), None),
-        ("sessions where another was set aside (%)", outcomes, _share(lambda o: bool(_wrongly(o))), None),
+        ("capture that moved excluded (%)", moved, _share(lambda o: o.moved[0] in o.excluded), None),
+        ("sessions where another was excluded (%)", outcomes, _share(lambda o: bool(_wrongly(o))), None),
         ("effects that no cause stands for: unexplained (%)", unlisted, _share(_admitted), None),
         ("seconds for a diagnosis, median", [o.seconds for o in outcomes], _median, None),
     ]
@@ -80,7 +80,7 @@ def _figures(outcomes: Sequence[Outcome]) -> ReportTable:
 _NOTES = (
     "5 sigma remain: the best other single cause in the place of a hidden one leaves a chi-squared larger by 25.",
     "Intervals and variance: parameters of the hidden causes, where exactly those were named.",
-    "Held out: a second session on the same bench, predicted by the extended one.",
+    "Held out: a second session on the same bench, predicted by the corrected one.",
 )
 
 
@@ -102,7 +102,7 @@ def _admitted(outcome: Outcome) -> bool:
 
 def _wrongly(outcome: Outcome) -> set[str]:
     """Captures set aside that did not move."""
-    return set(outcome.set_aside) - set(outcome.moved)
+    return set(outcome.excluded) - set(outcome.moved)
 
 
 def _confusion(outcomes: Sequence[Outcome]) -> ReportTable:
@@ -138,13 +138,13 @@ def _unlisted(outcomes: Sequence[Outcome]) -> ReportTable:
         [
             name,
             _counted(outcome.verdict for outcome in mine),
-            _counted(outcome.bound_to or "-" for outcome in mine),
+            _counted(outcome.depends_on or "-" for outcome in mine),
             _counted(cause for outcome in mine for cause in outcome.named),
             _size(mine),
         ]
         for name, mine in _by_effect(_of(outcomes, Kind.UNLISTED)).items()
     ]
-    columns = ("effect", "verdict (trials)", "bound to (trials)", "causes named (trials)", "size over noise")
+    columns = ("effect", "verdict (trials)", "depends on (trials)", "causes named (trials)", "size over noise")
     return ReportTable("Effects that no cause stands for", columns, rows)
 
 
@@ -170,7 +170,7 @@ def _faulty(outcome: Outcome) -> bool:
         case Kind.ONE | Kind.TWO:
             wrong = min(outcome.remainder) > _FIVE_SIGMA and not outcome.exact
         case Kind.MOVED:
-            wrong = outcome.moved[0] not in outcome.set_aside
+            wrong = outcome.moved[0] not in outcome.excluded
         case Kind.UNLISTED:
             wrong = not _admitted(outcome)
         case _:

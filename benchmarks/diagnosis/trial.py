@@ -23,10 +23,10 @@ from oracle.session_writer import write_run_time_session, write_session
 from benchmarks.diagnosis.remainder import remainder
 from benchmarks.diagnosis.truths import truth_of
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName, observe
-from wlr_render.diagnosis.procedure import Options, diagnose
+from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import Settings
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_folder import load_session
 from wlr_render.simulation.simulate_session import simulate
@@ -36,7 +36,7 @@ AnyPlan = Plan | RunTimePlan
 _GRID, _COLOUR_GRID, _DOTS = (12, 9), (8, 6), (9, 6)
 _IN_COLOUR = 0.25  # of the sessions, besides those whose effect is one of colour
 _SIGMA_PX = (0.05, 0.2)
-_THIN = 2000  # about a third of the readings, as in a session of full size
+_SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
 
 
 class Kind(StrEnum):
@@ -85,13 +85,13 @@ class Outcome:
         amounts: of the hidden effects, in order, as the generator has them.
         verdict: of the diagnosis.
         named: causes, most important first.
-        bound_to: what is left unexplained is bound to this; empty where nothing is.
-        set_aside: captures set aside.
+        depends_on: what is left unexplained depends on this; empty where nothing is.
+        excluded: excluded captures.
         moved: the captures that truly moved.
         deviations: (estimate - truth) / sigma of every parameter of the hidden causes, where exactly those were named.
         size: rms change of the readings by all that is hidden, in units of sigma.
         remainder: see `remainder.remainder`; one for each hidden cause, none for effects that no cause stands for.
-        held_out: rms residual of a second session of the same bench by the extended bench, in units of sigma.
+        held_out: rms residual of a second session of the same bench by the corrected bench, in units of sigma.
         seconds: that the diagnosis took.
     """
 
@@ -100,8 +100,8 @@ class Outcome:
     amounts: tuple[dict[str, float], ...]
     verdict: str
     named: tuple[str, ...]
-    bound_to: str
-    set_aside: tuple[str, ...]
+    depends_on: str
+    excluded: tuple[str, ...]
     moved: tuple[str, ...]
     deviations: tuple[float, ...]
     size: float
@@ -128,7 +128,7 @@ def run_trial(trial: Trial, seed: int) -> Outcome:
     moved = [draw_outlier(plan, rng)] if trial.kind is Kind.MOVED and isinstance(plan, Plan) else []
     nominal, session = observed(plan, [*effects, *moved], rng)
     start = time.perf_counter()
-    said = diagnose(nominal, session, options=Options(CAUSES, _THIN))
+    said = diagnose(nominal, session, settings=Settings(subsample=_SUBSAMPLE))
     seconds = time.perf_counter() - start
     hidden = trial.effects if trial.kind in (Kind.ONE, Kind.TWO) else ()
     return Outcome(
@@ -137,13 +137,13 @@ def run_trial(trial: Trial, seed: int) -> Outcome:
         tuple(dict(effect.amount) for effect in [*effects, *moved]),
         said.verdict,
         tuple(cause.name for cause in said.causes),
-        said.unexplained.bound_to if said.unexplained else "",
-        tuple(str(outlier.capture) for outlier in said.outliers),
+        said.unexplained.depends_on if said.unexplained else "",
+        tuple(str(moved_capture.capture) for moved_capture in said.excluded),
         tuple(_capture_name(effect) for effect in moved),
         _deviations(said, effects, plan),
         float(np.sqrt(max(0.0, said.before.over_noise**2 - 1.0))),
         tuple(remainder(said, hidden, name) for name in hidden),
-        _held_out(said.extended, observed(plan, effects, rng)[1]),
+        _held_out(said.corrected, observed(plan, effects, rng)[1]),
         seconds,
     )
 
@@ -186,7 +186,7 @@ def _deviations(said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan) -> tu
     )
 
 
-def _held_out(extended: Bench, session: Session) -> float:
-    observations = observe(extended, session)
-    residual = observations.residual(simulate(extended, observations.session.plan))
+def _held_out(corrected: Bench, session: Session) -> float:
+    observations = observe(corrected, session)
+    residual = observations.residual(simulate(corrected, observations.session.plan))
     return float(np.sqrt(np.mean(residual**2)))

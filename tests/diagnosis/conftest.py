@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from small_session import measured, run_time_plan, small_bench, small_plan
+from small_session import SIGMA_PX, diagnosed, measured, run_time_plan, small_bench, small_plan, with_moved_capture
 
 from wlr_render.captures.session import SessionPlan
-from wlr_render.diagnosis.extension import Predictor
+from wlr_render.diagnosis.prediction import Predictor
 
 
 @pytest.fixture(scope="session")
@@ -41,3 +41,32 @@ def predictor(clean):
 def everything(clean):
     """All readings count."""
     return np.ones(len(clean), dtype=bool)
+
+
+@pytest.fixture(scope="session")
+def explained(bench, plan):
+    """Diagnosis of a session with a tilted combiner, a target printed too large, and a display capture that moved."""
+    truth = {"combiner_tilt": [0.3, -0.2, 0.3], "target_scale": [0.3, 0.3]}
+    observations = with_moved_capture(measured(bench, plan, SIGMA_PX, seed=4, **truth), bench, 3)
+    return diagnosed(observations, ("combiner_tilt", "target_scale", "tracking_translation", "panel_shift"))
+
+
+@pytest.fixture(scope="session")
+def unexplained(bench, plan):
+    """Diagnosis of a session whose panel is bent in waves, and whose noise is twice what is stated."""
+    observations = measured(bench, plan, 2 * SIGMA_PX, seed=5)
+    read = observations.session.readings
+    read.panel_pixel[:, 0] += 4.0 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 500)
+    return diagnosed(observations, ("target_scale", "stage_scale"))
+
+
+@pytest.fixture(scope="session")
+def nothing(bench, plan):
+    """Diagnosis of a session with nothing wrong."""
+    return diagnosed(measured(bench, plan, SIGMA_PX, seed=6), ("target_scale", "combiner_tilt"))
+
+
+@pytest.fixture(scope="session")
+def late(bench, run_time):
+    """Diagnosis of run-time readings with a latency of 11 ms."""
+    return diagnosed(measured(bench, run_time, SIGMA_PX, seed=7, latency=[11.0]), ("latency", "eye_position_bias"))

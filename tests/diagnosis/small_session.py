@@ -12,8 +12,10 @@ from wlr_render.captures.session import (
     SessionPlan,
 )
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Extension, Hypothesis
 from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis
+from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import Settings
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.optics.device_file import load_device
@@ -87,15 +89,15 @@ def hypothesis(name, variant=0):
     return Hypothesis(CAUSES[name], list(CAUSES[name].variants)[variant])
 
 
-def extension(**values):
+def explanation(**values):
     """Causes by name at values, each in its usual way."""
     names = tuple(hypothesis(name) for name in values)
-    return Extension(names, tuple(np.asarray(each, dtype=float) for each in values.values()))
+    return Explanation(names, tuple(np.asarray(each, dtype=float) for each in values.values()))
 
 
 def measured(bench, plan, sigma_px=0.0, seed=0, **causes):
     """Observations of a session read by a bench with causes at work (name=values), with noise of camera pixels."""
-    read = simulate(extension(**causes).bench(bench), plan)
+    read = simulate(explanation(**causes).bench(bench), plan)
     return with_noise(observe(bench, Session("small", plan, read)), sigma_px, np.random.default_rng(seed))
 
 
@@ -117,3 +119,19 @@ def with_readings(observations, **changes):
     """Observations with other readings."""
     session = observations.session
     return replace(observations, session=replace(session, readings=replace(session.readings, **changes)))
+
+
+def with_moved_capture(observations, bench, number):
+    """One capture read by a camera that stands and looks elsewhere."""
+    moved = explanation(camera_pupil_offset=[0.5, -0.4, 0.3], camera_rotation=[0.1, -0.1, 0.2]).bench(bench)
+    plan, read = observations.session.plan, observations.session.readings
+    here, there = simulate(bench, plan), simulate(moved, plan)
+    rows = (observations.group == number)[: len(read.panel_pixel)]
+    read.panel_pixel[rows] += (there.panel_pixel - here.panel_pixel)[rows]
+    return observations
+
+
+def diagnosed(observations, names):
+    """A whole diagnosis with a few causes, so that it is quick."""
+    causes = {name: CAUSES[name] for name in names}
+    return diagnose(observations.nominal, observations.session, causes=causes, settings=Settings(subsample=1200))

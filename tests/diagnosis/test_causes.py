@@ -61,11 +61,11 @@ every_device_way = pytest.mark.parametrize(("cause", "variant"), DEVICE_WAYS, id
 
 
 def sized(cause, share):
-    """Values at a share of the plausible sizes; forms at their first start."""
+    """Values at a share of the prior sigmas; forms at their first start."""
     kinds = {
-        Role.SIZE: lambda p: share * p.plausible,
-        Role.FORM: lambda p: p.starts[0],
-        Role.MOMENT: lambda p: MOMENT_S,
+        Role.SIZE: lambda p: share * p.prior_sigma,
+        Role.SHAPE: lambda p: p.starts[0],
+        Role.TIME: lambda p: MOMENT_S,
     }
     return np.array([kinds[parameter.role](parameter) for parameter in cause.parameters])
 
@@ -106,7 +106,7 @@ def test_a_cause_says_what_it_is(cause):
     assert len(set(names)) == len(names) > 0
     for parameter in cause.parameters:
         assert parameter.unit
-        assert 0 < parameter.plausible < np.inf
+        assert 0 < parameter.prior_sigma < np.inf
         if parameter.role is Role.SIZE:
             assert parameter.starts == (0.0,)
     assert any(parameter.role is Role.SIZE for parameter in cause.parameters)

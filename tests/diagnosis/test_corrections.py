@@ -5,8 +5,8 @@ import pytest
 from small_session import SIGMA_PX, measured
 
 from wlr_render.diagnosis.corrections import corrections
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 SIZE = 4.0  # of the injected effects, in units of sigma
 
@@ -83,7 +83,7 @@ BOUND = [
 def noisy(bench, plan):
     """Observations of a bench with nothing wrong, and their residual."""
     observations = measured(bench, plan, SIGMA_PX, seed=3)
-    return observations, Predictor(observations).residual(Extension())
+    return observations, Predictor(observations).residual(Explanation())
 
 
 def of(noisy, part, effect=None):
@@ -98,9 +98,9 @@ def of(noisy, part, effect=None):
 @pytest.mark.parametrize(("part", "effect", "variable"), BOUND, ids=[each[1].__name__ for each in BOUND])
 def test_an_effect_is_bound_to_its_variable(noisy, part, effect, variable):
     first = of(noisy, part, effect)[0]
-    assert first.bound_to == variable
-    assert first.gain.percent > 10
-    assert first.gain.significance > 2.5
+    assert first.depends_on == variable
+    assert first.improvement.percent > 10
+    assert first.improvement.significance > 2.5
 
 
 @pytest.mark.parametrize("part", [DISPLAY, SEE_THROUGH])
@@ -108,8 +108,10 @@ def test_noise_gains_nothing_by_any_correction(noisy, part):
     """Held-out captures punish every free term that noise has been fitted with."""
     found = of(noisy, part)
     assert len(found) >= 4
-    assert all(each.gain.percent < 0.5 for each in found)
-    assert [each.gain.percent for each in found] == sorted([each.gain.percent for each in found], reverse=True)
+    assert all(each.improvement.percent < 0.5 for each in found)
+    assert [each.improvement.percent for each in found] == sorted(
+        [each.improvement.percent for each in found], reverse=True
+    )
 
 
 def test_readings_that_do_not_count_do_not_matter(noisy):
@@ -118,7 +120,7 @@ def test_readings_that_do_not_count_do_not_matter(noisy):
     spoilt = residual.copy()
     spoilt[~used] = np.nan
     fine, also = (corrections(observations, each, used, DISPLAY) for each in (residual, spoilt))
-    assert [each.gain for each in fine] == [each.gain for each in also]
+    assert [each.improvement for each in fine] == [each.improvement for each in also]
 
 
 def test_captures_too_few_for_the_folds_allow_no_correction(noisy):
@@ -128,8 +130,8 @@ def test_captures_too_few_for_the_folds_allow_no_correction(noisy):
 
 def test_run_time_errors_can_be_bound_as_well(bench, run_time):
     observations = measured(bench, run_time, SIGMA_PX, seed=6)
-    residual = Predictor(observations).residual(Extension())
+    residual = Predictor(observations).residual(Explanation())
     residual[:, 1] += 30 * observations.session.readings.seen[:, 2] ** 2 * SIZE
     first = corrections(observations, residual, np.ones(len(residual), dtype=bool), RUN_TIME)[0]
-    assert (first.part, first.bound_to) == ("run-time", "camera pixels")
-    assert first.gain.percent > 10
+    assert (first.part, first.depends_on) == ("run-time", "camera pixels")
+    assert first.improvement.percent > 10

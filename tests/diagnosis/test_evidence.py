@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, measured
+from small_session import SIGMA_PX, explanation, measured
 
 from wlr_render.diagnosis import evidence
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 
 def fits(observations, *starts):
@@ -17,7 +17,7 @@ def fits(observations, *starts):
 
 
 def costs(observations, *starts):
-    return [evidence.cost(found) for found in fits(observations, *starts)]
+    return [evidence.minus_two_log_evidence(found) for found in fits(observations, *starts)]
 
 
 @pytest.fixture(scope="module")
@@ -26,25 +26,25 @@ def tilted(bench, plan):
 
 
 def test_the_misfit_is_one_at_the_noise_and_more_above(tilted):
-    nothing, tilt = fits(tilted, Extension(), extension(combiner_tilt=[0, 0, 0]))
-    assert evidence.misfit(nothing) > 100
-    assert evidence.misfit(tilt) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (2 * len(tilted))))
+    nothing, tilt = fits(tilted, Explanation(), explanation(combiner_tilt=[0, 0, 0]))
+    assert evidence.reduced_chi_squared(nothing) > 100
+    assert evidence.reduced_chi_squared(tilt) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (2 * len(tilted))))
 
 
 @pytest.mark.parametrize("richer", [{"panel_rotation": [0, 0, 0]}, {"stage_tilt": [0, 0, 0]}, {"target_bow": [0, 0]}])
 def test_a_true_cause_costs_less_than_one_that_nests_it(tilted, richer):
-    true, more = fits(tilted, extension(combiner_tilt=[0, 0, 0]), extension(combiner_tilt=[0, 0, 0], **richer))
+    true, more = fits(tilted, explanation(combiner_tilt=[0, 0, 0]), explanation(combiner_tilt=[0, 0, 0], **richer))
     assert more.chi_squared < true.chi_squared
-    assert evidence.cost(true) < evidence.cost(more) - 4
+    assert evidence.minus_two_log_evidence(true) < evidence.minus_two_log_evidence(more) - 4
 
 
 def test_a_true_cause_costs_less_than_its_imitations_and_than_nothing(tilted):
     found = costs(
         tilted,
-        extension(combiner_tilt=[0, 0, 0]),
-        extension(panel_shift=[0, 0]),
-        extension(combiner_shift=[0, 0, 0]),
-        Extension(),
+        explanation(combiner_tilt=[0, 0, 0]),
+        explanation(panel_shift=[0, 0]),
+        explanation(combiner_shift=[0, 0, 0]),
+        Explanation(),
     )
     assert found[0] < min(found[1:]) - 40
 
@@ -53,11 +53,11 @@ def test_without_an_effect_nothing_costs_least(bench, plan):
     clean = measured(bench, plan, SIGMA_PX, seed=8)
     nothing, *others = costs(
         clean,
-        Extension(),
-        extension(panel_shift=[0, 0]),
-        extension(combiner_tilt=[0, 0, 0]),
-        extension(pixel_origin=[0, 0]),
-        extension(stage_backlash=[0]),
+        Explanation(),
+        explanation(panel_shift=[0, 0]),
+        explanation(combiner_tilt=[0, 0, 0]),
+        explanation(pixel_origin=[0, 0]),
+        explanation(stage_backlash=[0]),
     )
     assert nothing < min(others)
 
@@ -66,8 +66,8 @@ def test_without_an_effect_nothing_costs_least(bench, plan):
 def test_offsets_of_half_pixels_are_counted_wrong(bench, plan, offset):
     origin, shift = costs(
         measured(bench, plan, SIGMA_PX, seed=9, pixel_origin=offset),
-        extension(pixel_origin=[0, 0]),
-        extension(panel_shift=[0, 0]),
+        explanation(pixel_origin=[0, 0]),
+        explanation(panel_shift=[0, 0]),
     )
     assert origin < shift - 10
 
@@ -76,30 +76,30 @@ def test_offsets_of_half_pixels_are_counted_wrong(bench, plan, offset):
 def test_offsets_of_other_sizes_are_shifts_of_the_panel(bench, plan, offset):
     origin, shift = costs(
         measured(bench, plan, SIGMA_PX, seed=9, pixel_origin=offset),
-        extension(pixel_origin=[0, 0]),
-        extension(panel_shift=[0, 0]),
+        explanation(pixel_origin=[0, 0]),
+        explanation(panel_shift=[0, 0]),
     )
     assert shift < origin - 10
 
 
 def test_one_part_explained_wholly_is_worth_more_than_a_little_of_both(tilted):
     """What is left in a part counts as noise of that part: 1000 values each, of which 9 and 4 sigma are left."""
-    (base,) = fits(tilted, Extension())
+    (base,) = fits(tilted, Explanation())
     wholly = replace(base, by_part=((1000, 9_000.0), (1000, 1_000.0)), chi_squared=10_000.0)
     little = replace(base, by_part=((1000, 4_500.0), (1000, 4_500.0)), chi_squared=9_000.0)
-    assert evidence.cost(wholly) < evidence.cost(little)
+    assert evidence.minus_two_log_evidence(wholly) < evidence.minus_two_log_evidence(little)
 
 
 @pytest.mark.parametrize(("thickness_mm", "physical"), [(2.0, True), (-2.0, False)])
 def test_a_negative_thickness_is_not_physical_beyond_its_error(bench, plan, thickness_mm, physical):
     observations = measured(bench, plan, SIGMA_PX, seed=10, see_through_plate=[thickness_mm, 0, 0])
-    (found,) = fits(observations, extension(see_through_plate=[0.5, 0, 0]))
-    assert evidence.physical(found) is physical
+    (found,) = fits(observations, explanation(see_through_plate=[0.5, 0, 0]))
+    assert evidence.is_physical(found) is physical
 
 
 def test_chance_is_the_tail_of_chi_squared_times_the_tries():
-    assert evidence.chance(10.83, 1, 1) == pytest.approx(1e-3, rel=0.01)  # textbook quantiles
-    assert evidence.chance(18.47, 4, 1) == pytest.approx(1e-3, rel=0.01)
-    assert evidence.chance(10.83, 1, 30) == pytest.approx(0.03, rel=0.01)
-    assert evidence.chance(1.0, 3, 40) == 1.0
-    assert evidence.chance(-5.0, 3, 1) == 1.0
+    assert evidence.p_value(10.83, 1, 1) == pytest.approx(1e-3, rel=0.01)  # textbook quantiles
+    assert evidence.p_value(18.47, 4, 1) == pytest.approx(1e-3, rel=0.01)
+    assert evidence.p_value(10.83, 1, 30) == pytest.approx(0.03, rel=0.01)
+    assert evidence.p_value(1.0, 3, 40) == 1.0
+    assert evidence.p_value(-5.0, 3, 1) == 1.0

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, measured, with_noise
+from small_session import SIGMA_PX, explanation, measured, with_noise
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 
-# Forms and moments cannot be drawn at a share of their plausible size; and from where a fit of them sets out.
+# Forms and moments cannot be drawn at a share of their prior sigma; and from where a fit of them sets out.
 VALUES = {
     "see_through_plate": [8.0, 5.0, -4.0],
     "thermal_drift": [0.08, -0.05, 500.0],
@@ -19,7 +19,7 @@ DRAWS = 20
 
 
 def injected(cause):
-    sizes = [0.8 * p.plausible * (-1) ** number for number, p in enumerate(cause.parameters)]
+    sizes = [0.8 * p.prior_sigma * (-1) ** number for number, p in enumerate(cause.parameters)]
     return np.array(VALUES.get(cause.name, sizes))
 
 
@@ -37,48 +37,48 @@ def test_what_was_injected_comes_back(bench, plan, run_time, cause):
     session, true = run_time if cause.part in ("eye tracking", "clock") else plan, injected(cause)
     observations = measured(bench, session, **{cause.name: true})
     observations = observations.of_rows(observations.spread(800))
-    found = fitted(observations, extension(**{cause.name: STARTS.get(cause.name, cause.null())}))
+    found = fitted(observations, explanation(**{cause.name: STARTS.get(cause.name, cause.null())}))
     assert found.chi_squared < 1e-6
-    np.testing.assert_array_less(np.abs(found.extension.vector() - true), 1e-3 * found.sigmas() + 1e-9)
+    np.testing.assert_array_less(np.abs(found.explanation.vector() - true), 1e-3 * found.sigmas() + 1e-9)
 
 
 def test_a_combiner_tilted_by_a_degree_about_each_axis_comes_back(bench, plan):
     true = [1.0, -1.0, 1.0]
-    found = fitted(measured(bench, plan, combiner_tilt=true), extension(combiner_tilt=[0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(found.extension.vector(), true, atol=1e-6)
+    found = fitted(measured(bench, plan, combiner_tilt=true), explanation(combiner_tilt=[0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(found.explanation.vector(), true, atol=1e-6)
 
 
 def test_three_causes_at_once_come_back(bench, plan):
-    true = extension(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
+    true = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
     observations = measured(bench, plan, **dict(zip(true.names, true.values, strict=True)))
     found = fitted(observations, true.at(np.zeros(7)))
-    assert found.extension.names == true.names
-    np.testing.assert_allclose(found.extension.vector(), true.vector(), atol=1e-6)
+    assert found.explanation.names == true.names
+    np.testing.assert_allclose(found.explanation.vector(), true.vector(), atol=1e-6)
 
 
 def test_error_bars_are_honest(bench, plan):
     """Over draws of the noise, (estimate - truth) weighted by the stated covariance is chi-squared distributed."""
     names = ("combiner_tilt", "target_scale", "thermal_drift")
-    truth = extension(**{name: injected(CAUSES[name]) for name in names})
+    truth = explanation(**{name: injected(CAUSES[name]) for name in names})
     exact = measured(bench, plan, **dict(zip(truth.names, truth.values, strict=True)))
     exact = exact.of_rows(exact.spread(240))
-    plausible = np.array([parameter.plausible for parameter in truth.parameters()])
+    prior_sigma = np.array([parameter.prior_sigma for parameter in truth.parameters()])
     total, within = 0.0, []
     for seed in range(DRAWS):
         found = fitted(with_noise(exact, SIGMA_PX, np.random.default_rng(seed)), truth)
-        off = (found.extension.vector() - truth.vector()) / plausible
+        off = (found.explanation.vector() - truth.vector()) / prior_sigma
         total += off @ np.linalg.solve(found.covariance, off)
-        within.append(np.abs(found.extension.vector() - truth.vector()) < found.sigmas())
-    degrees = DRAWS * len(plausible)
+        within.append(np.abs(found.explanation.vector() - truth.vector()) < found.sigmas())
+    degrees = DRAWS * len(prior_sigma)
     assert abs(total - degrees) < 3 * np.sqrt(2 * degrees)
     assert abs(np.mean(within) - 0.683) < 3 * np.sqrt(0.683 * 0.317 / DRAWS)
 
 
 def test_twice_the_noise_makes_error_bars_twice_as_wide(bench, plan):
     observations = measured(bench, plan, 0.1, panel_shift=[0.3, 0.3])
-    one = fitted(observations, extension(panel_shift=[0.0, 0.0]))
-    two = fitted(observations.with_sigma(2 * observations.sigma_px), extension(panel_shift=[0.0, 0.0]))
-    np.testing.assert_allclose(two.extension.vector(), one.extension.vector(), atol=1e-3 * one.sigmas().min())
+    one = fitted(observations, explanation(panel_shift=[0.0, 0.0]))
+    two = fitted(observations.with_sigma(2 * observations.sigma_px), explanation(panel_shift=[0.0, 0.0]))
+    np.testing.assert_allclose(two.explanation.vector(), one.explanation.vector(), atol=1e-3 * one.sigmas().min())
     np.testing.assert_allclose(two.sigmas(), 2 * one.sigmas(), rtol=1e-4)
     assert two.chi_squared == pytest.approx(one.chi_squared / 4, rel=1e-6)
 
@@ -88,15 +88,15 @@ def test_readings_that_do_not_count_do_not_matter(bench, plan):
     used = np.random.default_rng(3).random(len(observations)) < 0.5
     read = observations.session.readings
     read.dot_pixel[~used[observations.part == 1]] += 30.0
-    found = fit(Predictor(observations), extension(camera_rotation=[0.0, 0.0, 0.0]), used)
-    np.testing.assert_allclose(found.extension.vector(), [0.2, -0.1, 0.3], atol=1e-7)
+    found = fit(Predictor(observations), explanation(camera_rotation=[0.0, 0.0, 0.0]), used)
+    np.testing.assert_allclose(found.explanation.vector(), [0.2, -0.1, 0.3], atol=1e-7)
     assert found.by_part[0][0] + found.by_part[1][0] == 2 * used.sum()
     assert sum(squares for _, squares in found.by_part) == pytest.approx(found.chi_squared, abs=1e-9)
 
 
 def test_nothing_to_fit_leaves_the_residual(bench, plan):
     observations = measured(bench, plan, SIGMA_PX, seed=4)
-    found = fitted(observations, Extension())
+    found = fitted(observations, Explanation())
     degrees = 2 * len(observations)
     assert abs(found.chi_squared - degrees) < 4 * np.sqrt(2 * degrees)
     assert found.covariance.shape == (0, 0)
@@ -104,14 +104,14 @@ def test_nothing_to_fit_leaves_the_residual(bench, plan):
 
 
 def test_a_cause_that_the_session_cannot_see_stays_where_it_is(bench, plan):
-    found = fitted(measured(bench, plan, SIGMA_PX), extension(latency=[3.0], target_scale=[0.0, 0.0]))
-    assert found.extension.values[0] == 3.0
+    found = fitted(measured(bench, plan, SIGMA_PX), explanation(latency=[3.0], target_scale=[0.0, 0.0]))
+    assert found.explanation.values[0] == 3.0
     assert found.sigmas()[0] == 0.0
     assert np.all(found.sigmas()[1:] > 0)
 
 
 def test_no_iterations_only_look(bench, plan):
     observations = measured(bench, plan, panel_shift=[0.3, 0.3])
-    found = fitted(observations, extension(panel_shift=[0.1, 0.0]), iterations=0)
-    np.testing.assert_array_equal(found.extension.vector(), [0.1, 0.0])
+    found = fitted(observations, explanation(panel_shift=[0.1, 0.0]), iterations=0)
+    np.testing.assert_array_equal(found.explanation.vector(), [0.1, 0.0])
     assert np.all(found.sigmas() > 0)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, hypothesis, measured
+from small_session import SIGMA_PX, explanation, hypothesis, measured
 
-from wlr_render.diagnosis.extension import Extension, Predictor
+from wlr_render.diagnosis.evidence import held_out_improvement, held_out_squares
 from wlr_render.diagnosis.fit import fit
-from wlr_render.diagnosis.held_out import held_out_gain, held_out_squares
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +29,9 @@ def everything(observations):
 @pytest.mark.parametrize(
     "start",
     [
-        extension(camera_pupil_offset=[0, 0, 0]),
-        extension(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]),
-        extension(combiner_tilt=[0, 0, 0]),  # a wrong one, which does not reach the noise
+        explanation(camera_pupil_offset=[0, 0, 0]),
+        explanation(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]),
+        explanation(combiner_tilt=[0, 0, 0]),  # a wrong one, which does not reach the noise
     ],
     ids=lambda start: "+".join(start.names),
 )
@@ -41,53 +41,53 @@ def test_held_out_squares_are_those_of_refits_without_the_capture(few, start):
     fast = squares_of(few, found)
     for number in range(0, len(few.captures), 4):
         mine = few.group == number
-        refit = fit(predictor, found.extension, used & ~mine)
-        slow = np.sum(predictor.residual(refit.extension)[mine] ** 2)
+        refit = fit(predictor, found.explanation, used & ~mine)
+        slow = np.sum(predictor.residual(refit.explanation)[mine] ** 2)
         assert fast[number] == pytest.approx(slow, rel=0.01)
         assert fast[number] > np.sum(found.residual[mine] ** 2)
 
 
 def test_without_parameters_nothing_changes_by_holding_out(few):
-    found = fit(Predictor(few), Extension(), everything(few))
+    found = fit(Predictor(few), Explanation(), everything(few))
     sums = np.bincount(few.group, np.sum(found.residual**2, axis=1))
     np.testing.assert_allclose(squares_of(few, found), sums)
 
 
 def test_captures_that_do_not_count_have_no_squares(few):
     used = few.group != 3
-    found = fit(Predictor(few), extension(camera_pupil_offset=[0, 0, 0]), used)
+    found = fit(Predictor(few), explanation(camera_pupil_offset=[0, 0, 0]), used)
     squares = squares_of(few, found)
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(squares)), [3])
 
 
 def test_a_true_cause_gains_and_a_false_one_does_not(few):
     predictor, used = Predictor(few), everything(few)
-    half = fit(predictor, extension(camera_pupil_offset=[0, 0, 0]), used)
-    whole = fit(predictor, extension(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]), used)
-    gain = held_out_gain(squares_of(few, half), squares_of(few, whole))
+    half = fit(predictor, explanation(camera_pupil_offset=[0, 0, 0]), used)
+    whole = fit(predictor, explanation(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]), used)
+    gain = held_out_improvement(squares_of(few, half), squares_of(few, whole))
     assert gain.percent > 0
     assert gain.significance > 3
-    idle = fit(predictor, whole.extension.plus(hypothesis("lateral_colour")), used)
-    worse = held_out_gain(squares_of(few, whole), squares_of(few, idle))
+    idle = fit(predictor, whole.explanation.plus(hypothesis("lateral_colour")), used)
+    worse = held_out_improvement(squares_of(few, whole), squares_of(few, idle))
     assert worse.significance < 2
 
 
 def test_the_gain_is_that_of_the_rms_and_vanishes_for_none():
     rng = np.random.default_rng(6)
     before = rng.uniform(50, 100, 40)
-    half = held_out_gain(before, 0.25 * before)
+    half = held_out_improvement(before, 0.25 * before)
     assert half.percent == pytest.approx(50.0)
     assert half.sigma == pytest.approx(0.0, abs=1e-9)
-    same = held_out_gain(before, before)
+    same = held_out_improvement(before, before)
     assert (same.percent, same.significance) == (0.0, 0.0)
-    worse = held_out_gain(before, 4.0 * before)
+    worse = held_out_improvement(before, 4.0 * before)
     assert worse.percent == pytest.approx(-100.0)
     assert worse.significance < -3
 
 
 def test_a_capture_that_either_fit_lacks_does_not_count():
     before, after = np.array([4.0, 4.0, np.nan, 8.0, 1e9]), np.array([1.0, 1.0, 5.0, 2.0, np.nan])
-    assert held_out_gain(before, after).percent == pytest.approx(50.0)
+    assert held_out_improvement(before, after).percent == pytest.approx(50.0)
 
 
 def test_the_sigma_of_a_gain_is_its_spread_over_sessions():
@@ -95,6 +95,6 @@ def test_the_sigma_of_a_gain_is_its_spread_over_sessions():
     rng = np.random.default_rng(7)
     before = rng.chisquare(20, (400, 30)) * rng.uniform(0.5, 2.0, (400, 30))
     after = 0.8 * before * rng.uniform(0.5, 1.5, before.shape)
-    gains = [held_out_gain(b, a) for b, a in zip(before, after, strict=True)]
+    gains = [held_out_improvement(b, a) for b, a in zip(before, after, strict=True)]
     stated = np.mean([gain.sigma for gain in gains])
     assert stated == pytest.approx(np.std([gain.percent for gain in gains]), rel=0.1)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, measured
+from small_session import SIGMA_PX, explanation, measured
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.fit import fit
-from wlr_render.diagnosis.limits import detection_limits
+from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.summary import detection_limits
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def limits_of(observations, causes=CAUSES, share=1.0):
     thin = observations.spread(int(share * len(observations)))
     predictor = Predictor(observations.of_rows(thin))
     found = detection_limits(predictor, np.ones(thin.sum(), dtype=bool), np.ones(len(observations), dtype=bool), causes)
-    return {(limit.cause, limit.parameter): limit.smallest for limit in found}
+    return {(limit.cause, limit.parameter): limit.limit for limit in found}
 
 
 def test_every_cause_that_the_session_can_show_has_a_limit(noisy):
@@ -36,7 +36,7 @@ def test_an_effect_of_that_size_is_five_standard_errors_when_it_is_there(bench, 
         ((_, smallest),) = limits_of(noisy, {name: CAUSES[name]}).items()
         observations = measured(bench, plan, SIGMA_PX, seed=12, **{name: [smallest]})
         predictor, used = Predictor(observations), np.ones(len(observations), dtype=bool)
-        before, after = (fit(predictor, start, used) for start in (Extension(), extension(**{name: [0.0]})))
+        before, after = (fit(predictor, start, used) for start in (Explanation(), explanation(**{name: [0.0]})))
         assert np.sqrt(before.chi_squared - after.chi_squared) == pytest.approx(5.0, abs=3.0)
         assert after.sigmas()[0] == pytest.approx(smallest / 5, rel=0.01)
 

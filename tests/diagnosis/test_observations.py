@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, with_readings
+from small_session import SIGMA_PX, explanation, with_readings
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, CaptureName, observe
@@ -75,7 +75,7 @@ def test_at_run_time_only_the_gap_between_the_dots_counts(bench, every_part):
 
 def test_some_rows_have_the_residuals_that_they_have_among_all(bench, every_part):
     keep = np.random.default_rng(2).random(len(every_part)) < 0.3
-    some, wrong = every_part.of_rows(keep), extension(camera_rotation=[0.1, 0.1, 0.1]).bench(bench)
+    some, wrong = every_part.of_rows(keep), explanation(camera_rotation=[0.1, 0.1, 0.1]).bench(bench)
     whole = every_part.residual(simulate(wrong, every_part.session.plan))
     np.testing.assert_allclose(some.residual(simulate(wrong, some.session.plan)), whole[keep], atol=1e-6)
     np.testing.assert_array_equal(some.group, every_part.group[keep])
@@ -111,6 +111,6 @@ def test_a_bench_that_sees_nothing_is_an_error(bench, plan, part):
     """A stage a metre off, so that the camera's lines of sight pass the combiner and the target."""
     alone = SessionPlan(**{part: getattr(plan, part)})
     session = Session("dark", alone, simulate(bench, alone))
-    away = extension(camera_pupil_offset=[-2000.0, 0.0, -2000.0]).bench(bench)
+    away = explanation(camera_pupil_offset=[-2000.0, 0.0, -2000.0]).bench(bench)
     with pytest.raises(BadInputError, match=r"dark: the bench as described sees none of its \d+ readings"):
         observe(away, session)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, hypothesis, measured
+from small_session import SIGMA_PX, explanation, hypothesis, measured
 
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName
-from wlr_render.diagnosis.outliers import kept, moved_captures
+from wlr_render.diagnosis.outliers import moved_captures, not_excluded
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.simulation.simulate_session import simulate
 
 NEAR, FAR = CaptureName(SEE_THROUGH, 0, 3), CaptureName(SEE_THROUGH, 1, 5)
@@ -16,7 +16,7 @@ NEAR, FAR = CaptureName(SEE_THROUGH, 0, 3), CaptureName(SEE_THROUGH, 1, 5)
 def with_moved(observations, bench, captures, shift_mm, turn_deg=(0.0, 0.0, 0.0)):
     """Add to the readings of some captures what a camera that stands elsewhere would read differently."""
     plan, read = observations.session.plan, observations.session.readings
-    moved = extension(camera_pupil_offset=shift_mm, camera_rotation=turn_deg).bench(bench)
+    moved = explanation(camera_pupil_offset=shift_mm, camera_rotation=turn_deg).bench(bench)
     here, there = simulate(bench, plan), simulate(moved, plan)
     mine = np.isin(observations.group, [observations.captures.index(name) for name in captures])
     shown, seen = mine[observations.part == DISPLAY], mine[observations.part == SEE_THROUGH]
@@ -25,7 +25,7 @@ def with_moved(observations, bench, captures, shift_mm, turn_deg=(0.0, 0.0, 0.0)
     return observations
 
 
-def found_in(observations, start=Extension(), aside=None):  # noqa: B008
+def found_in(observations, start=Explanation(), aside=None):  # noqa: B008
     predictor = Predictor(observations)
     good = np.ones(len(observations), dtype=bool)
     return moved_captures(predictor, fit(predictor, start, good if aside is None else ~aside), good)
@@ -67,19 +67,19 @@ def test_two_that_moved_are_found_on_top_of_a_cause(bench, plan):
     names = [CaptureName(DISPLAY, -1, 2), NEAR]
     with_moved(observations, bench, names, (0.7, 0.0, 0.0))
     predictor, good = Predictor(observations), np.ones(len(observations), dtype=bool)
-    first = moved_captures(predictor, fit(predictor, extension(combiner_tilt=[0, 0, 0]), good), good)
-    left = kept(predictor, first)
-    again = fit(predictor, extension(combiner_tilt=[0, 0, 0]), left)
+    first = moved_captures(predictor, fit(predictor, explanation(combiner_tilt=[0, 0, 0]), good), good)
+    left = not_excluded(predictor, first)
+    again = fit(predictor, explanation(combiner_tilt=[0, 0, 0]), left)
     assert {each.capture for each in moved_captures(predictor, again, good)} == set(names)
-    np.testing.assert_allclose(again.extension.vector(), [0.5, -0.5, 0.5], atol=0.01)
+    np.testing.assert_allclose(again.explanation.vector(), [0.5, -0.5, 0.5], atol=0.01)
 
 
-def test_readings_of_outliers_are_not_kept(bench, plan):
+def test_readings_of_outliers_are_not_not_excluded(bench, plan):
     observations = with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [NEAR], (0.5, 0.0, 0.0))
     predictor = Predictor(observations)
-    aside = ~kept(predictor, found_in(observations))
+    aside = ~not_excluded(predictor, found_in(observations))
     np.testing.assert_array_equal(aside, observations.group == observations.captures.index(NEAR))
-    assert kept(predictor, []).all()
+    assert not_excluded(predictor, []).all()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -108,8 +108,8 @@ def test_strays_do_not_move_their_capture(bench, plan):
     observations.session.readings.panel_pixel[:4] += 60.0
     predictor, all_of = Predictor(observations), np.ones(len(observations), dtype=bool)
     good = np.arange(len(observations)) >= 4
-    assert moved_captures(predictor, fit(predictor, Extension(), good), good) == []
-    assert len(moved_captures(predictor, fit(predictor, Extension(), all_of), all_of)) == 1
+    assert moved_captures(predictor, fit(predictor, Explanation(), good), good) == []
+    assert len(moved_captures(predictor, fit(predictor, Explanation(), all_of), all_of)) == 1
 
 
 def test_the_fit_keeps_its_own_camera_causes(bench, plan):
@@ -117,6 +117,6 @@ def test_the_fit_keeps_its_own_camera_causes(bench, plan):
     observations = measured(bench, plan, SIGMA_PX, seed=2, camera_pupil_offset=[1.0, -1.0, 0.5])
     name = CaptureName(DISPLAY, -1, 6)
     with_moved(observations, bench, [name], (0.5, 0.0, 0.0))
-    (found,) = found_in(observations, Extension().plus(hypothesis("camera_pupil_offset")))
+    (found,) = found_in(observations, Explanation().plus(hypothesis("camera_pupil_offset")))
     assert found.capture == name
     np.testing.assert_allclose(found.shift_mm, [0.5, 0.0, 0.0], atol=0.1)

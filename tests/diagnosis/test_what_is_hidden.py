@@ -67,8 +67,8 @@ def test_two_causes_are_found_at_once():
 @pytest.mark.parametrize("device", ["northstar", "freeform40"])
 def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found(device):
     said = diagnosed(small(device))
-    assert (said.verdict, said.causes, said.outliers) == (NO_EFFECT, (), ())
-    limit = {(each.cause, each.parameter): each.smallest for each in said.limits}
+    assert (said.verdict, said.causes, said.excluded) == (NO_EFFECT, (), ())
+    limit = {(each.cause, each.parameter): each.limit for each in said.detection_limits}
     # The sizes that the effects above have are far beyond these.
     assert 0.0 < limit["panel_shift", "shift_u"] < 0.1
     assert 0.0 < limit["tracking_translation", "shift_x"] < 0.8
@@ -97,7 +97,7 @@ def test_a_capture_that_moved_is_set_aside_by_name_and_hides_no_cause():
     plan, cause = small("northstar"), Effect("camera_focal_length", {"focal_percent": 0.2})
     pose = {"x_mm": 0.5, "y_mm": -0.4, "z_mm": 0.3, "x_deg": 0.1, "y_deg": -0.1, "z_deg": 0.2}
     said = diagnosed(plan, cause, Effect(OUTLIER, {"target_pose": 1, "capture": 6, **pose}))
-    assert [str(each.capture) for each in said.outliers] == ["see-through capture 6 of target pose 1"]
+    assert [str(each.capture) for each in said.excluded] == ["see-through capture 6 of target pose 1"]
     check_explained(said, plan, cause)
 
 

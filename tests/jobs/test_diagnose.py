@@ -23,7 +23,7 @@ FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_t
 
 @pytest.fixture
 def few_causes(monkeypatch):
-    options = procedure.Options(FEW, thin=1500)
+    options = procedure.Options(FEW, subsample=1500)
     monkeypatch.setattr(diagnose, "diagnose", partial(procedure.diagnose, options=options))
 
 
@@ -46,13 +46,13 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
     status, printed = run(capsys, session, "--out", out)
     assert status == 0
     assert printed.out.startswith("Explained: printed size of the target (target_scale: scale_")
-    assert "What the extended bench is worth in use" in printed.out
+    assert "What the corrected bench is worth in use" in printed.out
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
         "diagnosis.html",
         "diagnosis.json",
-        "extended/bench.toml",
-        "extended/display.csv.gz",
-        "extended/seethrough.csv.gz",
+        "corrected/bench.toml",
+        "corrected/display.csv.gz",
+        "corrected/seethrough.csv.gz",
     ]
     record = json.loads((out / "diagnosis.json").read_text())
     (cause,) = record["causes"]
@@ -60,9 +60,9 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
         found = cause["parameters"][f"scale_{axis}"]
         assert found["unit"] == "%"
         assert abs(found["value"] - SCALE_PERCENT) < 4 * found["sigma"]
-    assert record["gains"]["seethrough_refitted"]["held_out_gain"] > 20
-    extended = load_bench(out / "extended" / "bench.toml")
-    np.testing.assert_allclose(extended.target.scale, 1 + 1e-2 * SCALE_PERCENT, atol=3e-4)
+    assert record["gains"]["seethrough_refitted"]["held_out_improvement"] > 20
+    corrected = load_bench(out / "corrected" / "bench.toml")
+    np.testing.assert_allclose(corrected.target.scale, 1 + 1e-2 * SCALE_PERCENT, atol=3e-4)
 
 
 def test_by_the_extended_bench_the_session_shows_no_effect_and_the_old_bench_goes(
@@ -70,21 +70,21 @@ def test_by_the_extended_bench_the_session_shows_no_effect_and_the_old_bench_goe
 ):
     out = tmp_path / "out"
     assert run(capsys, session, "--out", out)[0] == 0
-    extended = (out / "extended").rename(tmp_path / "session")
-    (out / "extended").mkdir()
-    (out / "extended" / "bench.toml").write_text("of an earlier diagnosis")
+    corrected = (out / "corrected").rename(tmp_path / "session")
+    (out / "corrected").mkdir()
+    (out / "corrected" / "bench.toml").write_text("of an earlier diagnosis")
     elsewhere = tmp_path / "record.json"
-    status, printed = run(capsys, extended, "--out", out, "--json", elsewhere)
+    status, printed = run(capsys, corrected, "--out", out, "--json", elsewhere)
     assert status == 0
     assert printed.out.startswith("No effect found")
     record = json.loads(elsewhere.read_text())
     assert (record["verdict"], record["causes"], record["gains"]) == ("no effect", [], None)
     assert {limit["cause"] for limit in record["detection_limits"]} == set(FEW)
-    assert not (out / "extended" / "bench.toml").exists()
+    assert not (out / "corrected" / "bench.toml").exists()
 
 
 def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):
-    inside = tmp_path / "out" / "extended"
+    inside = tmp_path / "out" / "corrected"
     shutil.copytree(session, inside)
     status, printed = run(capsys, inside, "--out", tmp_path / "out")
     assert status == 2

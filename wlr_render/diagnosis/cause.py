@@ -1,6 +1,6 @@
-"""What a suspected cause is: a named, parametrised change of the bench.
+"""A suspected cause: a named, parametrised change of the bench.
 
-A new cause is an entry in the tuple of its subject's file in `causes/`. Everything else (signature, fit, ranking,
+A new cause is an entry in the tuple of its subject's file in `causes/`. Everything else (Jacobian, fit, ranking,
 report) follows from `perturb`.
 """
 
@@ -21,8 +21,8 @@ class Role(Enum):
     """What a parameter does."""
 
     SIZE = "size"  # null value 0: without it there is no effect
-    FORM = "form"  # shapes an effect whose size is not 0, and is fitted from each of its starts
-    MOMENT = "moment"  # a time between two captures, searched for
+    SHAPE = "shape"  # shapes an effect whose size is not 0, and is fitted from each of its starts
+    TIME = "time"  # a time between two captures, searched for
 
 
 @dataclass(frozen=True)
@@ -32,18 +32,18 @@ class Parameter:
     Attributes:
         name: within the cause.
         unit: of its values.
-        plausible: standard deviation of what is met in practice, in that unit.
+        prior_sigma: standard deviation of what is met in practice, in that unit.
         role: see `Role`.
-        starts: first values of a FORM parameter; the first one is its null value.
-        lowest: below this it is not physical.
+        starts: first values of a SHAPE parameter; the first one is its null value.
+        minimum: values below are not physical.
     """
 
     name: str
     unit: str
-    plausible: float
+    prior_sigma: float
     role: Role = Role.SIZE
     starts: tuple[float, ...] = (0.0,)
-    lowest: float = -np.inf
+    minimum: float = -np.inf
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class Cause:
         title: physical name.
         part: of the bench: "device", "camera", "stage", "target", "tracking", "mount", "eye tracking" or "clock".
         parameters: its numbers.
-        source: where the plausible sizes come from.
-        separated_by: the extra measurement that tells it from its look-alikes.
+        source: where the prior sigmas come from.
+        separated_by: the extra measurement that separates it from degenerate causes.
         variants: ways in which it may act, by name; the first is the usual one.
         remedy: what to do about it, where that is more than for any cause of its part; empty otherwise.
         whole_steps: its values are multiples of this in the parameters' unit, or it is something else; None for any.
@@ -77,5 +77,5 @@ class Cause:
         return self.variants[variant or next(iter(self.variants))](bench, values)
 
     def null(self) -> FloatArray:
-        """Values (parameters,) that leave the bench as it is."""
+        """Values (parameters,) that leave the bench unchanged."""
         return np.array([parameter.starts[0] for parameter in self.parameters])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
-from wlr_render.diagnosis.held_out import held_out_gain
+from wlr_render.diagnosis.evidence import held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis
@@ -42,11 +42,11 @@ def corrections(observations: Observations, residual: FloatArray, used: BoolArra
     count = len(observations.captures)
     before = _squares(own, group, count)
     found = []
-    for bound_to, form, design in _designs(observations, part):
+    for depends_on, form, design in _designs(observations, part):
         after = _squares(_held_out(design[within], own, group), group, count)
-        gain = held_out_gain(before, after)
-        found.append(Correction(PART_NAMES[part], bound_to, form, design.shape[1], gain))
-    return sorted(found, key=lambda correction: -correction.gain.percent)
+        gain = held_out_improvement(before, after)
+        found.append(Correction(PART_NAMES[part], depends_on, form, design.shape[1], gain))
+    return sorted(found, key=lambda correction: -correction.improvement.percent)
 
 
 def _squares(residual: FloatArray, group: NDArray[np.int64], count: int) -> FloatArray:

@@ -1,15 +1,12 @@
-"""The result of a diagnosis: verdict, causes with values and evidence, what stays unexplained, the extended bench."""
+"""The record of a diagnosis: verdict, causes with values and evidence, what stays unexplained, the corrected bench."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
-from wlr_render.diagnosis.held_out import HeldOutGain
+from wlr_render.diagnosis.evidence import HeldOutImprovement
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
 
 NO_EFFECT, EXPLAINED, PARTLY, UNEXPLAINED = "no effect", "explained", "partly explained", "unexplained"
@@ -22,25 +19,25 @@ class ParameterValue:
     Attributes:
         name, unit: as the cause has them.
         value: in that unit.
-        plausible: standard deviation of what is met in practice, in that unit.
-        sigma: one standard error; 0 for a moment, which is known to the gap between two captures.
+        sigma: one standard error; 0 for a time, which is known to the gap between two captures.
+        prior_sigma: standard deviation of what is met in practice, in that unit.
     """
 
     name: str
     value: float
     sigma: float
     unit: str
-    plausible: float
+    prior_sigma: float
 
 
 @dataclass(frozen=True)
-class Overlap:
-    """A cause that would have looked much the same.
+class DegenerateCause:
+    """A cause with nearly the same effect.
 
     Attributes:
         name: of the other cause.
-        cosine: of the angle between the effect found and its best imitation by the other; 1 is the same.
-        separated_by: the extra measurement that tells them apart.
+        cosine: of the angle between the effect found and its best match by the other cause; 1 is the same.
+        separated_by: the extra measurement that separates the two.
     """
 
     name: str
@@ -49,20 +46,19 @@ class Overlap:
 
 
 @dataclass(frozen=True)
-class Rival:
+class RankedCandidate:
     """A candidate for the place of a cause, the others being as found.
 
     Attributes:
         name, variant: which cause, acting how.
-        misfit: mean square residual over the noise's that it leaves; 1 is the noise floor.
-        cost_behind: by how much its cost (-2 log of the marginal likelihood) exceeds the best one's; NaN where it
-            promised too little to be fitted.
+        reduced_chi_squared: that it leaves; 1 is noise.
+        log10_odds: against it and for the best candidate, by their evidence; NaN where it was not fitted.
     """
 
     name: str
     variant: str
-    misfit: float
-    cost_behind: float
+    reduced_chi_squared: float
+    log10_odds: float
 
 
 @dataclass(frozen=True)
@@ -73,9 +69,9 @@ class FoundCause:
         name, title, part: see `cause.Cause`.
         variant: how it acts.
         parameters: its values.
-        gain: on held-out captures, over the other causes found without this one.
-        overlaps: causes that it could be mistaken for.
-        rivals: the ranking for its place, best first, itself among them.
+        improvement: on held-out captures, over the other causes found without this one.
+        degenerate: causes that it could be confused with.
+        ranking: the candidates for its place, best first, itself among them.
         effect_over_noise: rms change of the readings by it, in units of sigma.
         remedy: what to do about it; empty where nothing but what its part asks for.
     """
@@ -85,30 +81,30 @@ class FoundCause:
     part: str
     variant: str
     parameters: tuple[ParameterValue, ...]
-    gain: HeldOutGain
-    overlaps: tuple[Overlap, ...]
-    rivals: tuple[Rival, ...]
+    improvement: HeldOutImprovement
+    degenerate: tuple[DegenerateCause, ...]
+    ranking: tuple[RankedCandidate, ...]
     effect_over_noise: float
     remedy: str = ""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A flexible smooth correction: no cause, and offered as none.
+    """A flexible smooth correction of a residual: no cause, and offered as none.
 
     Attributes:
         part: of the session it corrects.
-        bound_to: the variables that it is a function of.
+        depends_on: the variables that it is a function of.
         form: how it depends on them.
         terms: coefficients per axis.
-        gain: on held-out captures.
+        improvement: on held-out captures.
     """
 
     part: str
-    bound_to: str
+    depends_on: str
     form: str
     terms: int
-    gain: HeldOutGain
+    improvement: HeldOutImprovement
 
 
 @dataclass(frozen=True)
@@ -117,26 +113,26 @@ class Unexplained:
 
     Attributes:
         part: "display", "see-through" or "run-time".
-        bound_to: "panel pixels", "camera pixels", "target", "stage", "time" or "colour".
+        depends_on: "panel pixels", "camera pixels", "target", "stage", "time" or "colour".
         rms_over_noise: rms residual of that part over its noise.
         corrections: all corrections tried on that part, best first.
     """
 
     part: str
-    bound_to: str
+    depends_on: str
     rms_over_noise: float
     corrections: tuple[Correction, ...]
 
 
 @dataclass(frozen=True)
-class Figures:
-    """How far a simulation is from the measurement; None for a part that the session does not have.
+class ResidualSummary:
+    """Root mean square of measured minus simulated, per axis; None for a part that the session does not have.
 
     Attributes:
-        display_rms_px: panel pixels per axis.
-        see_through_rms_arcmin: per axis.
-        run_time_rms_arcmin: of the virtual dot against the real one, per axis.
-        over_noise: rms of all readings in units of sigma.
+        display_rms_px: panel pixels.
+        see_through_rms_arcmin: arcminutes as the camera sees them.
+        run_time_rms_arcmin: of the virtual dot against the real one.
+        over_noise: of all readings, in units of sigma.
     """
 
     display_rms_px: float | None
@@ -147,53 +143,97 @@ class Figures:
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """The smallest size at which a parameter would have been found.
+    """The smallest size at which a parameter would have been found, acting alone.
 
     Attributes:
         cause, parameter, unit: which.
-        smallest: five standard errors.
+        limit: five standard errors.
     """
 
     cause: str
     parameter: str
     unit: str
-    smallest: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class CaptureResidual:
+    """Residual of one capture over its noise.
+
+    Attributes:
+        capture: its name.
+        readings: that count.
+        rms_before, rms_after: with the nominal and with the corrected bench, in units of sigma.
+        excluded: whether the capture was excluded.
+    """
+
+    capture: str
+    readings: int
+    rms_before: float
+    rms_after: float
+    excluded: bool
+
+    @property
+    def reduced_chi_squared(self) -> float:
+        """Mean square residual after the correction."""
+        return self.rms_after**2
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Correlations between the fitted values.
+
+    Attributes:
+        names: "cause.parameter" for each value.
+        matrix: (p, p).
+        condition: of the matrix; 1 where each value is known by itself.
+    """
+
+    names: tuple[str, ...] = ()
+    matrix: tuple[tuple[float, ...], ...] = ()
+    condition: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """All of it.
+    """The result of a diagnosis.
 
     Attributes:
+        session, device, eye: names.
         verdict: NO_EFFECT, EXPLAINED, PARTLY or UNEXPLAINED.
-        causes: what was found, most important first.
-        outliers: captures set aside.
-        floors: noise per part.
-        noise: the figures that noise alone would give.
-        before, after: with the nominal and with the extended bench.
-        unexplained: None when down to the noise.
-        limits: of every cause; for a verdict of no effect.
+        causes: what was found, largest effect first.
+        excluded: captures that moved.
+        noise_floors: noise of each part.
+        noise: the residual that noise alone would give.
+        before, after: residuals with the nominal and with the corrected bench.
+        unexplained: None where only noise is left.
+        detection_limits: of every cause; for a verdict of no effect.
         reasons: sentences on why the selection ended, and what was considered and dropped.
-        observations: what was compared, with the noise that was gone by.
-        residual_before, residual_after: (n, 2) units of sigma, of all readings, outliers too.
-        used: (n,) readings that no outlier has.
-        extended: the extended bench.
-        condition: of the correlations between all values found; 1 where each is known by itself.
+        captures: residual of each capture.
+        correlations: between all values found.
+        observations: what was compared, with the noise that was used.
+        residual_before, residual_after: (n, 2) units of sigma, of all readings, excluded ones too.
+        used: (n,) readings that are not excluded.
+        corrected: the corrected bench.
     """
 
+    session: str
+    device: str
+    eye: str
     verdict: str
     causes: tuple[FoundCause, ...]
-    outliers: tuple[MovedCapture, ...]
-    floors: tuple[NoiseFloor, ...]
-    noise: Figures
-    before: Figures
-    after: Figures
+    excluded: tuple[MovedCapture, ...]
+    noise_floors: tuple[NoiseFloor, ...]
+    noise: ResidualSummary
+    before: ResidualSummary
+    after: ResidualSummary
     unexplained: Unexplained | None
-    limits: tuple[DetectionLimit, ...]
+    detection_limits: tuple[DetectionLimit, ...]
     reasons: tuple[str, ...]
-    observations: Observations
-    residual_before: FloatArray
-    residual_after: FloatArray
-    used: NDArray[np.bool_]
-    extended: Bench
-    condition: float = 1.0
+    captures: tuple[CaptureResidual, ...]
+    correlations: Correlations
+    observations: Observations = field(metadata={"json": False})
+    residual_before: FloatArray = field(metadata={"json": False})
+    residual_after: FloatArray = field(metadata={"json": False})
+    used: BoolArray = field(metadata={"json": False})
+    corrected: Bench = field(metadata={"json": False})

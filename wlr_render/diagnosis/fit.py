@@ -1,55 +1,61 @@
-"""Fits the values of an extension's causes to the observations: Gauss-Newton with Levenberg's damping.
+"""Fit the values of an explanation's causes to the observations: Gauss-Newton with Levenberg's damping.
 
 D. W. Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.diagnosis.extension import Extension, Linearisation, Predictor, State
+from wlr_render.diagnosis.prediction import Explanation, Linearisation, Predictor, State
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
-_PRIOR = 1e-8  # information of an almost boundless prior, in plausible sizes: keeps degenerate directions finite
+_PRIOR = 1e-8  # information of an almost boundless prior, in prior sigmas: keeps degenerate directions finite
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted extension.
+    """A fitted explanation.
 
     Attributes:
-        extension: with the fitted values.
+        explanation: with the fitted values.
         residual: (n, 2) measured minus predicted, units of sigma.
         chi_squared: its sum of squares over the readings that were used.
         by_part: number of values and sum of squares in each part of the session that was used.
         used: (n,) which were.
         at: the linearisation at the solution.
-        covariance: (p, p) of the free parameters in plausible sizes, for noise of sigma.
+        information: (p, p) Fisher information on the free parameters in prior sigmas, for noise of sigma.
     """
 
-    extension: Extension
+    explanation: Explanation
     residual: FloatArray
     chi_squared: float
     by_part: tuple[tuple[int, float], ...]
     used: BoolArray
     at: Linearisation
-    covariance: FloatArray
+    information: FloatArray
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Of the free parameters (p, p) in prior sigmas, for noise of sigma."""
+        return np.asarray(np.linalg.inv(self.information))
 
     def sigmas(self) -> FloatArray:
         """One standard deviation of all parameters, in their units; 0 for those that are not free."""
-        plausible = np.array([parameter.plausible for parameter in self.extension.parameters()])
-        sigma = np.zeros(len(plausible))
+        prior_sigma = np.array([parameter.prior_sigma for parameter in self.explanation.parameters()])
+        sigma = np.zeros(len(prior_sigma))
         sigma[self.at.free] = np.sqrt(np.diag(self.covariance))
-        return np.asarray(sigma * plausible)
+        return np.asarray(sigma * prior_sigma)
 
 
 def fit(
-    predictor: Predictor, start: Extension, used: BoolArray, iterations: int = _ITERATIONS, near: State | None = None
+    predictor: Predictor, start: Explanation, used: BoolArray, iterations: int = _ITERATIONS, near: State | None = None
 ) -> Fit:
-    """Fit all causes of an extension together, from its values on.
+    """Fit all causes of an explanation together, from its values on.
 
     Args:
         predictor: of the observations.
@@ -72,23 +78,22 @@ def fit(
         at = predictor.linearised(trial, state)
         if gained < _SETTLED:
             break
-    covariance = np.asarray(np.linalg.inv(_information(at, used)))
     by_part = _by_part(predictor.observations.part[used], at.residual[used])
-    return Fit(at.extension, at.residual, chi_squared, by_part, used, at, covariance)
+    return Fit(at.explanation, at.residual, chi_squared, by_part, used, at, _information(at, used))
 
 
 def _stepped(
     predictor: Predictor, at: Linearisation, used: BoolArray, chi_squared: float, damping: float
-) -> tuple[Extension, State, float, float] | None:
-    """The next extension, its state and chi-squared, and the damping to go on with; None where no step helps."""
+) -> tuple[Explanation, State, float, float] | None:
+    """The next explanation, its state and chi-squared, and the damping to go on with; None where no step helps."""
     information = _information(at, used)
     gradient = np.einsum("nkp,nk->p", at.jacobian[used], at.residual[used])
-    plausible = np.array([parameter.plausible for parameter in at.extension.parameters()])
+    prior_sigma = np.array([parameter.prior_sigma for parameter in at.explanation.parameters()])
     for _ in range(8):
         step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-        moved = at.extension.vector()
-        moved[at.free] += step * plausible[at.free]
-        trial = at.extension.at(moved)
+        moved = at.explanation.vector()
+        moved[at.free] += step * prior_sigma[at.free]
+        trial = at.explanation.at(moved)
         state = predictor.state(trial, at.state)
         found = _chi_squared(predictor.residual_of(state), used)
         if found < chi_squared:

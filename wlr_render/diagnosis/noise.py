@@ -11,20 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count
 
 _DEGREE = 6
 _ROWS_PER_COEFFICIENT = 2.5
-_STRAY = 6.0  # times the noise: nothing smooth and no noise is so far off
-_STRAY_ROUNDS = 6
-_SIGNIFICANT = 3.0  # standard errors
-_MATERIAL = 0.1  # of a variance: a smaller difference changes neither verdict nor error bars by much
+_OUTLIER_ROUNDS = 6
+_ENOUGH_FOR_A_SPREAD = 8  # photographs
 
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance per axis and its standard error, both in units of sigma squared; NaN where it is not known."""
+    """A variance per axis in units of sigma squared, and its relative standard error; NaN where it is not known."""
 
     value: float
     error: float
@@ -35,15 +34,16 @@ class Variance:
         return bool(np.isfinite(self.value))
 
 
-def is_significant(difference: float, error: float, reference: float = 1.0) -> bool:
+def is_significant(difference: float, error: float, reference: float = 1.0, settings: Settings = DEFAULT) -> bool:
     """Whether a difference of two variances is more than chance and large enough to matter.
 
     Args:
         difference: of the variances, of either sign.
         error: its standard error.
         reference: the variance that it is compared with.
+        settings: thresholds.
     """
-    return abs(difference) > _SIGNIFICANT * error and abs(difference) > _MATERIAL * reference
+    return abs(difference) > max(settings.significant_se * error, settings.material_variance * reference)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ class NoiseFloor:
         repeats_px: from photographs taken twice from one place; NaN without such.
         measured_px: the best estimate from both; NaN without either.
         error_px: standard error of `measured_px`.
-        used_px: what the diagnosis uses: the measured noise where it differs significantly from the stated one.
+        used_px: what the diagnosis uses: the stated noise where it is believable, else the measured one.
+        is_believable: whether the stated noise does not differ significantly from the measured one.
     """
 
     part: str
@@ -67,44 +68,46 @@ class NoiseFloor:
     measured_px: float
     error_px: float
     used_px: float
-
-    @property
-    def believable(self) -> bool:
-        """Whether the stated noise does not differ significantly from the measured one."""
-        return self.used_px == self.stated_px
+    is_believable: bool
 
 
-def noise_floors(observations: Observations, residual: FloatArray) -> tuple[NoiseFloor, ...]:
+def noise_floors(
+    observations: Observations, residual: FloatArray, settings: Settings = DEFAULT
+) -> tuple[NoiseFloor, ...]:
     """Noise of each part that the session has, from the nominal bench's residual (n, 2) in units of sigma."""
     floors = []
     for part in np.unique(observations.part):
         stated = float(observations.sigma_px[part])
-        within = _within(observations, residual, part)
-        repeats = _repeats(observations, residual) if part == DISPLAY else Variance(np.nan, np.nan)
-        measured = _combined(within, repeats)
+        within = _within(observations, residual, part, settings)
+        repeats = _repeats(observations, residual, settings) if part == DISPLAY else Variance(np.nan, np.nan)
+        measured = _combined(within, repeats, settings)
         within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
-        error_px, used_px = np.nan, stated
+        error_px, is_believable = np.nan, True
         if measured.value > 0.0:
-            error_px = 0.5 * measured_px * measured.error / measured.value
-            used_px = measured_px if is_significant(measured.value - 1.0, measured.error) else stated
-        floors.append(NoiseFloor(PART_NAMES[part], stated, within_px, repeats_px, measured_px, error_px, used_px))
+            error_px = 0.5 * measured_px * measured.error
+            # Of logarithms the relative error is the error, whichever of the two is true.
+            is_believable = not is_significant(float(np.log(measured.value)), measured.error, 1.0, settings)
+        used_px = stated if is_believable else measured_px
+        pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
+        floors.append(NoiseFloor(PART_NAMES[part], *pixels, is_believable))
     return tuple(floors)
 
 
-def _combined(within: Variance, repeats: Variance) -> Variance:
+def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:
     """The mean weighted by inverse variance; repeats alone where the two contradict each other.
 
     Repeats do not take a fixed pattern that is finer than a photograph's points for noise.
     """
     if not (within.is_known and repeats.is_known):
         return within if within.is_known else repeats
-    if is_significant(within.value - repeats.value, float(np.hypot(within.error, repeats.error)), repeats.value):
-        return repeats
-    squares = np.array([repeats.error, within.error]) ** 2
-    if squares.sum() == 0.0:
+    if within.value == 0.0 or repeats.value == 0.0:
         return within
-    value = float(squares @ [within.value, repeats.value] / squares.sum())
-    return Variance(value, float(np.sqrt(squares.prod() / squares.sum())))
+    error = float(np.hypot(within.error, repeats.error))
+    if is_significant(float(np.log(within.value / repeats.value)), error, 1.0, settings):
+        return repeats
+    weights = np.array([repeats.error, within.error]) ** 2 / error**2
+    logarithm = float(weights @ np.log([within.value, repeats.value]))
+    return Variance(float(np.exp(logarithm)), within.error * repeats.error / error)
 
 
 @dataclass(frozen=True)
@@ -115,20 +118,18 @@ class ExcessOverNoise:
         mean_square: of the residual, per axis.
         noise: of the same readings.
         error: standard error of the difference by noise alone.
+        is_significant: whether the residual is more than noise.
     """
 
     mean_square: float
     noise: float
     error: float
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the residual is more than noise."""
-        excess = self.mean_square - self.noise
-        return excess > 0 and is_significant(excess, self.error, self.noise)
+    is_significant: bool
 
 
-def excess_over_noise(observations: Observations, residual: FloatArray, used: BoolArray) -> dict[int, ExcessOverNoise]:
+def excess_over_noise(
+    observations: Observations, residual: FloatArray, used: BoolArray, settings: Settings = DEFAULT
+) -> dict[int, ExcessOverNoise]:
     """For each part: whether a residual (n, 2) in units of sigma is more than the noise of the readings `used` (n,).
 
     Every photograph is compared with its own noise, so that noise which differs between photographs, over the field,
@@ -136,14 +137,14 @@ def excess_over_noise(observations: Observations, residual: FloatArray, used: Bo
     """
     used = used & np.isfinite(residual).all(axis=1)
     observations, residual = observations.of_rows(used), residual[used]
-    return {int(part): _excess(observations, residual, int(part)) for part in np.unique(observations.part)}
+    return {int(part): _excess(observations, residual, int(part), settings) for part in np.unique(observations.part)}
 
 
-def _excess(observations: Observations, residual: FloatArray, part: int) -> ExcessOverNoise:
+def _excess(observations: Observations, residual: FloatArray, part: int, settings: Settings) -> ExcessOverNoise:
     own = residual[observations.part == part]
     squares, noise, error_squared, count = 0.0, 0.0, 0.0, 0
     rest = np.ones(len(own), dtype=bool)
-    for surface in _smoothed(observations, residual, part):
+    for surface in _smoothed(observations, residual, part, settings):
         good, terms = surface.good, surface.terms
         rows, values = surface.rows[good], int(good.sum())
         rest[surface.rows] = False
@@ -157,7 +158,11 @@ def _excess(observations: Observations, residual: FloatArray, part: int) -> Exce
     left = 2 * int(rest.sum())
     total = count + left
     error = float(np.sqrt(error_squared + 2.0 * left)) / total
-    return ExcessOverNoise((squares + float(np.sum(own[rest] ** 2))) / total, (noise + left) / total, error)
+    mean_square, expected = (squares + float(np.sum(own[rest] ** 2))) / total, (noise + left) / total
+    excess = mean_square - expected
+    return ExcessOverNoise(
+        mean_square, expected, error, excess > 0 and is_significant(excess, error, expected, settings)
+    )
 
 
 def sigma_of(floors: tuple[NoiseFloor, ...], stated: FloatArray) -> FloatArray:
@@ -179,11 +184,11 @@ def _image_places(observations: Observations, part: int) -> tuple[FloatArray, ND
     return None
 
 
-def _within(observations: Observations, residual: FloatArray, part: int) -> Variance:
+def _within(observations: Observations, residual: FloatArray, part: int, settings: Settings) -> Variance:
     """What smooth surfaces over each photograph leave: the median over the photographs, so that one may be bad."""
     found = [
         (np.sum(surface.left[surface.good] ** 2) / degrees, degrees)
-        for surface in _smoothed(observations, residual, part)
+        for surface in _smoothed(observations, residual, part, settings)
         for degrees in [2 * (int(surface.good.sum()) - surface.terms)]
     ]
     if not found:
@@ -192,21 +197,23 @@ def _within(observations: Observations, residual: FloatArray, part: int) -> Vari
     # The median of chi-squared is smaller than its mean (E. B. Wilson and M. M. Hilferty, PNAS 17 (1931) 684).
     variances = variances / (1.0 - 2.0 / (9.0 * degrees)) ** 3
     median = float(np.median(variances))
-    # 1.48: a standard deviation by the median absolute deviation; noise alone scatters by no less than Gaussian noise.
-    scatter = max(1.48 * np.median(np.abs(variances - median)), median * np.sqrt(2.0 / np.mean(degrees)))
+    error = float(np.sqrt(2.0 / np.mean(degrees)))
+    if median > 0.0 and len(variances) >= _ENOUGH_FOR_A_SPREAD:
+        # 1.48: a standard deviation by the median absolute deviation; Gaussian noise scatters least.
+        error = max(error, 1.48 * float(np.median(np.abs(variances - median))) / median)
     # 1.25: the standard error of a median over that of a mean.
     few = 1.25 if len(variances) > 2 else 1.0
-    return Variance(median, float(few * scatter / np.sqrt(len(variances))))
+    return Variance(median, few * error / float(np.sqrt(len(variances))))
 
 
-def stray_readings(observations: Observations, residual: FloatArray) -> BoolArray:
+def outlier_readings(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> BoolArray:
     """Single readings (n,) far from a smooth surface through the rest of their photograph: wrong bits, wrong dots."""
-    stray = np.zeros(len(observations), dtype=bool)
+    outlier = np.zeros(len(observations), dtype=bool)
     for part in np.unique(observations.part):
         own = np.flatnonzero(observations.part == part)
-        for surface in _smoothed(observations, residual, part):
-            stray[own[surface.rows[~surface.good]]] = True
-    return stray
+        for surface in _smoothed(observations, residual, part, settings):
+            outlier[own[surface.rows[~surface.good]]] = True
+    return outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +224,7 @@ class _Surface:
         rows: (m,) of the photograph, within the part.
         left: (m, 2) what the surface leaves.
         leverage: (m,) of each row on the surface.
-        good: (m,) the rows that it was fitted to: no strays.
+        good: (m,) the rows that it was fitted to: no outliers.
         terms: its coefficients per axis.
     """
 
@@ -228,7 +235,7 @@ class _Surface:
     terms: int
 
 
-def _smoothed(observations: Observations, residual: FloatArray, part: int) -> Iterator[_Surface]:
+def _smoothed(observations: Observations, residual: FloatArray, part: int, settings: Settings) -> Iterator[_Surface]:
     """A smooth surface for each photograph that has points enough."""
     found = _image_places(observations, part)
     if found is None:
@@ -243,13 +250,13 @@ def _smoothed(observations: Observations, residual: FloatArray, part: int) -> It
         if degree < 2:
             continue
         design, good = basis(place[rows], degree, box), np.ones(len(rows), dtype=bool)
-        for _ in range(_STRAY_ROUNDS):
+        for _ in range(_OUTLIER_ROUNDS):
             left, leverage, size = _studentised(design, own[rows], good)
             # 1.18: the median length of a two-vector of unit normal components.
-            near = size <= _STRAY * max(1.0, float(np.median(size[good])) / 1.18)
+            near = size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18)
             if np.array_equal(near, good):
                 break
-            # A stray pulls the surface, and its neighbours seem astray until it is gone.
+            # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.
             good = near
         if good.sum() > 2 * design.shape[1]:
             yield _Surface(rows, left, leverage, good, design.shape[1])
@@ -268,7 +275,7 @@ def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tup
     return left, leverage, np.linalg.norm(left, axis=1) / spread
 
 
-def _repeats(observations: Observations, residual: FloatArray) -> Variance:
+def _repeats(observations: Observations, residual: FloatArray, settings: Settings) -> Variance:
     """From display points seen at the same camera pixel from the same place more than once, over sigma.
 
     What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
@@ -284,7 +291,7 @@ def _repeats(observations: Observations, residual: FloatArray) -> Variance:
     deviation = (own - sums[point] / times[:, None]) / np.sqrt(1.0 - 1.0 / times.clip(2))[:, None]
     repeated = np.zeros(len(observations), dtype=bool)
     repeated[np.flatnonzero(observations.part == DISPLAY)[times > 1]] = True
-    found = _within(observations.of_rows(repeated), deviation[times > 1], DISPLAY)
+    found = _within(observations.of_rows(repeated), deviation[times > 1], DISPLAY, settings)
     # Of k photographs from one place, the deviations from their mean hold k - 1 independent ones.
     again = float(np.mean(times[times > 1])) if repeated.any() else 2.0
     return Variance(found.value, found.error / float(np.sqrt(1.0 - 1.0 / again)))

@@ -4,14 +4,15 @@ A display reading is a panel position, but its noise is that of a camera pixel; 
 Jacobian of panel position by camera pixel, so that all residuals below are camera pixels over sigma.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import panel_pixels, simulate
 
@@ -48,7 +49,7 @@ class Observations:
         session: what was read; only rows that the nominal bench can predict.
         nominal: the bench as its makers believe it to be.
         sigma_px: standard deviation of a reading per part, camera pixels.
-        camera_from_panel: (n_display, 2, 2) camera pixels per panel pixel at each display reading; none without any.
+        panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
         captures: the photographs, sorted.
         group: (n,) index into `captures` for each reading, display first, then see-through, then run-time.
         part: (n,) index into `PART_NAMES`.
@@ -57,13 +58,21 @@ class Observations:
     session: Session
     nominal: Bench
     sigma_px: FloatArray
-    camera_from_panel: FloatArray
+    panel_from_camera: FloatArray
     captures: tuple[CaptureName, ...]
     group: IntArray
     part: IntArray
 
     def __len__(self) -> int:
         return len(self.group)
+
+    @cached_property
+    def camera_from_panel(self) -> FloatArray:
+        """Camera pixels per panel pixel at each display reading, (n_display, 2, 2); NaN where not predicted."""
+        known = np.abs(np.linalg.det(self.panel_from_camera)) > 0
+        inverse = np.full_like(self.panel_from_camera, np.nan)
+        inverse[known] = np.linalg.inv(self.panel_from_camera[known])
+        return inverse
 
     @np.errstate(invalid="ignore")
     def residual(self, predicted: Readings) -> FloatArray:
@@ -84,7 +93,7 @@ class Observations:
         """The same readings with other noise."""
         return replace(self, sigma_px=sigma_px)
 
-    def spread(self, most: int) -> NDArray[np.bool_]:
+    def spread(self, most: int) -> BoolArray:
         """Mask (n,) of at most about `most` readings, spread evenly over every capture and part."""
         keep = np.ones(len(self), dtype=bool)
         if len(self) <= most:
@@ -97,26 +106,30 @@ class Observations:
             keep[rows[order[most // len(present) :]]] = False
         return keep
 
-    def of_rows(self, keep: NDArray[np.bool_]) -> "Observations":
+    def of_rows(self, keep: BoolArray) -> "Observations":
         """The readings that a mask (n,) names."""
-        plan, readings, masks = self.session.plan, self.session.readings, [keep[self.part == p] for p in range(3)]
+        plan, masks = self.session.plan, [keep[self.part == p] for p in range(len(PART_NAMES))]
         kept_plan = SessionPlan(
             None if plan.display is None else select_rows(plan.display, masks[DISPLAY]),
             None if plan.see_through is None else select_rows(plan.see_through, masks[SEE_THROUGH]),
             None if plan.run_time is None else select_rows(plan.run_time, masks[RUN_TIME]),
         )
-        kept_readings = Readings(
-            None if readings.panel_pixel is None else readings.panel_pixel[masks[DISPLAY]],
-            None if readings.dot_pixel is None else readings.dot_pixel[masks[SEE_THROUGH]],
-            None if readings.seen is None else readings.seen[masks[RUN_TIME]],
-        )
         return replace(
             self,
-            session=replace(self.session, plan=kept_plan, readings=kept_readings),
-            camera_from_panel=self.camera_from_panel[masks[DISPLAY]],
+            session=replace(self.session, plan=kept_plan, readings=readings_of_rows(self.session.readings, masks)),
+            panel_from_camera=self.panel_from_camera[masks[DISPLAY]],
             group=self.group[keep],
             part=self.part[keep],
         )
+
+
+def readings_of_rows(readings: Readings, masks: Sequence[BoolArray]) -> Readings:
+    """The rows of each part that a mask names."""
+    return Readings(
+        None if readings.panel_pixel is None else readings.panel_pixel[masks[DISPLAY]],
+        None if readings.dot_pixel is None else readings.dot_pixel[masks[SEE_THROUGH]],
+        None if readings.seen is None else readings.seen[masks[RUN_TIME]],
+    )
 
 
 def observe(nominal: Bench, session: Session) -> Observations:
@@ -125,26 +138,35 @@ def observe(nominal: Bench, session: Session) -> Observations:
     Raises:
         BadInputError: it can predict none.
     """
+    return observe_predicted(nominal, session, simulate(nominal, session.plan))[0]
+
+
+def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> tuple[Observations, BoolArray]:
+    """As `observe`, where the nominal bench's readings are known; and which of all rows (n,) were kept.
+
+    Raises:
+        BadInputError: it can predict none.
+    """
     names = _names(session.plan)
     captures = tuple(sorted(set(names)))
     index = {name: number for number, name in enumerate(captures)}
     sigma = nominal.camera.point_sigma_px * np.array([1.0, 1.0, np.sqrt(2.0)])
-    observations = Observations(
-        session,
-        nominal,
-        sigma,
-        _camera_from_panel(nominal, session.plan),
-        captures,
-        np.array([index[name] for name in names]),
-        np.array([name.part for name in names]),
-    )
-    predictable = np.asarray(np.isfinite(observations.residual(simulate(nominal, session.plan))).all(axis=1))
+    group = np.array([index[name] for name in names])
+    jacobian = _panel_from_camera(nominal, session.plan)
+    observations = Observations(session, nominal, sigma, jacobian, captures, group, all_parts(session.plan))
+    predictable = np.asarray(np.isfinite(observations.residual(predicted)).all(axis=1))
     if not predictable.any():
         raise BadInputError(
             f"{session.name}: the bench as described sees none of its {len(names)} readings; check the device, the "
             "stage's origin and the target's poses."
         )
-    return observations.of_rows(predictable)
+    return observations.of_rows(predictable), predictable
+
+
+def all_parts(plan: SessionPlan) -> IntArray:
+    """Index into `PART_NAMES` of each reading of a plan (n,)."""
+    counts = [0 if part is None else len(part) for part in (plan.display, plan.see_through, plan.run_time)]
+    return np.repeat(np.arange(len(PART_NAMES)), counts)
 
 
 def _names(plan: SessionPlan) -> list[CaptureName]:
@@ -160,8 +182,8 @@ def _names(plan: SessionPlan) -> list[CaptureName]:
 
 
 @np.errstate(invalid="ignore")
-def _camera_from_panel(bench: Bench, plan: SessionPlan) -> FloatArray:
-    """Local Jacobian (n, 2, 2) of camera pixel by panel pixel."""
+def _panel_from_camera(bench: Bench, plan: SessionPlan) -> FloatArray:
+    """Local Jacobian (n, 2, 2) of panel pixel by camera pixel."""
     if plan.display is None:
         return np.zeros((0, 2, 2))
     columns = []
@@ -169,9 +191,4 @@ def _camera_from_panel(bench: Bench, plan: SessionPlan) -> FloatArray:
         ahead = replace(plan.display, camera_pixel=plan.display.camera_pixel + shift)
         behind = replace(plan.display, camera_pixel=plan.display.camera_pixel - shift)
         columns.append((panel_pixels(bench, ahead) - panel_pixels(bench, behind)) / (2 * _PIXEL_STEP))
-    panel_from_camera = np.stack(columns, axis=-1)
-    singular = ~(np.abs(np.linalg.det(panel_from_camera)) > 0)
-    panel_from_camera[singular] = np.eye(2)
-    inverse = np.asarray(np.linalg.inv(panel_from_camera), dtype=np.float64)
-    inverse[singular] = np.nan
-    return inverse
+    return np.stack(columns, axis=-1)

@@ -4,24 +4,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Hypothesis, Predictor
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.diagnosis.prediction import Hypothesis, Predictor
+from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _POSE = ("camera_pupil_offset", "camera_rotation")
-_SIGNIFICANT = 25.0  # chi-squared per degree of freedom, over the fit's, that a pose of its own must gain a capture
-_APART = 6.0  # times the spread of all captures' root gains above their median
-_MOST = 0.1  # of the captures; more than that, and more than two, are no outliers
 
 
 @dataclass(frozen=True)
 class MovedCapture:
-    """A capture set aside.
+    """An excluded capture.
 
     Attributes:
         capture: which.
@@ -38,19 +35,20 @@ class MovedCapture:
     rms_after: float
 
 
-def moved_captures(predictor: Predictor, fit: Fit, good: NDArray[np.bool_]) -> list[MovedCapture]:
+def moved_captures(predictor: Predictor, fit: Fit, good: BoolArray, settings: Settings = DEFAULT) -> list[MovedCapture]:
     """Captures that stand out from all others after a fit, by the gain of a camera pose of their own.
 
-    A run-time recording has no camera pose, and is never set aside.
+    A run-time recording has no camera pose, and is never excluded.
 
     Args:
         predictor: of all readings.
         fit: to those that counted so far.
-        good: (n,) readings that may count: no strays.
+        good: (n,) readings that are no outliers by themselves.
+        settings: thresholds.
     """
     observations = predictor.observations
-    state = predictor.state(fit.extension)
-    columns = [predictor.added(state, fit.extension.plus(_hypothesis(name))) for name in _POSE]
+    state = predictor.state(fit.explanation)
+    columns = [predictor.added(state, fit.explanation.plus(_hypothesis(name))) for name in _POSE]
     poses = np.concatenate([each.jacobian for each in columns], axis=-1)
     if poses.shape[-1] < sum(len(CAUSES[name].parameters) for name in _POSE):
         return []
@@ -71,9 +69,11 @@ def moved_captures(predictor: Predictor, fit: Fit, good: NDArray[np.bool_]) -> l
     root = np.sqrt(gains)
     middle = np.nanmedian(root)
     # 1.48: a standard deviation by the median absolute deviation.
-    usual = middle + _APART * 1.48 * np.nanmedian(np.abs(root - middle))
-    apart = np.flatnonzero((gains > _SIGNIFICANT * max(1.0, evidence.misfit(fit))) & (root > usual))
-    if len(apart) > max(2, _MOST * len(observations.captures)):
+    usual = middle + settings.moved_capture_spread * 1.48 * np.nanmedian(np.abs(root - middle))
+    apart = np.flatnonzero(
+        (gains > settings.moved_capture_gain * max(1.0, evidence.reduced_chi_squared(fit))) & (root > usual)
+    )
+    if len(apart) > max(2, settings.max_moved_captures * len(observations.captures)):
         return []
     return [_moved(observations, int(number), *moves[int(number)]) for number in apart]
 
@@ -82,15 +82,15 @@ def _moved(observations: Observations, number: int, pose: FloatArray, before: fl
     name, plan = observations.captures[number], observations.session.plan.see_through
     if name.part == SEE_THROUGH and plan is not None and plan.bare_pixel is not None:
         return MovedCapture(name, None, None, before, after)
-    values = pose * [parameter.plausible for cause in _POSE for parameter in CAUSES[cause].parameters]
+    values = pose * [parameter.prior_sigma for cause in _POSE for parameter in CAUSES[cause].parameters]
     return MovedCapture(name, tuple(values[:3].tolist()), tuple(values[3:].tolist()), before, after)
 
 
-def kept(predictor: Predictor, outliers: Sequence[MovedCapture]) -> NDArray[np.bool_]:
-    """Mask (n,) of the readings that no outlier has."""
+def not_excluded(predictor: Predictor, excluded: Sequence[MovedCapture]) -> BoolArray:
+    """Mask (n,) of the readings of captures that are not excluded."""
     observations = predictor.observations
-    aside = {outlier.capture for outlier in outliers}
-    bad = [number for number, name in enumerate(observations.captures) if name in aside]
+    names = {each.capture for each in excluded}
+    bad = [number for number, name in enumerate(observations.captures) if name in names]
     return ~np.isin(observations.group, bad)
 
 

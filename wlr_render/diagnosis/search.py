@@ -1,6 +1,6 @@
 """Forward selection of causes: fit each candidate on top of those found so far, keep the best, and check it.
 
-Candidates are compared on a thinned session first; those that come close are fitted again on all of it.
+Candidates are compared on a subsample of the readings first; those that come close are fitted again to all of them.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,225 +9,232 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.diagnosis import evidence
-from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
+from wlr_render.diagnosis.candidates import ScreenedHypothesis, best_fit, screen
+from wlr_render.diagnosis.evidence import HeldOutImprovement, held_out_improvement, held_out_squares
 from wlr_render.diagnosis.fit import Fit, fit
-from wlr_render.diagnosis.held_out import HeldOutGain, held_out_gain, held_out_squares
-from wlr_render.diagnosis.hypotheses import Prospect, best_fit, prospect
 from wlr_render.diagnosis.noise import excess_over_noise
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray
 
 Progress = Callable[[str], None]
 
-_PROMISE = 0.3  # of the best prospect's gain: who promises less is not fitted
-_FITTED = 10  # prospects at most
-_SEEDS = 2
-_SEED = 3.0  # times the best candidate's misfit, up to which a runner-up is worth starting from
-_CONTENDERS = 5
-_CLOSE = 40.0  # of the cost, scaled to the whole session: who is further behind is not fitted again
-_CHANCE = 1e-3
-_SIGNIFICANCE = 2.0  # standard errors of the held-out difference
-_SHARE = 0.3  # of what is above the noise: a cause must take away so much, unless it leads down to the noise
-_IDLE = 1.2  # misfit over the misfit with a cause, up to which it may be idle
 _NOTHING_MORE = "no other cause gains more than chance would"
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One cause more.
+    """A fitted candidate for one more cause.
 
     Attributes:
-        hypothesis: which, acting how.
+        hypothesis: which cause, acting how.
         fit: with it.
-        cost: see `evidence.cost`; lower is better.
-        misfit: mean square residual over the noise's that it leaves.
-        behind: by how much its cost for the whole session exceeds the best one's.
-        whole: whether all readings were fitted, and not only those that are screened.
+        minus_two_log_evidence: see `evidence`; lower is better.
+        reduced_chi_squared: that it leaves.
+        behind: by how much its -2 log evidence for the whole session exceeds the best one's.
+        fitted_to_all: whether all readings were fitted, and not only the subsample.
     """
 
     hypothesis: Hypothesis
     fit: Fit
-    cost: float
-    misfit: float
+    minus_two_log_evidence: float
+    reduced_chi_squared: float
     behind: float = 0.0
-    whole: bool = False
+    fitted_to_all: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
+class CandidateRanking:
     """The candidates for one more cause.
 
     Attributes:
         current: the fit to which it would be added.
-        screened: the same fit to the readings on which prospects are compared.
-        prospects: what each hypothesis promises to first order, on the readings screened; most first.
-        candidates: those that were fitted, best first, one per cause in the best of its ways.
+        subsample: the same fit to the subsample, on which hypotheses are compared.
+        screened: the gain of each hypothesis on the subsample to first order; largest first.
+        candidates: those that were fitted, best first, one per cause in the best of its variants.
     """
 
     current: Fit
-    screened: Fit
-    prospects: tuple[Prospect, ...]
+    subsample: Fit
+    screened: tuple[ScreenedHypothesis, ...]
     candidates: tuple[Candidate, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What the selection found.
+    """The result of a selection.
 
     Attributes:
-        fit: the result.
+        fit: of all causes.
         first: the candidates for the first cause.
-        reason: why no more was taken than it has.
+        reason: why no further cause was added.
     """
 
     fit: Fit
-    first: Round
+    first: CandidateRanking
     reason: str
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What a selection works with.
+    """Inputs of a selection.
 
     Attributes:
         full: predictor of all readings.
-        thin: predictor of some, for the first comparison.
-        used, thin_used: which of their readings count.
+        subsample: predictor of some, for the first comparison.
+        used, subsample_used: masks of their readings that are not excluded.
         hypotheses: the candidates.
-        progress: told what is being done.
+        progress: called with a sentence at each step.
+        settings: thresholds.
     """
 
     full: Predictor
-    thin: Predictor
+    subsample: Predictor
     used: BoolArray
-    thin_used: BoolArray
+    subsample_used: BoolArray
     hypotheses: Sequence[Hypothesis]
-    progress: Progress
+    progress: Progress = lambda _: None
+    settings: Settings = DEFAULT
 
-    def select(self, most: int) -> Selection:
-        """Add causes, up to `most`, while each is worth it.
-
-        Where a few causes do not lead down to the noise, the selection is tried again from the runners-up of the first
-        round: of two causes at work, the one that alone explains most may be neither.
-        """
-        first = self.round(fit(self.full, Extension(), self.used))
-        best = self._grown(first, most)
-        if len(best.fit.extension.hypotheses) > 2 or not self._at_noise(best.fit):
-            for seed in [c for c in first.candidates[1:] if c.misfit < _SEED * first.candidates[0].misfit][:_SEEDS]:
+    def select(self) -> Selection:
+        """Add causes while each is worth it; restart from runners-up where few causes do not reach the noise."""
+        first = self.rank(fit(self.full, Explanation(), self.used))
+        best = self._grown(first)
+        if len(best.fit.explanation.hypotheses) > 2 or not self.is_at_noise(best.fit):
+            for seed in self._seeds(first):
                 self.progress(f"again from {seed.hypothesis.cause.name}")
-                start = seed.fit if seed.whole else fit(self.full, seed.fit.extension, self.used)
-                other = self._grown(self.round(start), most)
-                if evidence.cost(other.fit) < evidence.cost(best.fit):
+                start = seed.fit if seed.fitted_to_all else fit(self.full, seed.fit.explanation, self.used)
+                other = self._grown(self.rank(start))
+                if self._evidence(other.fit) < self._evidence(best.fit):
                     best = replace(other, first=first)
         return best
 
-    def _grown(self, start: Round, most: int) -> Selection:
-        """Add causes, round by round."""
-        at = start
-        while True:
-            taken, reason = self._verdict(at)
-            if not taken:
-                return Selection(at.current, start, reason)
-            found = self._pruned(at.candidates[0].fit)
-            if len(found.extension.hypotheses) >= most:
-                return Selection(found, start, f"{most} causes are the most that are looked for")
-            at = self.round(found)
+    def _seeds(self, first: CandidateRanking) -> list[Candidate]:
+        """Runners-up of the first place that are worth a restart."""
+        settings, (best, *others) = self.settings, first.candidates or (None,)
+        if best is None:
+            return []
+        limit = settings.restart_ratio * best.reduced_chi_squared
+        return [other for other in others if other.reduced_chi_squared < limit][: settings.restarts]
 
-    def round(self, current: Fit) -> Round:
-        """Causes not yet at work that promise anything, best first."""
-        taken = set(current.extension.names)
-        at = fit(self.thin, current.extension, self.thin_used, 0)
-        share = float(self.used.sum() / self.thin_used.sum())
-        prospects = []
+    def _grown(self, start: CandidateRanking) -> Selection:
+        """Add one cause after the other."""
+        at, most = start, self.settings.max_causes
+        while True:
+            refusal = self._refusal(at)
+            if refusal:
+                return Selection(at.current, start, refusal)
+            found = self._pruned(at.candidates[0].fit)
+            if len(found.explanation.hypotheses) >= most:
+                return Selection(found, start, f"{most} causes are the most that are searched for")
+            at = self.rank(found)
+
+    def rank(self, current: Fit) -> CandidateRanking:
+        """Rank the causes that are not yet at work."""
+        taken = set(current.explanation.names)
+        at = fit(self.subsample, current.explanation, self.subsample_used, 0)
+        screened = []
         for number, hypothesis in enumerate(self.hypotheses):
             if hypothesis.cause.name not in taken:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
-                prospects.append(prospect(self.thin, at, hypothesis))
-        found = tuple(sorted((p for p in prospects if p is not None), key=lambda p: -p.gain))
-        return Round(current, at, found, tuple(self._fitted(at, found, share)))
+                screened.append(screen(self.subsample, at, hypothesis))
+        found = tuple(sorted((each for each in screened if each is not None), key=lambda each: -each.gain))
+        return CandidateRanking(current, at, found, tuple(self._fitted(at, found)))
 
-    def _fitted(self, at: Fit, prospects: Sequence[Prospect], share: float) -> list[Candidate]:
-        """Fits of the prospects that are worth one, best first."""
-        if not prospects:
+    def _fitted(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
+        """Fits of the hypotheses that are worth one, best first."""
+        if not screened:
             return []
-        scale = max(1.0, (at.chi_squared - prospects[0].gain) / (2 * self.thin_used.sum()))
+        settings, share = self.settings, float(self.used.sum() / self.subsample_used.sum())
+        scale = max(1.0, (at.chi_squared - screened[0].gain) / (2 * self.subsample_used.sum()))
         kept = [
-            p
-            for p in prospects
-            if p.gain > _PROMISE * prospects[0].gain
-            and evidence.chance(share * p.gain / scale, p.parameters, len(self.hypotheses)) < _CHANCE
-        ][:_FITTED]
-        self.progress(f"fitting {', '.join(sorted({p.hypothesis.cause.name for p in kept}))}")
-        fits = [best_fit(self.thin, at, p) for p in kept]
-        screened = _ranked([found for found in fits if evidence.physical(found)])
-        close = [c for c in screened if share * (c.cost - screened[0].cost) < _CLOSE][:_CONTENDERS]
-        final = _ranked([fit(self.full, candidate.fit.extension, self.used) for candidate in close])
+            each
+            for each in screened
+            if each.gain > settings.min_relative_gain * screened[0].gain
+            and evidence.p_value(share * each.gain / scale, each.parameters, len(self.hypotheses))
+            < settings.max_p_value
+        ][: settings.max_fits]
+        self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
+        fits = [best_fit(self.subsample, at, each) for each in kept]
+        coarse = self._ranked([found for found in fits if evidence.is_physical(found, settings)])
+        behind = [share * (each.minus_two_log_evidence - coarse[0].minus_two_log_evidence) for each in coarse]
+        close = [each for each, by in zip(coarse, behind, strict=True) if by < settings.close_evidence]
+        contenders = close[: settings.max_contenders]
+        final = self._ranked([fit(self.full, each.fit.explanation, self.used) for each in contenders])
         if not final:
             return []
-        names = {candidate.hypothesis.cause.name for candidate in final}
-        rest = [c for c in _best_of_each(screened) if c.hypothesis.cause.name not in names]
-        return [replace(c, behind=c.cost - final[0].cost, whole=True) for c in _best_of_each(final)] + [
-            replace(c, behind=share * (c.cost - screened[0].cost)) for c in rest
-        ]
+        best = final[0].minus_two_log_evidence
+        names = {each.hypothesis.cause.name for each in final}
+        rest = [replace(each, behind=by) for each, by in zip(coarse, behind, strict=True)]
+        return [
+            replace(each, behind=each.minus_two_log_evidence - best, fitted_to_all=True)
+            for each in _best_of_each(final)
+        ] + [each for each in _best_of_each(rest) if each.hypothesis.cause.name not in names]
 
-    def gain(self, before: Fit, after: Fit) -> HeldOutGain:
+    def improvement(self, before: Fit, after: Fit) -> HeldOutImprovement:
         """By how much a fit predicts held-out captures better than another."""
         observations = self.full.observations
         squares = [held_out_squares(each, observations.group, len(observations.captures)) for each in (before, after)]
-        return held_out_gain(*squares)
+        return held_out_improvement(*squares)
 
-    def _at_noise(self, found: Fit) -> bool:
-        """Whether no part of the session is left with more than noise."""
-        excesses = excess_over_noise(self.full.observations, found.residual, found.used)
+    def is_at_noise(self, found: Fit) -> bool:
+        """Whether a fit leaves no more than noise in any part of the session."""
+        excesses = excess_over_noise(self.full.observations, found.residual, found.used, self.settings)
         return not any(excess.is_significant for excess in excesses.values())
 
-    def _verdict(self, at: Round) -> tuple[bool, str]:
-        """Whether the best candidate is worth adding, and why not."""
+    def _refusal(self, at: CandidateRanking) -> str:
+        """Why the best candidate is not worth adding; empty where it is."""
         if not at.candidates:
-            return False, _NOTHING_MORE
-        current, best = at.current, at.candidates[0]
+            return _NOTHING_MORE
+        settings, current, best = self.settings, at.current, at.candidates[0]
         name = best.hypothesis.cause.name
         added = best.fit.at.free.size - current.at.free.size
-        gained = (current.chi_squared - best.fit.chi_squared) / max(1.0, best.misfit)
-        chance = evidence.chance(gained, max(added, 1), len(self.hypotheses))
+        gained = (current.chi_squared - best.fit.chi_squared) / max(1.0, best.reduced_chi_squared)
+        chance = evidence.p_value(gained, max(added, 1), len(self.hypotheses))
         if chance > 0.5:
-            return False, _NOTHING_MORE
-        if chance > _CHANCE:
-            return False, f"{name} comes next, but chance alone gains as much with a probability of {chance:.2g}"
-        gain = self.gain(current, best.fit)
-        if gain.significance < _SIGNIFICANCE:
-            return False, f"{name} comes next, but held-out captures gain {gain.significance:.1f} standard errors only"
-        above = evidence.misfit(current) - 1.0
-        share = (evidence.misfit(current) - best.misfit) / above if above > 0 else 1.0
-        if share < _SHARE and not self._at_noise(best.fit):
-            return False, (
-                f"{name} comes next, but takes away only {100 * share:.0f} % of what is above the noise, and does not "
-                "lead down to it"
+            return _NOTHING_MORE
+        if chance > settings.max_p_value:
+            return f"{name} comes next, but chance alone gains as much with a probability of {chance:.2g}"
+        held_out = self.improvement(current, best.fit)
+        if held_out.significance < settings.min_held_out_se:
+            return f"{name} comes next, but held-out captures gain {held_out.significance:.1f} standard errors only"
+        above = evidence.reduced_chi_squared(current) - 1.0
+        share = (evidence.reduced_chi_squared(current) - best.reduced_chi_squared) / above if above > 0 else 1.0
+        if share < settings.min_share_explained and not self.is_at_noise(best.fit):
+            return (
+                f"{name} comes next, but explains only {100 * share:.0f} % of the excess over the noise, and more than "
+                "noise would be left"
             )
-        return True, ""
+        return ""
 
     def _pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
-        for place in reversed(range(len(found.extension.hypotheses) - 1)):
-            rest = found.extension.without(place)
-            with_it, without_it = (fit(self.thin, each, self.thin_used) for each in (found.extension, rest))
-            if evidence.misfit(without_it) > _IDLE * evidence.misfit(with_it):
+        for place in reversed(range(len(found.explanation.hypotheses) - 1)):
+            rest = found.explanation.without(place)
+            with_it, without_it = (fit(self.subsample, each, self.subsample_used) for each in (found.explanation, rest))
+            ratio = evidence.reduced_chi_squared(without_it) / evidence.reduced_chi_squared(with_it)
+            if ratio > self.settings.max_idle_ratio:
                 continue
-            full = fit(self.full, without_it.extension, self.used)
-            if evidence.cost(full) < evidence.cost(found):
+            full = fit(self.full, without_it.explanation, self.used)
+            if self._evidence(full) < self._evidence(found):
                 found = full
         return found
 
+    def _evidence(self, found: Fit) -> float:
+        return evidence.minus_two_log_evidence(found, self.settings)
 
-def _ranked(fits: Sequence[Fit]) -> list[Candidate]:
-    """Lowest cost first; a fit that lost its readings on the way has no cost, and is no candidate."""
-    candidates = [
-        Candidate(each.extension.hypotheses[-1], each, evidence.cost(each), evidence.misfit(each)) for each in fits
-    ]
-    return sorted((c for c in candidates if np.isfinite(c.cost)), key=lambda candidate: candidate.cost)
+    def _ranked(self, fits: Sequence[Fit]) -> list[Candidate]:
+        """Highest evidence first; a fit that lost its readings on the way has no evidence, and is no candidate."""
+        candidates = [
+            Candidate(each.explanation.hypotheses[-1], each, self._evidence(each), evidence.reduced_chi_squared(each))
+            for each in fits
+        ]
+        finite = (each for each in candidates if np.isfinite(each.minus_two_log_evidence))
+        return sorted(finite, key=lambda each: each.minus_two_log_evidence)
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The first of each cause."""
+    """The first candidate of each cause."""
     firsts: dict[str, Candidate] = {}
     for candidate in candidates:
         firsts.setdefault(candidate.hypothesis.cause.name, candidate)

@@ -13,10 +13,10 @@ import numpy as np
 
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
+from wlr_render.diagnosis.evidence import held_out_squares
 from wlr_render.diagnosis.fit import Fit, fit
-from wlr_render.diagnosis.held_out import held_out_squares
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
@@ -81,12 +81,12 @@ def _sentences(table: ReportTable) -> Iterator[str]:
 
 
 def hold_out_table(found: Diagnosis) -> ReportTable:
-    """Rms angle of measured minus simulated in what was held out, with the bench as described and as extended."""
+    """Rms angle of measured minus simulated in what was held out, with the bench as described and as corrected."""
     observations = found.observations
-    predictor, extension = Predictor(observations), _extension(found)
-    rows = _by_capture(found, fit(predictor, extension, found.used))
+    predictor, explanation = Predictor(observations), _explanation(found)
+    rows = _by_capture(found, fit(predictor, explanation, found.used))
     for fitted_to, tested_on, tested in _splits(found):
-        refitted = fit(predictor, extension, found.used & ~tested)
+        refitted = fit(predictor, explanation, found.used & ~tested)
         tested = tested & found.used
         before, after = (float(np.sum(each[tested] ** 2)) for each in (found.residual_before, refitted.residual))
         rows.append([fitted_to, tested_on, *_figures(observations, SEE_THROUGH, int(tested.sum()), before, after)])
@@ -95,18 +95,18 @@ def hold_out_table(found: Diagnosis) -> ReportTable:
         "tested on",
         "readings",
         "bench as described (arcmin)",
-        "extended (arcmin)",
+        "corrected (arcmin)",
         "noise (arcmin)",
     )
     return ReportTable(f"Held out of {observations.session.name}", columns, rows, _notes(found))
 
 
-def _extension(found: Diagnosis) -> Extension:
-    extension = Extension()
+def _explanation(found: Diagnosis) -> Explanation:
+    explanation = Explanation()
     for cause in found.causes:
         values = np.array([parameter.value for parameter in cause.parameters])
-        extension = extension.plus(Hypothesis(CAUSES[cause.name], cause.variant), values)
-    return extension
+        explanation = explanation.plus(Hypothesis(CAUSES[cause.name], cause.variant), values)
+    return explanation
 
 
 def _by_capture(found: Diagnosis, whole: Fit) -> list[list[Cell]]:
@@ -160,10 +160,10 @@ def _figures(observations: Observations, part: int, count: int, before: float, a
 
 
 def _notes(found: Diagnosis) -> tuple[str, ...]:
-    observations, aside = found.observations, [outlier.capture for outlier in found.outliers]
-    kept = ~np.isin(observations.group, [observations.captures.index(capture) for capture in aside])
+    observations, excluded = found.observations, [moved.capture for moved in found.excluded]
+    kept = ~np.isin(observations.group, [observations.captures.index(capture) for capture in excluded])
     acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in found.causes)
-    captures = ", ".join(str(capture) for capture in aside) or "no capture"
+    captures = ", ".join(str(capture) for capture in excluded) or "no capture"
     return (
         f"Rms of the angle, both axes together. At work: {acting}.",
         f"Neither fitted nor tested: {captures}; {int(np.sum(kept & ~found.used))} single readings far from their "

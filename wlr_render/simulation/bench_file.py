@@ -91,17 +91,36 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
     path, axes = Path(path), FRAMES[WRITTEN_FRAME]
     head = {"format": FORMAT, "version": VERSION, "frame": WRITTEN_FRAME, "unit": "mm"}
     head |= {"device": _device_key(bench.device, path.parent), "eye": bench.eye}
-    values = {name: bench if name == "light" else getattr(bench, name) for name in SECTIONS}
-    sections = {name: section.written(values[name], axes) for name, section in SECTIONS.items()}
-    reported = bench.tracking.true_from_reported
-    if not np.array_equal(reported, np.eye(4)):
-        sections["tracking"] = _pose_keys(reported, axes)
+    sections = _sections(bench, axes)
     poses = [
         _pose_keys(pose, axes) | {"pitch_mm": pitch / MM}
         for pose, pitch in zip(bench.target.device_from_target, bench.target.pitch, strict=True)
     ]
     content = head | {name: keys for name, keys in sections.items() if keys}
     return write_toml(path, content | ({"target_pose": poses} if poses else {}), "docs/bench-session.md has the format")
+
+
+def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
+    """The keys of a bench file, by table, that make the old bench the new one, in frame `WRITTEN_FRAME`."""
+    before, after = (_sections(bench, FRAMES[WRITTEN_FRAME]) for bench in (old, new))
+    changed = {
+        table: {
+            key: value
+            for key, value in keys.items()
+            if key not in before[table] or not np.array_equal(value, before[table][key])
+        }
+        for table, keys in after.items()
+    }
+    return {table: keys for table, keys in changed.items() if keys}
+
+
+def _sections(bench: Bench, axes: FloatArray) -> dict[str, dict[str, Any]]:
+    """The tables of a bench file with their keys, but for device and target poses."""
+    values = {name: bench if name == "light" else getattr(bench, name) for name in SECTIONS}
+    sections = {name: section.written(values[name], axes) for name, section in SECTIONS.items()}
+    reported = bench.tracking.true_from_reported
+    sections["tracking"] = {} if np.array_equal(reported, np.eye(4)) else _pose_keys(reported, axes)
+    return sections
 
 
 def _device(file: Table, folder: Path) -> Device:

@@ -10,7 +10,7 @@ from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, S
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import Status
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.optics.tracer import trace
@@ -115,6 +115,12 @@ class DotViews:
     def tangents_from_miss(self) -> FloatArray:
         """(n, 2, 2) inverse Jacobian of the solve."""
         return _observed_points(self.bench, self.plan).tangents_from_miss(self.tangents)
+
+    def of_rows(self, plan: SeeThroughPlan, rows: BoolArray) -> "DotViews":
+        """The views of some rows (n,), which are all rows of `plan`."""
+        some = DotViews(self.bench, plan)
+        some.__dict__["tangents"] = self.tangents[rows]
+        return some
 
 
 @_QUIET

@@ -165,9 +165,9 @@ OPTICS = (
         "thick plate in the see-through path",
         "device",
         (
-            Parameter("thickness", "mm", 5.0, lowest=0.0),
-            Parameter("angle_x", "deg", 20.0, Role.FORM),
-            Parameter("angle_y", "deg", 20.0, Role.FORM),
+            Parameter("thickness", "mm", 5.0, minimum=0.0),
+            Parameter("angle_x", "deg", 20.0, Role.SHAPE),
+            Parameter("angle_y", "deg", 20.0, Role.SHAPE),
         ),
         source="cover and prism plates of optical see-through headsets, 1 to 20 mm",
         separated_by="the target at more distances: the offset by a plate goes with 1 / distance, a lens's does not",

@@ -93,7 +93,7 @@ MOUNT = (
         (
             Parameter("creep_u", "mm", 0.05),
             Parameter("creep_v", "mm", 0.05),
-            Parameter("time_constant", "s", 600.0, Role.FORM, (900.0, 300.0, 3000.0), lowest=_FASTEST_S),
+            Parameter("time_constant", "s", 600.0, Role.SHAPE, (900.0, 300.0, 3000.0), minimum=_FASTEST_S),
         ),
         source="plastic mounts: 0.07 mm per metre and kelvin, a few tens of micrometres over 50 mm and 20 K",
         separated_by="the first position photographed again at the end",
@@ -108,7 +108,7 @@ MOUNT = (
         (
             *(Parameter(f"shift_{axis}", "mm", 0.5) for axis in "xyz"),
             *(Parameter(f"turn_{axis}", "deg", 0.3) for axis in "xyz"),
-            Parameter("moment", "s", 1000.0, Role.MOMENT, (float("inf"),)),
+            Parameter("moment", "s", 1000.0, Role.TIME, (float("inf"),)),
         ),
         source="headsets on heads slip by 0.5 to 3 mm; on a mount less",
         separated_by="the first position photographed again at the end",

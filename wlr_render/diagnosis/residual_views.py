@@ -1,4 +1,4 @@
-"""The residuals of a session as a report draws them: part by part, over the field and against each variable.
+"""Residuals of each part of a session: over the field of view, and against each variable.
 
 Angles are those that the camera sees, in arcminutes to the right and down.
 """
@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
+from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.field_maps import FieldMap, display_maps, run_time_maps, see_through_maps
-from wlr_render.diagnosis.figures import arcminutes, panel_pixels
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.diagnosis.summary import arcminutes, panel_pixels
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_MOST = 8  # captures of which a map is drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,19 @@ class Variable:
 
 
 @dataclass(frozen=True, eq=False)
+class FieldMap:
+    """Which readings one map of the field shows.
+
+    Attributes:
+        title: of the map.
+        rows: (m,) mask, of readings that count.
+    """
+
+    title: str
+    rows: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """Residuals by one bench, right and down; NaN where a reading does not count or is not predicted.
 
@@ -47,12 +61,12 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class ReportPart:
+class PartView:
     """One part of a session.
 
     Attributes:
         name: of the part.
-        states: by the bench as described and, where causes were found, by the extended one.
+        states: by the bench as described and, where causes were found, by the corrected one.
         sigma_arcmin: noise, per axis.
         place: (m, 2) where in the field each reading is, right and down.
         map_unit: of what the maps show.
@@ -71,13 +85,13 @@ class ReportPart:
     variables: tuple[Variable, ...]
 
 
-def report_parts(diagnosis: Diagnosis) -> list[ReportPart]:
+def part_views(diagnosis: Diagnosis) -> list[PartView]:
     """Every part that has readings that count."""
     makers = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
     return [makers[int(part)](diagnosis) for part in np.unique(diagnosis.observations.part[diagnosis.used])]
 
 
-def _display(diagnosis: Diagnosis) -> ReportPart:
+def _display(diagnosis: Diagnosis) -> PartView:
     observations = diagnosis.observations
     plan, pixel = observations.session.plan.display, observations.session.readings.panel_pixel
     assert plan is not None
@@ -91,16 +105,20 @@ def _display(diagnosis: Diagnosis) -> ReportPart:
         _camera_radius(observations, plan.camera_pixel),
     )
     used = diagnosis.used[observations.part == DISPLAY]
-    maps = display_maps(plan, used, observations.nominal.stage.origin)
+    maps = _display_maps(plan, used, observations.nominal.stage.origin)
     states = tuple(
-        State(name, _seen(diagnosis, DISPLAY, residual), panel_pixels(observations, residual))
+        State(
+            name,
+            _seen(diagnosis, DISPLAY, residual),
+            _where(used, panel_pixels(observations, residual)),
+        )
         for name, residual in _residuals(diagnosis)
     )
     sigma, labels = _sigma_arcmin(observations, DISPLAY), ("panel u (px)", "panel v (px)")
-    return ReportPart(PART_NAMES[DISPLAY], states, sigma, pixel, "panel px", labels, maps, _varying(variables))
+    return PartView(PART_NAMES[DISPLAY], states, sigma, pixel, "panel px", labels, maps, _varying(variables))
 
 
-def _see_through(diagnosis: Diagnosis) -> ReportPart:
+def _see_through(diagnosis: Diagnosis) -> PartView:
     observations = diagnosis.observations
     plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
     assert plan is not None
@@ -116,11 +134,11 @@ def _see_through(diagnosis: Diagnosis) -> ReportPart:
     camera = observations.nominal.camera
     place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
     used = diagnosis.used[observations.part == SEE_THROUGH]
-    maps = see_through_maps(plan, used, observations.nominal.stage.origin, distance)
+    maps = _see_through_maps(plan, used, observations.nominal.stage.origin, distance)
     return _angular_part(diagnosis, SEE_THROUGH, place, maps, variables)
 
 
-def _run_time(diagnosis: Diagnosis) -> ReportPart:
+def _run_time(diagnosis: Diagnosis) -> PartView:
     observations = diagnosis.observations
     plan, seen = observations.session.plan.run_time, observations.session.readings.seen
     assert plan is not None
@@ -139,32 +157,37 @@ def _run_time(diagnosis: Diagnosis) -> ReportPart:
     )
     place = np.degrees(np.arctan(seen[:, 2:])) * [1.0, -1.0]
     used = diagnosis.used[observations.part == RUN_TIME]
-    maps = run_time_maps(plan, used)
+    maps = _run_time_maps(plan, used)
     return _angular_part(diagnosis, RUN_TIME, place, maps, variables)
 
 
 def _angular_part(
     diagnosis: Diagnosis, part: int, place: FloatArray, maps: tuple[FieldMap, ...], variables: tuple[Variable, ...]
-) -> ReportPart:
+) -> PartView:
     """A part whose maps show angles at angles."""
     seen = [(name, _seen(diagnosis, part, residual)) for name, residual in _residuals(diagnosis)]
     states = tuple(State(name, residual, residual) for name, residual in seen)
     sigma, labels = _sigma_arcmin(diagnosis.observations, part), ("right (deg)", "down (deg)")
-    return ReportPart(PART_NAMES[part], states, sigma, place, "arcmin", labels, maps, _varying(variables))
+    return PartView(PART_NAMES[part], states, sigma, place, "arcmin", labels, maps, _varying(variables))
 
 
 def _residuals(diagnosis: Diagnosis) -> list[tuple[str, FloatArray]]:
     """Residuals (n, 2) of all parts by each bench that there is."""
     before = ("bench as described", diagnosis.residual_before)
-    return [before, ("extended bench", diagnosis.residual_after)] if diagnosis.causes else [before]
+    return [before, ("corrected bench", diagnosis.residual_after)] if diagnosis.causes else [before]
 
 
 def _seen(diagnosis: Diagnosis, part: int, residual: FloatArray) -> FloatArray:
     """Residual (m, 2) of one part, arcminutes right and down; NaN where a reading does not count."""
     observations = diagnosis.observations
-    used = diagnosis.used[observations.part == part][:, None]
+    used = diagnosis.used[observations.part == part]
     angle = arcminutes(observations, residual, part) * ([1.0, -1.0] if part == RUN_TIME else [1.0, 1.0])
-    return np.where(used, angle, np.nan)
+    return _where(used, angle)
+
+
+def _where(used: BoolArray, residual: FloatArray) -> FloatArray:
+    """NaN where a reading does not count."""
+    return np.where(used[:, None], residual, np.nan)
 
 
 def _sigma_arcmin(observations: Observations, part: int) -> float:
@@ -201,3 +224,66 @@ def _varying(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-12))
+
+
+def _display_maps(plan: DisplayPlan, used: BoolArray, origin: FloatArray) -> tuple[FieldMap, ...]:
+    """The capture in the middle of all, then each time the one farthest from those chosen.
+
+    Args:
+        plan: of the display.
+        used: (m,) readings that count.
+        origin: (3,) from which titles measure the stage.
+    """
+    numbers, first = np.unique(plan.capture[used], return_index=True)
+    stage = plan.stage[used][first]
+    chosen = [int(np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1)))]
+    while len(chosen) < min(_MOST, len(numbers)):
+        chosen.append(_farthest(stage, stage[chosen]))
+    return tuple(
+        FieldMap(f"capture {numbers[k]}\n{_place(stage[k] - origin)}", used & (plan.capture == numbers[k]))
+        for k in chosen
+    )
+
+
+def _see_through_maps(
+    plan: SeeThroughPlan, used: BoolArray, origin: FloatArray, distance: FloatArray
+) -> tuple[FieldMap, ...]:
+    """One capture for each target pose, near to far, each far from those of the other poses.
+
+    Args:
+        plan: of see-through.
+        used: (m,) readings that count.
+        origin: (3,) from which titles measure the stage.
+        distance: (m,) of the target, metres.
+    """
+    poses, first = np.unique(plan.target_pose[used], return_index=True)
+    maps, places = [], [plan.stage[used].mean(axis=0)]
+    for pose in _some(poses[np.argsort(distance[used][first])]):
+        rows = np.flatnonzero(used & (plan.target_pose == pose))
+        row = rows[_farthest(plan.stage[rows], np.array(places))]
+        places.append(plan.stage[row])
+        title = (
+            f"target pose {pose} at {distance[row]:.2f} m\ncapture {plan.capture[row]} {_place(places[-1] - origin)}"
+        )
+        maps.append(FieldMap(title, used & (plan.target_pose == pose) & (plan.capture == plan.capture[row])))
+    return tuple(maps)
+
+
+def _run_time_maps(plan: RunTimePlan, used: BoolArray) -> tuple[FieldMap, ...]:
+    """Some recordings, from the first to the last."""
+    return tuple(FieldMap(f"recording {n}", used & (plan.capture == n)) for n in _some(np.unique(plan.capture[used])))
+
+
+def _farthest(places: FloatArray, chosen: FloatArray) -> int:
+    """Index of the place (k, 3) whose nearest one among those chosen (c, 3) is farthest away."""
+    return int(np.argmax(np.linalg.norm(places[:, None] - chosen, axis=-1).min(axis=1)))
+
+
+def _place(from_origin: FloatArray) -> str:
+    x, y, z = 1e3 * from_origin
+    return f"at ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm"
+
+
+def _some(numbers: IntArray) -> IntArray:
+    """As many as are drawn, evenly spaced."""
+    return np.asarray(numbers[np.linspace(0, len(numbers) - 1, min(_MOST, len(numbers))).round().astype(int)])

@@ -1,4 +1,4 @@
-"""What an extension is worth: station causes spoil models, device causes spoil the prescription."""
+"""What an explanation is worth: station causes spoil models, device causes spoil the prescription."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
-from wlr_render.diagnosis.gain import gains
+from wlr_render.diagnosis.improvement import improvement_in_use
 from wlr_render.geometry.transforms import rigid
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
@@ -59,20 +59,20 @@ def moved_surfaces(bench, move):
 
 def test_a_stage_that_went_too_far_spoils_models_without_their_knowing(nominal, plan):
     true = replace(nominal, stage=Stage(nominal.stage.origin, 1.05 * np.eye(3)))
-    found = gains(nominal, true, measured(true, plan))
+    found = improvement_in_use(nominal, true, measured(true, plan))
     for part in (found.display, found.see_through):
         assert part.after < part.before
-        assert part.gain.percent == pytest.approx(100 * (1 - part.after / part.before))
+        assert part.improvement.percent == pytest.approx(100 * (1 - part.after / part.before))
         # A scale of all viewpoints is a scale of the fitted polynomials' argument.
         assert part.own_before.rms == pytest.approx(part.own_after.rms, rel=0.01)
-    assert found.display.gain.significance > 3
+    assert found.display.improvement.significance > 3
     assert found.calibrated.after.median < 0.5 * found.calibrated.before.median
     assert found.prescribed.after == found.prescribed.before
-    assert found.lacking == ()
+    assert found.unavailable == ()
 
 
 def test_models_by_the_true_bench_are_down_to_the_noise(nominal, plan):
-    found = gains(nominal, nominal, measured(nominal, plan))
+    found = improvement_in_use(nominal, nominal, measured(nominal, plan))
     assert 0.9 * NOISE_ARCMIN < found.see_through.after < 1.1 * NOISE_ARCMIN
     assert found.display.after < 1.5 * NOISE_ARCMIN
     for rendered in (found.calibrated, found.prescribed):
@@ -84,8 +84,8 @@ def test_a_turned_combiner_is_absorbed_by_models_and_spoils_the_prescription(nom
     turn = Rotation.from_rotvec([np.deg2rad(0.3), 0, 0]).as_matrix()
     pivot = nominal.optics.eye_box.centre
     true = moved_surfaces(nominal, rigid(turn, pivot - turn @ pivot))
-    found = gains(nominal, true, measured(true, plan))
-    assert found.display.gain.percent == 0.0
+    found = improvement_in_use(nominal, true, measured(true, plan))
+    assert found.display.improvement.percent == 0.0
     assert found.calibrated.before == found.calibrated.after
     assert found.prescribed.before.median > 10
     assert found.prescribed.after.median < 0.5 * NOISE_ARCMIN
@@ -95,7 +95,7 @@ def test_points_tracked_at_an_angle_are_missed_by_that_angle(nominal, plan):
     turn = Rotation.from_rotvec([0, np.deg2rad(0.1), 0]).as_matrix()
     pivot = nominal.optics.eye_box.centre
     true = replace(nominal, tracking=replace(nominal.tracking, true_from_reported=rigid(turn, pivot - turn @ pivot)))
-    found = gains(nominal, true, measured(true, plan))
+    found = improvement_in_use(nominal, true, measured(true, plan))
     # Models that were told points 0.1 degrees beside where they are light pixels as far beside those that are meant.
     assert found.calibrated.before.median == pytest.approx(6.0, rel=0.05)
     assert found.calibrated.after.median < 0.5 * NOISE_ARCMIN
@@ -104,18 +104,18 @@ def test_points_tracked_at_an_angle_are_missed_by_that_angle(nominal, plan):
 @pytest.mark.parametrize(("missing", "table"), [("display", "display"), ("see_through", "seethrough")])
 def test_what_a_session_does_not_have_is_named_and_left_out(nominal, plan, missing, table):
     part = replace(plan, **{missing: None})
-    found = gains(nominal, nominal, Session("night", part, simulate(nominal, part)))
+    found = improvement_in_use(nominal, nominal, Session("night", part, simulate(nominal, part)))
     assert getattr(found, missing) is None
     assert (found.display is None) != (found.see_through is None)
     assert found.calibrated is None
     assert found.prescribed is None
-    assert len(found.lacking) == 1
-    assert f"night: has no {table} table" in found.lacking[0]
+    assert len(found.unavailable) == 1
+    assert f"night: has no {table} table" in found.unavailable[0]
 
 
 def test_targets_at_one_depth_determine_no_see_through_model(nominal, plan):
     near = select_rows(plan.see_through, plan.see_through.target_pose == 0)
     alone = SessionPlan(see_through=near)
-    found = gains(nominal, nominal, Session("night", alone, simulate(nominal, alone)))
+    found = improvement_in_use(nominal, nominal, Session("night", alone, simulate(nominal, alone)))
     assert found.see_through is None
-    assert any("it needs a second target depth" in sentence for sentence in found.lacking)
+    assert any("it needs a second target depth" in sentence for sentence in found.unavailable)

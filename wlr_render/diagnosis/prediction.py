@@ -1,19 +1,25 @@
-"""An extended bench: the nominal one with causes at work; its readings, and their change with the causes' values."""
+"""Predicted readings of a bench with causes at work, and their derivatives by the causes' values."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wlr_render.captures.session import Readings, SessionPlan
+from wlr_render.captures.session import Readings, Session, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
-from wlr_render.diagnosis.observations import Observations
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.diagnosis.observations import (
+    PART_NAMES,
+    SEE_THROUGH,
+    Observations,
+    all_parts,
+    observe_predicted,
+    readings_of_rows,
+)
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import DotViews, simulate, simulate_to_first_order
 
-_STEP = 2e-3  # of a parameter's plausible size, for the differences
-_NOTHING = 1e-6  # sigma per plausible size: the rounding of predictions that do not change
+_STEP = 2e-3  # of a parameter's prior sigma, for the differences
+_NOTHING = 1e-6  # sigma per prior sigma: the rounding of predictions that do not change
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +34,8 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False)
-class Extension:
-    """Causes at work, in order.
+class Explanation:
+    """Causes at work, in order: with them the nominal bench becomes the corrected one.
 
     Attributes:
         hypotheses: which.
@@ -45,20 +51,20 @@ class Extension:
         return tuple(hypothesis.cause.name for hypothesis in self.hypotheses)
 
     def bench(self, nominal: Bench) -> Bench:
-        """The extended bench."""
+        """The corrected bench: the nominal one with the causes at work."""
         for hypothesis, values in zip(self.hypotheses, self.values, strict=True):
             nominal = hypothesis.cause.perturb(nominal, values, hypothesis.variant)
         return nominal
 
-    def plus(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> "Extension":
+    def plus(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> "Explanation":
         """With one more cause, at its null values unless others are given."""
         added = hypothesis.cause.null() if values is None else values
-        return Extension((*self.hypotheses, hypothesis), (*self.values, added))
+        return Explanation((*self.hypotheses, hypothesis), (*self.values, added))
 
-    def without(self, number: int) -> "Extension":
+    def without(self, number: int) -> "Explanation":
         """Without one of its causes."""
         kept = [i for i in range(len(self.hypotheses)) if i != number]
-        return Extension(tuple(self.hypotheses[i] for i in kept), tuple(self.values[i] for i in kept))
+        return Explanation(tuple(self.hypotheses[i] for i in kept), tuple(self.values[i] for i in kept))
 
     def parameters(self) -> list[Parameter]:
         """All parameters, in order."""
@@ -68,7 +74,7 @@ class Extension:
         """All values one after the other."""
         return np.concatenate([np.zeros(0), *self.values])
 
-    def at(self, vector: FloatArray) -> "Extension":
+    def at(self, vector: FloatArray) -> "Explanation":
         """The same causes at other values."""
         ends = np.cumsum([len(values) for values in self.values])
         return replace(self, values=tuple(np.split(vector, ends[:-1])) if self.values else ())
@@ -91,75 +97,94 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Readings near one extension.
+    """Readings near one explanation.
 
     Attributes:
-        extension: where.
+        explanation: where.
         state: its bench and readings.
         residual: (n, 2) measured minus predicted there, in units of sigma.
-        jacobian: (n, 2, p) of the predicted readings by the free parameters, in units of sigma per plausible size.
-        free: (p,) indices into the extension's parameters; moments and forms without a size are not free.
+        jacobian: (n, 2, p) of the predicted readings by the free parameters, in units of sigma per prior sigma.
+        free: (p,) indices into the explanation's parameters; times, and shapes of an effect of no size, are not free.
     """
 
-    extension: Extension
+    explanation: Explanation
     state: State
     residual: FloatArray
     jacobian: FloatArray
-    free: NDArray[np.int64]
+    free: IntArray
 
 
 class Predictor:
-    """Predicts the readings of one set of observations by extensions of its nominal bench.
+    """Predicts the readings of one set of observations by explanations of its nominal bench.
 
     A state near another one costs little: the part of a session that their difference cannot touch is not done again,
     and the rest starts from the other's solution.
     """
 
-    def __init__(self, observations: Observations) -> None:
+    def __init__(self, observations: Observations, nominal: State | None = None) -> None:
+        """`nominal` is the state of the nominal bench where it is known; else the session is simulated."""
         self.observations = observations
-        nominal, plan = observations.nominal, observations.session.plan
-        dot_views = None if plan.see_through is None else DotViews(nominal, plan.see_through)
-        self._nominal = State(nominal, simulate(nominal, plan, dot_views), dot_views)
+        self._nominal = nominal or _nominal_state(observations.nominal, observations.session.plan)
 
-    def residual(self, extension: Extension) -> FloatArray:
+    @classmethod
+    def of_session(cls, nominal: Bench, session: Session) -> "Predictor":
+        """Of the readings that the nominal bench can predict.
+
+        Raises:
+            BadInputError: it can predict none.
+        """
+        state = _nominal_state(nominal, session.plan)
+        observations, predictable = observe_predicted(nominal, session, state.readings)
+        return cls(observations, _state_of_rows(state, observations, predictable, all_parts(session.plan)))
+
+    def with_sigma(self, sigma_px: FloatArray) -> "Predictor":
+        """Of the same readings with other noise."""
+        return Predictor(self.observations.with_sigma(sigma_px), self._nominal)
+
+    def of_rows(self, keep: BoolArray) -> "Predictor":
+        """Of the readings that a mask (n,) names."""
+        observations = self.observations.of_rows(keep)
+        return Predictor(observations, _state_of_rows(self._nominal, observations, keep, self.observations.part))
+
+    def residual(self, explanation: Explanation) -> FloatArray:
         """Measured minus predicted, (n, 2), in units of sigma."""
-        return self.residual_of(self.state(extension))
+        return self.residual_of(self.state(explanation))
 
     def residual_of(self, state: State) -> FloatArray:
         """Likewise, of a state."""
         return self.observations.residual(state.readings)
 
-    def state(self, extension: Extension, near: State | None = None) -> State:
-        """An extension's bench and its readings, starting from the nominal or a nearer state."""
-        near, bench = near or self._nominal, extension.bench(self.observations.nominal)
+    def state(self, explanation: Explanation, near: State | None = None) -> State:
+        """An explanation's bench and its readings, starting from the nominal or a nearer state."""
+        near, bench = near or self._nominal, explanation.bench(self.observations.nominal)
         todo = self._touched(bench, near)
         dot_views = near.dot_views
         if todo.see_through is not None:
             dot_views = DotViews(bench, todo.see_through, near.dot_views)
         return State(bench, _merged(simulate(bench, todo, dot_views), near.readings), dot_views)
 
-    def linearised(self, extension: Extension, state: State | None = None) -> Linearisation:
-        """Residual and Jacobian at an extension, whose state may be known, by forward differences."""
-        return self._differences(extension, 0, state or self.state(extension))
+    def linearised(self, explanation: Explanation, state: State | None = None) -> Linearisation:
+        """Residual and Jacobian at an explanation, whose state may be known, by forward differences."""
+        return self._differences(explanation, 0, state or self.state(explanation))
 
-    def added(self, current: State, extension: Extension) -> Linearisation:
-        """Linearisation by the parameters of an extension's last cause only, at values where it has no effect yet.
+    def added(self, current: State, explanation: Explanation) -> Linearisation:
+        """Linearisation by the parameters of an explanation's last cause only, at values where it has no effect yet.
 
         Args:
-            current: of the extension without its last cause.
-            extension: with it.
+            current: of the explanation without its last cause.
+            explanation: with it.
         """
-        return self._differences(extension, len(extension.vector()) - len(extension.values[-1]), current)
+        return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), current)
 
-    def _differences(self, extension: Extension, first: int, base: State) -> Linearisation:
+    def _differences(self, explanation: Explanation, first: int, base: State) -> Linearisation:
         residual, nominal = self.residual_of(base), self.observations.nominal
-        vector, columns, free = extension.vector(), [], []
-        for number, parameter in list(enumerate(extension.parameters()))[first:]:
-            if parameter.role is Role.MOMENT:
+        vector, columns, free = explanation.vector(), [], []
+        for number, parameter in list(enumerate(explanation.parameters()))[first:]:
+            if parameter.role is Role.TIME:
                 continue
             moved = vector.copy()
-            moved[number] += _STEP * parameter.plausible
-            bench = extension.at(moved).bench(nominal)
+            moved[number] += _STEP * parameter.prior_sigma
+            bench = explanation.at(moved).bench(nominal)
             readings = _merged(
                 simulate_to_first_order(bench, self._touched(bench, base), base.dot_views), base.readings
             )
@@ -168,7 +193,7 @@ class Predictor:
                 columns.append(column)
                 free.append(number)
         jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
-        return Linearisation(extension, base, residual, jacobian, np.array(free, dtype=np.int64))
+        return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
 
     def _touched(self, bench: Bench, near: State) -> SessionPlan:
         """The parts of the session whose readings may differ between a bench and a state."""
@@ -185,6 +210,19 @@ class Predictor:
             None if same_world else plan.see_through,
             None if same_run else plan.run_time,
         )
+
+
+def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
+    dot_views = None if plan.see_through is None else DotViews(nominal, plan.see_through)
+    return State(nominal, simulate(nominal, plan, dot_views), dot_views)
+
+
+def _state_of_rows(state: State, kept: Observations, keep: BoolArray, part: IntArray) -> State:
+    """A state of the observations that a mask (n,) keeps of readings that belong to parts (n,)."""
+    masks = [keep[part == each] for each in range(len(PART_NAMES))]
+    plan, dot_views = kept.session.plan.see_through, state.dot_views
+    some = None if plan is None or dot_views is None else dot_views.of_rows(plan, masks[SEE_THROUGH])
+    return State(state.bench, readings_of_rows(state.readings, masks), some)
 
 
 def _merged(found: Readings, old: Readings) -> Readings:

@@ -2,22 +2,22 @@
 
 import numpy as np
 import pytest
-from small_session import extension, hypothesis, measured
+from small_session import explanation, hypothesis, measured
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Extension, Predictor
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.simulation.simulate_session import simulate
 
 # One of every kind of change: of all surfaces, of media, of the panel, of the camera, of the target, of the readout.
 CHAIN = (
-    extension(combiner_tilt=[0.3, -0.2, 0.4]),
-    extension(combiner_tilt=[0.3, -0.2, 0.4], target_scale=[0.5, -0.3]),
-    extension(see_through_plate=[5.0, 10.0, -5.0], camera_pupil_offset=[0.5, 0.2, -0.7]),
-    extension(panel_shift=[0.3, 0.4], substrate_index=[0.02]),
-    extension(headset_slip=[0.3, 0.1, 0.2, 0.1, -0.1, 0.2, 1000.0], pixel_origin=[0.5, -0.5]),
-    extension(),
+    explanation(combiner_tilt=[0.3, -0.2, 0.4]),
+    explanation(combiner_tilt=[0.3, -0.2, 0.4], target_scale=[0.5, -0.3]),
+    explanation(see_through_plate=[5.0, 10.0, -5.0], camera_pupil_offset=[0.5, 0.2, -0.7]),
+    explanation(panel_shift=[0.3, 0.4], substrate_index=[0.02]),
+    explanation(headset_slip=[0.3, 0.1, 0.2, 0.1, -0.1, 0.2, 1000.0], pixel_origin=[0.5, -0.5]),
+    explanation(),
 )
 POINTS = {
     "combiner_tilt": [0.6, -0.5, 0.4],
@@ -34,28 +34,30 @@ POINTS = {
 
 
 def plain_jacobian(observations, at, share=2e-3):
-    """By central differences of the plain simulation, per plausible size."""
+    """By central differences of the plain simulation, per prior sigma."""
     plan, columns = observations.session.plan, []
     for number in at.free:
-        shift = np.zeros(len(at.extension.vector()))
-        shift[number] = share * at.extension.parameters()[number].plausible
-        ends = [at.extension.at(at.extension.vector() + sign * shift).bench(observations.nominal) for sign in (-1, 1)]
+        shift = np.zeros(len(at.explanation.vector()))
+        shift[number] = share * at.explanation.parameters()[number].prior_sigma
+        ends = [
+            at.explanation.at(at.explanation.vector() + sign * shift).bench(observations.nominal) for sign in (-1, 1)
+        ]
         behind, ahead = (observations.residual(simulate(end, plan)) for end in ends)
         columns.append((behind - ahead) / (2 * share))
     return np.stack(columns, axis=-1)
 
 
 def test_causes_act_in_their_order(bench):
-    both = extension(combiner_tilt=[1.0, 0.0, 0.0], combiner_shift=[0.0, 1.0, 2.0])
+    both = explanation(combiner_tilt=[1.0, 0.0, 0.0], combiner_shift=[0.0, 1.0, 2.0])
     first = CAUSES["combiner_tilt"].perturb(bench, np.array([1.0, 0.0, 0.0]))
     expected = CAUSES["combiner_shift"].perturb(first, np.array([0.0, 1.0, 2.0]))
     for found, wanted in zip(both.bench(bench).optics.surfaces(), expected.optics.surfaces(), strict=True):
         np.testing.assert_array_equal(found.device_from_surface, wanted.device_from_surface)
-    assert Extension().bench(bench) is bench
+    assert Explanation().bench(bench) is bench
 
 
 def test_an_extension_is_its_causes_and_one_vector():
-    one = Extension().plus(hypothesis("panel_shift"), np.array([1.0, 2.0]))
+    one = Explanation().plus(hypothesis("panel_shift"), np.array([1.0, 2.0]))
     two = one.plus(hypothesis("latency"), np.array([3.0])).plus(hypothesis("stage_tilt"))
     assert two.names == ("panel_shift", "latency", "stage_tilt")
     np.testing.assert_array_equal(two.vector(), [1, 2, 3, 0, 0, 0])
@@ -65,8 +67,8 @@ def test_an_extension_is_its_causes_and_one_vector():
     rest = moved.without(1)
     assert rest.names == ("panel_shift", "stage_tilt")
     np.testing.assert_array_equal(rest.vector(), [0, 1, 3, 4, 5])
-    assert len(Extension().vector()) == 0
-    assert Extension().at(np.zeros(0)).names == ()
+    assert len(Explanation().vector()) == 0
+    assert Explanation().at(np.zeros(0)).names == ()
 
 
 def test_the_prediction_from_any_neighbour_is_the_plain_one(bench, plan, predictor):
@@ -80,18 +82,23 @@ def test_the_prediction_from_any_neighbour_is_the_plain_one(bench, plan, predict
 
 def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
     predictor = Predictor(measured(bench, run_time))
-    state, tilted = None, extension(combiner_tilt=[0.3, 0.0, 0.0])
-    for step in (tilted, extension(latency=[5.0]), tilted.plus(hypothesis("latency"), np.array([5.0])), extension()):
+    state, tilted = None, explanation(combiner_tilt=[0.3, 0.0, 0.0])
+    for step in (
+        tilted,
+        explanation(latency=[5.0]),
+        tilted.plus(hypothesis("latency"), np.array([5.0])),
+        explanation(),
+    ):
         state = predictor.state(step, state)
         np.testing.assert_allclose(state.readings.seen, simulate(step.bench(bench), run_time).seen, atol=1e-11)
 
 
 def test_a_part_that_a_cause_cannot_touch_is_not_done_again(predictor):
-    rest = predictor.state(Extension())
-    shown = predictor.state(extension(panel_shift=[0.1, 0.2]))
+    rest = predictor.state(Explanation())
+    shown = predictor.state(explanation(panel_shift=[0.1, 0.2]))
     assert shown.readings.dot_pixel is rest.readings.dot_pixel
     assert shown.readings.panel_pixel is not rest.readings.panel_pixel
-    seen = predictor.state(extension(target_bow=[0.1, 0.2]))
+    seen = predictor.state(explanation(target_bow=[0.1, 0.2]))
     assert seen.readings.panel_pixel is rest.readings.panel_pixel
     assert seen.readings.dot_pixel is not rest.readings.dot_pixel
 
@@ -100,13 +107,13 @@ def test_a_part_that_a_cause_cannot_touch_is_not_done_again(predictor):
 def test_the_jacobian_is_that_of_plain_central_differences(bench, plan, run_time, predictor, name):
     if CAUSES[name].part in ("eye tracking", "clock"):
         predictor = Predictor(measured(bench, run_time))
-    at = predictor.linearised(extension(**{name: POINTS[name]}))
+    at = predictor.linearised(explanation(**{name: POINTS[name]}))
     expected = plain_jacobian(predictor.observations, at)
     np.testing.assert_allclose(at.jacobian, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_added_columns_are_those_of_the_whole(predictor):
-    old = extension(camera_rotation=[0.1, -0.1, 0.2])
+    old = explanation(camera_rotation=[0.1, -0.1, 0.2])
     new = old.plus(hypothesis("combiner_shift"))
     whole, added = predictor.linearised(new), predictor.added(predictor.state(old), new)
     np.testing.assert_array_equal(added.free, [3, 4, 5])
@@ -118,12 +125,12 @@ def test_added_columns_are_those_of_the_whole(predictor):
 def test_what_changes_nothing_is_not_free(predictor, clean):
     """Moments never are; forms are while there is a size; causes that a session cannot see never are."""
     at = predictor.linearised
-    np.testing.assert_array_equal(at(extension(see_through_plate=[0.0, 0.0, 0.0])).free, [0])
-    np.testing.assert_array_equal(at(extension(see_through_plate=[5.0, 2.0, 0.0])).free, [0, 1, 2])
-    np.testing.assert_array_equal(at(extension(thermal_drift=[0.0, 0.0, 900.0])).free, [0, 1])
-    np.testing.assert_array_equal(at(extension(headset_slip=[0, 0, 0, 0, 0, 0, 500.0])).free, range(6))
-    assert at(extension(latency=[3.0])).free.size == 0
-    shown = at(extension(panel_scale=[0.1])).jacobian[:, :, 0]
+    np.testing.assert_array_equal(at(explanation(see_through_plate=[0.0, 0.0, 0.0])).free, [0])
+    np.testing.assert_array_equal(at(explanation(see_through_plate=[5.0, 2.0, 0.0])).free, [0, 1, 2])
+    np.testing.assert_array_equal(at(explanation(thermal_drift=[0.0, 0.0, 900.0])).free, [0, 1])
+    np.testing.assert_array_equal(at(explanation(headset_slip=[0, 0, 0, 0, 0, 0, 500.0])).free, range(6))
+    assert at(explanation(latency=[3.0])).free.size == 0
+    shown = at(explanation(panel_scale=[0.1])).jacobian[:, :, 0]
     np.testing.assert_array_equal(shown[clean.part == SEE_THROUGH], 0.0)
     assert np.abs(shown[clean.part == DISPLAY]).max() > 1
 
@@ -131,6 +138,8 @@ def test_what_changes_nothing_is_not_free(predictor, clean):
 def test_one_part_alone_can_be_predicted(bench, plan):
     for alone in (SessionPlan(display=plan.display), SessionPlan(see_through=plan.see_through)):
         observations = measured(bench, alone)
-        at = Predictor(observations).linearised(extension(camera_rotation=[0.1, 0.0, 0.0], stage_scale=[1.0, 0.0, 0.0]))
+        at = Predictor(observations).linearised(
+            explanation(camera_rotation=[0.1, 0.0, 0.0], stage_scale=[1.0, 0.0, 0.0])
+        )
         assert at.free.size == 6
         np.testing.assert_allclose(at.jacobian, plain_jacobian(observations, at), atol=1e-2 * np.abs(at.jacobian).max())

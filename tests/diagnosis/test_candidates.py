@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.session import Session
+from wlr_render.diagnosis.candidates import screen, times_between_captures
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Extension, Hypothesis, Predictor
 from wlr_render.diagnosis.fit import fit
-from wlr_render.diagnosis.hypotheses import moments, prospect
 from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.simulation.simulate_session import simulate
 
 
@@ -22,8 +22,8 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan,
         return replace(part, time_s=part.capture % times * 40.0)
 
     timeless = replace(plan, display=at_few_times(plan.display), see_through=at_few_times(plan.see_through))
-    assert len(moments(timeless)) == 0
+    assert len(times_between_captures(timeless)) == 0
     predictor = Predictor(observe(bench, Session("timeless", timeless, simulate(bench, timeless))))
-    current = fit(predictor, Extension(), np.ones(len(predictor.observations), dtype=bool))
-    assert prospect(predictor, current, Hypothesis(CAUSES["headset_slip"], "once")) is None
-    assert prospect(predictor, current, Hypothesis(CAUSES["panel_shift"], "along u and v")) is not None
+    current = fit(predictor, Explanation(), np.ones(len(predictor.observations), dtype=bool))
+    assert screen(predictor, current, Hypothesis(CAUSES["headset_slip"], "once")) is None
+    assert screen(predictor, current, Hypothesis(CAUSES["panel_shift"], "along u and v")) is not None

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, extension, measured
+from small_session import SIGMA_PX, explanation, measured
 
 from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.extension import Predictor
+from wlr_render.diagnosis.evidence import instability
 from wlr_render.diagnosis.fit import fit
-from wlr_render.diagnosis.steadiness import unsteadiness
+from wlr_render.diagnosis.prediction import Predictor
 
 STEADY, UNSTEADY = 0.1, 0.35
 
@@ -21,8 +21,8 @@ def waved(observations, size_px):
 
 
 def of(observations, **causes):
-    found = fit(Predictor(observations), extension(**causes), np.ones(len(observations), dtype=bool))
-    return unsteadiness(observations, found), found
+    found = fit(Predictor(observations), explanation(**causes), np.ones(len(observations), dtype=bool))
+    return instability(observations, found), found
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +37,13 @@ def tilted_and_waved(bench, plan):
 
 def test_a_true_cause_is_steady_down_at_the_noise(tilted):
     change, found = of(tilted, combiner_tilt=[0, 0, 0])
-    assert evidence.misfit(found) < 1.1
+    assert evidence.reduced_chi_squared(found) < 1.1
     assert change[0] < 0.02
 
 
 def test_a_true_cause_is_steady_beside_something_unexplained(tilted_and_waved):
     change, found = of(tilted_and_waved, combiner_tilt=[0, 0, 0])
-    assert evidence.misfit(found) > 10
+    assert evidence.reduced_chi_squared(found) > 10
     assert change[0] < STEADY
 
 
@@ -64,7 +64,7 @@ def test_a_small_true_cause_is_not_blamed_for_what_noise_changes(bench, plan, se
     """At five standard errors the halves differ by much of the value, as they must."""
     observations = measured(bench, plan, SIGMA_PX, seed=seed, stage_backlash=[0.0052])
     change, found = of(observations, stage_backlash=[0.0])
-    assert abs(found.extension.vector()[0]) < 9 * found.sigmas()[0]
+    assert abs(found.explanation.vector()[0]) < 9 * found.sigmas()[0]
     assert change[0] < UNSTEADY
 
 

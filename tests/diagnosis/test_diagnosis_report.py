@@ -1,0 +1,161 @@
+"""The report of a real diagnosis: its blocks, its files, and what its plots show."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.diagnosis import plots
+from wlr_render.diagnosis.report import diagnosis_report
+from wlr_render.diagnosis.residual_views import part_views
+from wlr_render.report.blocks import Plot, Section, Text
+from wlr_render.report.save import save_report
+
+
+@pytest.fixture(scope="module")
+def report(explained):
+    return diagnosis_report(explained)
+
+
+def titles(report, kind):
+    return [block.title for block in report.blocks if isinstance(block, kind)]
+
+
+def test_the_report_has_the_verdict_the_values_to_type_and_the_evidence(report, explained):
+    assert report.title == "Diagnosis of small (northstar, right eye)"
+    assert report.verdict.startswith("Explained: combiner tilted")
+    assert any("[target] scale = [1.00" in each for each in report.advice)
+    assert titles(report, Section) == [
+        "Result",
+        "Display residual",
+        "See-through residual",
+        "Captures",
+        "Evidence",
+        "Noise",
+    ]
+    tables = [table.title for table in report.tables]
+    for title in (
+        "Simulation against measurement",
+        "Causes",
+        "Parameters",
+        "Ranking of candidates",
+        "Captures",
+        "Noise",
+    ):
+        assert title in tables
+    assert "Captures that moved" in tables
+    items = [item for block in report.blocks if isinstance(block, Text) for item in block.items]
+    assert "wlr-render render corrected/device.toml desk" in items
+    assert set(explained.reasons) <= set(items)
+
+
+def test_the_files_hold_the_record(report, explained, tmp_path):
+    saved = save_report(report, tmp_path, "diagnosis")
+    assert [path.name for path in saved.files] == ["diagnosis.html", "diagnosis.md", "diagnosis.json"]
+    record = json.loads((tmp_path / "diagnosis.json").read_text())["record"]["diagnosis"]
+    assert record["verdict"] == "explained"
+    cause = next(each for each in record["causes"] if each["name"] == "target_scale")
+    found = next(each for each in explained.causes if each.name == "target_scale")
+    assert cause["parameters"][0]["value"] == found.parameters[0].value
+    assert cause["improvement"]["percent"] == found.improvement.percent
+    assert record["excluded"][0]["capture"]["capture"] == 3
+    assert record["noise_floors"][0]["is_believable"] is True
+    assert record["after"]["over_noise"] == pytest.approx(1.0, abs=0.05)
+    assert not {"observations", "residual_before", "used", "corrected"} & set(record)
+    page = (tmp_path / "diagnosis.html").read_text()
+    assert "Session session" not in page
+    assert len(page) < 8e6
+
+
+def test_a_diagnosis_without_causes_has_limits_and_one_state(nothing):
+    report = diagnosis_report(nothing)
+    assert "Detection limits" in [table.title for table in report.tables]
+    assert "Correlations between the values found" not in titles(report, Plot)
+    assert all(len(part.states) == 1 for part in part_views(nothing))
+
+
+def test_a_run_time_session_is_drawn(late):
+    (part,) = part_views(late)
+    rate = next(variable for variable in part.variables if variable.name.startswith("head turns left"))
+    # The dot is drawn where it was; by the time it is seen, a head turning left has carried it to the left.
+    before, after = (np.polyfit(rate.values, state.seen[:, 0], 1)[0] for state in part.states)
+    assert before == pytest.approx(-11e-3 * 60, rel=0.1)
+    assert abs(after) < 0.02 * abs(before)
+    items = [item for block in diagnosis_report(late).blocks if isinstance(block, Text) for item in block.items]
+    assert "wlr-render diagnose corrected --out again" in items
+    assert not any("calibrate" in item for item in items)
+    assert "[clock] latency_s = 0.01" in " ".join(items)
+
+
+def test_parts_hold_the_residuals_that_count_in_their_units(explained):
+    display, see_through = part_views(explained)
+    before, after = display.states
+    assert np.sqrt(np.nanmean(before.on_map**2)) == pytest.approx(explained.before.display_rms_px)
+    assert np.sqrt(np.nanmean(after.seen**2)) == pytest.approx(display.sigma_arcmin, rel=0.05)
+    own = explained.observations.session.plan.display
+    assert np.isnan(before.seen[own.capture == 3]).all()
+    assert np.isfinite(before.seen[own.capture != 3]).all()
+    assert not any("capture 3\n" in field.title for field in display.maps)
+    assert [field.title.split(" at")[0] for field in see_through.maps] == ["target pose 0", "target pose 1"]
+
+
+def test_maps_show_single_captures_from_places_far_apart(explained):
+    display, plan = part_views(explained)[0], explained.observations.session.plan.display
+    places = [np.unique(plan.stage[field.rows], axis=0) for field in display.maps]
+    assert all(len(place) == 1 for place in places)
+    assert len(np.unique(np.concatenate(places), axis=0)) == len(places)
+
+
+def test_both_maps_have_one_scale_of_arrows_and_a_reference(explained):
+    part = part_views(explained)[0]
+    size = {"bench as described": 3.0, "corrected bench": 1.0}
+    states = tuple(replace(s, on_map=np.broadcast_to([size[s.name], 0.0], s.on_map.shape)) for s in part.states)
+    plot = plots.residual_maps(replace(part, states=states))
+    lengths = {trace["name"]: trace["x"][1] - trace["x"][0] for trace in plot.data[:2]}
+    assert lengths["bench as described"] == pytest.approx(3 * lengths["corrected bench"], rel=1e-3)
+    reference = plot.data[0]["x"][-5] - plot.data[0]["x"][-6]
+    # 2 is the round number below 3, and the caption says so.
+    assert reference == pytest.approx(2 * lengths["corrected bench"], rel=1e-3)
+    assert "is 2 panel px" in plot.caption
+    steps = plot.layout["sliders"][0]["steps"]
+    assert len(steps) == len(part.maps)
+    assert [sum(step["args"][0]["visible"]) for step in steps] == [2] * len(steps)
+
+
+def test_a_radial_residual_is_outwards_everywhere(explained):
+    see_through = part_views(explained)[1]
+    radius = next(variable for variable in see_through.variables if variable.name.startswith("radius on camera"))
+    seen = 0.001 * radius.values[:, None] * radius.outwards
+    found = plots.binned(radius, seen, 0.1)
+    np.testing.assert_allclose(found.means[0], 1e-3 * found.middle)
+    np.testing.assert_allclose(found.means[1], 0.0, atol=1e-12)
+
+
+def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(explained):
+    part = part_views(explained)[0]
+    rng, sigma = np.random.default_rng(4), part.sigma_arcmin
+    noise = rng.normal(0, sigma, part.place.shape)
+    # Half of the readings to the right, half to the left: no mean, but an rms.
+    sides = np.where(rng.random(len(noise)) < 0.5, 1.0, -1.0)[:, None] * [3 * sigma, 0.0]
+    for residual, low, high in ((noise, 0.0, 0.5), (noise + sides, 1.9, 2.2)):
+        found = plots.binned(part.variables[0], residual, sigma)
+        assert np.median(found.excess / sigma) == pytest.approx(0.5 * (low + high), abs=0.5 * (high - low))
+        assert np.abs(found.means[1]).max() < 4 * sigma / np.sqrt(len(noise) / len(found.middle))
+
+
+def test_the_histogram_shows_noise_that_sigma_does_not_cover(explained):
+    wide = replace(explained, residual_after=2.0 * explained.residual_after)
+    for diagnosis, slope in ((explained, 1.0), (wide, 2.0)):
+        quantiles = plots.normality_plot(diagnosis).data[2]
+        assert np.polyfit(quantiles["x"], quantiles["y"], 1)[0] == pytest.approx(slope, rel=0.05)
+
+
+def test_correlations_are_those_of_the_values(explained):
+    plot = plots.correlations_plot(explained)
+    matrix = np.array(plot.data[0]["z"])
+    assert plot.data[0]["x"] == explained.correlations.names
+    assert len(matrix) == sum(len(cause.parameters) for cause in explained.causes)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
+    assert np.linalg.cond(matrix) == pytest.approx(explained.correlations.condition, rel=1e-6)

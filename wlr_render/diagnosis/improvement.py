@@ -1,0 +1,281 @@
+"""Improvement in use: models refitted with the corrected bench, and the picture rendered with them.
+
+How much closer the simulation comes to the measurement is in `diagnosis.Diagnosis.before` and `after`; for run-time
+sessions that is the misalignment already. Causes in the station (camera, stage, target, tracking) spoil the captures
+that a calibration is given, so its models improve. Causes in the device are absorbed by a black-box fit, whatever the
+prescription says: there the picture that is rendered with the prescription improves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_report import FitReport, HeldOut
+from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
+from wlr_render.captures.session import Session
+from wlr_render.diagnosis.evidence import HeldOutImprovement, held_out_improvement
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation import mapping_error
+from wlr_render.evaluation.metrics import Summary, summary
+from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.geometry.directions import arcmin_between
+from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.session_captures import display_captures, see_through_captures
+from wlr_render.simulation.viewpoints import random_in_eye_box
+
+AnyMapping = TypeVar("AnyMapping", DisplayMapping, SeeThroughMapping)
+
+_KIND = "planar"
+_ROWS = 6_000  # of a fit: five times more lower its error by a twentieth, and take three times as long
+_HELD_OUT = 4  # one photograph in so many
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """A model refitted to the captures as the nominal and as the corrected bench describe them.
+
+    Attributes:
+        degree: of both fits.
+        own_before, own_after: error on held-out captures that are placed by the bench of the fit itself; None where
+            there are too few. What is smooth, such as a stage's scale, does not show: fit and captures share it.
+        before, after: rms error in arcminutes on held-out captures, placed where the corrected bench says they were.
+        improvement: of `after` over `before`.
+    """
+
+    degree: int
+    own_before: HeldOut | None
+    own_after: HeldOut | None
+    before: float
+    after: float
+    improvement: HeldOutImprovement
+
+
+@dataclass(frozen=True)
+class Refit(Generic[AnyMapping]):
+    """One side of the headset.
+
+    Attributes:
+        before, after: the models by the nominal and by the corrected bench.
+        refitted: how good they are.
+    """
+
+    before: AnyMapping
+    after: AnyMapping
+    refitted: Refitted
+
+
+@dataclass(frozen=True)
+class _Side(Generic[AnyCaptures, AnyMapping]):
+    """How one side is fitted, and in which direction (n, 3) a model of it sees what captures saw."""
+
+    degree: int
+    fit: Callable[[AnyCaptures, str, int | None], tuple[AnyMapping, FitReport]]
+    seen: Callable[[AnyMapping, AnyCaptures], FloatArray]
+
+
+def _panel_seen(model: DisplayMapping, captures: DisplayCaptures) -> FloatArray:
+    return model.view_dir_of_pixel(captures.pixel, captures.viewpoint).value
+
+
+def _world_seen(model: SeeThroughMapping, captures: SeeThroughCaptures) -> FloatArray:
+    return model.view_dir_of_real_point(captures.point, captures.viewpoint).value
+
+
+# Where the held-out error of the shipped devices levels off, on the grids that benches measure.
+_DISPLAY = _Side(6, fit_display, _panel_seen)
+_SEE_THROUGH = _Side(3, fit_see_through, _world_seen)
+
+
+def refit_display(nominal: Bench, corrected: Bench, session: Session) -> Refit[DisplayMapping]:
+    """Fit the display by both benches.
+
+    Raises:
+        BadInputError: the session has no display table, or does not determine a model.
+    """
+    plan, pixel = session.plan.display, session.readings.panel_pixel
+    if plan is None or pixel is None:
+        raise BadInputError(f"{session.name}: has no display table, so no display model can be fitted; add one.")
+    return _refit(_DISPLAY, display_captures(nominal, plan, pixel), display_captures(corrected, plan, pixel))
+
+
+def refit_see_through(nominal: Bench, corrected: Bench, session: Session) -> Refit[SeeThroughMapping]:
+    """Fit how the world is seen by both benches.
+
+    Raises:
+        BadInputError: the session has no seethrough table, or does not determine a model.
+    """
+    plan, pixel = session.plan.see_through, session.readings.dot_pixel
+    if plan is None or pixel is None:
+        raise BadInputError(f"{session.name}: has no seethrough table, so no see-through model can be fitted; add one.")
+    return _refit(
+        _SEE_THROUGH, see_through_captures(nominal, plan, pixel), see_through_captures(corrected, plan, pixel)
+    )
+
+
+def _refit(side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures) -> Refit[AnyMapping]:
+    rng = np.random.default_rng(0)
+    rows = np.sort(rng.permutation(len(before))[:_ROWS])
+    before, after = select(before, rows), select(after, rows)
+    (model_before, own_before), (model_after, own_after) = _pair(side, before, after, side.degree)
+    names = np.unique(before.capture)
+    out = np.isin(before.capture, rng.permutation(names)[: max(2, len(names) // _HELD_OUT)])
+    partial = _pair(side, select(before, ~out), select(after, ~out), own_before.degree)
+    judge = select(after, out)
+    old, new = (arcmin_between(side.seen(model, judge), judge.view_dir) for model, _ in partial)
+    refitted = _refitted(own_before, own_after, judge.capture, old, new)
+    return Refit(model_before, model_after, refitted)
+
+
+def _pair(
+    side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures, degree: int
+) -> tuple[tuple[AnyMapping, FitReport], tuple[AnyMapping, FitReport]]:
+    """Two fits at one degree: the given one or, where the captures are too few for it, the best that they support."""
+    try:
+        first = side.fit(before, _KIND, degree)
+    except BadInputError:
+        first = side.fit(before, _KIND, None)
+    if _same(before, after):
+        return first, first
+    return first, side.fit(after, _KIND, first[1].degree)
+
+
+def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
+    """Whether both benches yield identical captures, so that one fit can serve both."""
+    arrays = [(getattr(before, field.name), getattr(after, field.name)) for field in fields(before)]
+    return all(np.array_equal(a, b) for a, b in arrays if isinstance(a, np.ndarray))
+
+
+def _refitted(
+    own_before: FitReport, own_after: FitReport, capture: IntArray, old: FloatArray, new: FloatArray
+) -> Refitted:
+    """Of errors (n,) on held-out captures, where both models have an answer."""
+    both = np.isfinite(old) & np.isfinite(new)
+    names, owner = np.unique(capture[both], return_inverse=True)
+    squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
+    before, after = (float(np.sqrt(square.sum() / both.sum())) for square in squares)
+    return Refitted(
+        own_before.degree,
+        own_before.held_out_at_degree(),
+        own_after.held_out_at_degree(),
+        before,
+        after,
+        held_out_improvement(squares[0], squares[1]),
+    )
+
+
+DISTANCES_M = (0.5, 1.0, 2.0)
+"""Distances of the real points that the picture is rendered onto, in front of the eye."""
+
+_VIEWPOINTS, _PIXELS = 20, (8, 8)
+_GREEN = 1
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """Misalignment in arcminutes of virtual points rendered onto real ones, at the same points before and after.
+
+    Attributes:
+        before, after: as the nominal and as the corrected bench would have it rendered.
+    """
+
+    before: Summary
+    after: Summary
+
+
+@dataclass(frozen=True)
+class ImprovementInUse:
+    """Improvement by the corrected bench; None where the session does not allow the comparison.
+
+    Attributes:
+        display, see_through: refitted models on held-out captures.
+        calibrated: the picture rendered with refitted models, as the corrected device shows it.
+        prescribed: the picture rendered with the device's prescription, as the models that were refitted by the
+            corrected bench show it: the judge is measured, not simulated.
+        unavailable: a sentence on each part that could not be refitted.
+    """
+
+    display: Refitted | None
+    see_through: Refitted | None
+    calibrated: Rendered | None
+    prescribed: Rendered | None
+    unavailable: tuple[str, ...]
+
+
+def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> ImprovementInUse:
+    """Compare models and pictures made with two benches.
+
+    Args:
+        nominal: the bench as its makers believe it to be.
+        corrected: the bench with the causes found.
+        session: without excluded captures.
+    """
+    display = see_through = None
+    unavailable = []
+    try:
+        display = refit_display(nominal, corrected, session)
+    except BadInputError as error:
+        unavailable.append(str(error))
+    try:
+        see_through = refit_see_through(nominal, corrected, session)
+    except BadInputError as error:
+        unavailable.append(str(error))
+    calibrated = prescribed = None
+    if display is not None and see_through is not None:
+        old = _eye(corrected, display.before, see_through.before)
+        new = _eye(corrected, display.after, see_through.after)
+        was, truth = _traced(nominal), _traced(corrected)
+        viewpoint, point = _places(truth, new)
+        calibrated = _rendered(truth, old, new, viewpoint, point)
+        prescribed = _rendered(new, was, truth, viewpoint, point)
+    return ImprovementInUse(
+        display.refitted if display else None,
+        see_through.refitted if see_through else None,
+        calibrated,
+        prescribed,
+        tuple(unavailable),
+    )
+
+
+def _eye(bench: Bench, display: DisplayMapping, see_through: SeeThroughMapping) -> EyeMappings:
+    return EyeMappings(bench.device.name, bench.eye, display, see_through, bench.optics.eye_box)
+
+
+def _traced(bench: Bench) -> EyeMappings:
+    """The device as the session's captures saw it: its panel in green, the world in the targets' light."""
+    display = TracedDisplay(bench.optics, bench.wavelengths_um[_GREEN])
+    return _eye(bench, display, TracedSeeThrough(bench.optics, bench.target_wavelength_um))
+
+
+def _places(truth: EyeMappings, model: EyeMappings) -> tuple[FloatArray, FloatArray]:
+    """Viewpoints (n, 3) in the eye box and real points (n, 3) that the panel covers, none outside the model's fit."""
+    rng = np.random.default_rng(0)
+    eyes = random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None, None]
+    shown = mapping_error.sightings_of_pixels(truth.display, eyes, truth.display.panel.grid(*_PIXELS)[None])
+    depth = rng.choice(DISTANCES_M, len(shown.pixel))
+    seen = mapping_error.see_through_sightings(truth.see_through, shown.viewpoint, shown.view_dir, depth)
+    kept = model.display.pixel_of_view_dir(seen.view_dir, seen.viewpoint).ok
+    kept &= model.see_through.view_dir_of_real_point(seen.point, seen.viewpoint).ok
+    return seen.viewpoint[kept], seen.point[kept]
+
+
+def _rendered(
+    judge: EyeMappings, before: EyeMappings, after: EyeMappings, viewpoint: FloatArray, point: FloatArray
+) -> Rendered:
+    old, new = (
+        misalignment_arcmin(judge, viewpoint, _lit_pixel(eye, viewpoint, point), point) for eye in (before, after)
+    )
+    both = np.isfinite(old) & np.isfinite(new)
+    return Rendered(summary(old[both]), summary(new[both]))
+
+
+def _lit_pixel(eye: EyeMappings, viewpoint: FloatArray, point: FloatArray) -> FloatArray:
+    """The panel position (n, 2) that rendering with an eye's mappings lights for a real point."""
+    seen = eye.see_through.view_dir_of_real_point(point, viewpoint)
+    return eye.display.pixel_of_view_dir(seen.value, viewpoint).value

@@ -1,0 +1,242 @@
+"""Interactive plots of a diagnosis: residual maps, curves, normality, captures, correlations."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.residual_views import PartView, Variable
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.report.blocks import Plot
+
+_BEFORE, _AFTER, _GREY = "#c4651a", "#2f7fc1", "#8c8c8c"
+_CELLS = (14, 11)  # arrows across and down
+_BINS = 12
+_BAND = 2.0  # standard errors that count as noise
+_HISTOGRAM = np.linspace(-6.0, 6.0, 61)
+_QUANTILES = 99
+
+
+def residual_maps(part: PartView) -> Plot:
+    """Arrows over the field of view, one map for each bench, with one scale of arrows and a slider over captures."""
+    pitch = float(np.min(np.ptp(part.place, axis=0) / _CELLS))
+    cells = [[_cells(part, field.rows, state.on_map) for state in part.states] for field in part.maps]
+    lengths = np.concatenate([np.linalg.norm(arrow, axis=1) for row in cells for _, arrow in row])
+    unit = _round_number(float(np.percentile(lengths, 95)))
+    scale = 1.6 * pitch / unit
+    low, high = part.place.min(axis=0) - pitch, part.place.max(axis=0) + pitch
+    data: list[dict[str, Any]] = []
+    for number, row in enumerate(cells):
+        for place, (state, (at, arrow)) in enumerate(zip(part.states, row, strict=True)):
+            style = {"color": (_BEFORE, _AFTER)[place], "width": 1.5}
+            lines = _arrows(np.append(at, [[low[0], low[1]]], axis=0), np.append(arrow, [[unit, 0.0]], axis=0), scale)
+            data.append(
+                {"type": "scatter", "mode": "lines", "name": state.name, "line": style, "hoverinfo": "skip"}
+                | {"visible": number == 0, "showlegend": False}
+                | {"x": lines[0], "y": lines[1], "xaxis": f"x{place + 1 if place else ''}", "yaxis": "y"}
+            )
+    count = len(part.states)
+    steps = [
+        {
+            "label": field.title.replace("\n", " "),
+            "method": "restyle",
+            "args": [{"visible": [row // count == number for row in range(len(data))]}],
+        }
+        for number, field in enumerate(part.maps)
+    ]
+    layout: dict[str, Any] = {"sliders": [{"steps": steps, "pad": {"t": 50}}], "annotations": []}
+    layout["yaxis"] = {"title": part.place_label[1], "range": [high[1], low[1] - pitch]}
+    for place, state in enumerate(part.states):
+        domain = [place / count + 0.02, (place + 1) / count - 0.02]
+        layout[f"xaxis{place + 1 if place else ''}"] = {
+            "title": part.place_label[0],
+            "range": [low[0], high[0]],
+            "domain": domain,
+        }
+        layout["annotations"].append(
+            {"text": state.name, "xref": "paper", "yref": "paper", "x": domain[0], "y": 1.08, "showarrow": False}
+        )
+    caption = (
+        f"Each arrow is the mean of the readings around it, measured minus simulated; both maps have one scale. The "
+        f"arrow in the first corner is {unit:g} {part.map_unit}. Arrows in all directions at once are noise."
+    )
+    return Plot(f"Residual over the field of view: {part.name}", data, layout, caption, 520)
+
+
+def residual_curves(part: PartView) -> list[Plot]:
+    """Mean residual in bins of each variable, with the same axes for both benches."""
+    return [_curves(part, variable) for variable in part.variables]
+
+
+def _curves(part: PartView, variable: Variable) -> Plot:
+    radial = variable.outwards is not None
+    names = ("outwards", "around") if radial else ("right", "down")
+    data: list[dict[str, Any]] = []
+    for place, state in enumerate(part.states):
+        curve = binned(variable, state.seen, part.sigma_arcmin)
+        colour = (_BEFORE, _AFTER)[place]
+        axes = {"xaxis": "x", "yaxis": "y"}
+        if place == 0:
+            band = {"x": [*curve.middle, *curve.middle[::-1]], "y": [*curve.band, *-curve.band[::-1]]}
+            data.append(
+                {"type": "scatter", "mode": "lines", "fill": "toself", "fillcolor": "rgba(140,140,140,0.3)"}
+                | {"line": {"width": 0}, "name": "noise of a mean", "hoverinfo": "skip"}
+                | band
+            )
+        for mean, name, dash in zip(curve.means, names, ("solid", "dot"), strict=True):
+            line = {"color": colour, "dash": dash}
+            data.append(
+                {"type": "scatter", "mode": "lines+markers", "name": f"{state.name}: {name}", "line": line}
+                | {"x": curve.middle, "y": mean}
+                | axes
+            )
+        data.append(
+            {"type": "scatter", "mode": "lines", "name": f"{state.name}: rms beyond the noise", "visible": "legendonly"}
+            | {"line": {"color": _GREY}, "x": curve.middle, "y": curve.excess}
+        )
+    layout = {"xaxis": {"title": variable.name}, "yaxis": {"title": "mean residual (arcmin)"}}
+    caption = "Band: how far noise alone would move a mean (two standard errors)."
+    return Plot(f"{part.name}: residual against {variable.name}", data, layout, caption, 320)
+
+
+@dataclass(frozen=True, eq=False)
+class BinnedResidual:
+    """Residuals in bins of a variable.
+
+    Attributes:
+        middle: (k,) of the bins, by the variable.
+        means: (2, k) of both components.
+        band: (k,) how far noise alone would move a mean.
+        excess: (k,) rms of the readings beyond what noise alone would give.
+    """
+
+    middle: FloatArray
+    means: FloatArray
+    band: FloatArray
+    excess: FloatArray
+
+
+def binned(variable: Variable, residual: FloatArray, sigma: float) -> BinnedResidual:
+    """Mean and excess of a residual (n, 2) in bins of a variable; sigma is its noise per axis."""
+    good = np.isfinite(residual).all(axis=1)
+    along = residual[good] if variable.outwards is None else _radial(residual[good], variable.outwards[good])
+    index, counts = _bins(variable.values[good])
+    square = np.bincount(index, np.mean(along**2, axis=1)) / counts
+    return BinnedResidual(
+        middle=np.bincount(index, variable.values[good]) / counts,
+        means=np.stack([np.bincount(index, component) / counts for component in along.T]),
+        band=_BAND * sigma / np.sqrt(counts),
+        # The mean square of n readings of two components scatters by sigma^2 / sqrt(n).
+        excess=np.sqrt(np.clip(square - sigma**2 * (1.0 + _BAND / np.sqrt(counts)), 0.0, None)),
+    )
+
+
+def normality_plot(diagnosis: Diagnosis) -> Plot:
+    """Histogram of the residual in units of sigma, and its quantiles against those of a normal distribution."""
+    values = diagnosis.residual_after[diagnosis.used]
+    values = values[np.isfinite(values).all(axis=1)].ravel()
+    counts, _ = np.histogram(values, _HISTOGRAM)
+    middle, width = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1]), float(_HISTOGRAM[1] - _HISTOGRAM[0])
+    normal = np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)
+    share = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+    expected = ndtri(share)
+    data = [
+        {
+            "type": "bar",
+            "x": middle,
+            "y": counts / len(values) / width,
+            "name": "residual",
+            "marker": {"color": _AFTER},
+        },
+        {"type": "scatter", "x": middle, "y": normal, "name": "normal distribution", "line": {"color": _GREY}},
+        {"type": "scatter", "mode": "markers", "x": expected, "y": np.quantile(values, share), "name": "quantiles"}
+        | {"marker": {"color": _BEFORE, "size": 5}, "xaxis": "x2", "yaxis": "y2"},
+        {"type": "scatter", "mode": "lines", "x": [-3, 3], "y": [-3, 3], "showlegend": False}
+        | {"line": {"color": _GREY}, "xaxis": "x2", "yaxis": "y2"},
+    ]
+    layout = {
+        "xaxis": {"domain": [0, 0.46], "title": "residual (sigma)"},
+        "yaxis": {"title": "density"},
+        "xaxis2": {"domain": [0.56, 1], "title": "normal quantile"},
+        "yaxis2": {"anchor": "x2", "title": "residual quantile (sigma)"},
+        "bargap": 0,
+    }
+    caption = (
+        "Right: points on the line are normal; a steeper line is more noise than sigma, bent ends are heavy tails."
+    )
+    return Plot("Residual in units of sigma", data, layout, caption, 380)
+
+
+def captures_plot(diagnosis: Diagnosis) -> Plot:
+    """Rms residual of each capture over its noise, before and after."""
+    names = [each.capture for each in diagnosis.captures]
+    shown = [("bench as described", _BEFORE, [each.rms_before for each in diagnosis.captures])]
+    if diagnosis.causes:
+        shown.append(("corrected bench", _AFTER, [each.rms_after for each in diagnosis.captures]))
+    marks = ["x" if each.excluded else "circle" for each in diagnosis.captures]
+    data: Sequence[dict[str, Any]] = [
+        {"type": "scatter", "mode": "markers", "name": name, "x": names, "y": values}
+        | {"marker": {"color": colour, "symbol": marks}}
+        for name, colour, values in shown
+    ]
+    layout = {"yaxis": {"title": "rms residual (sigma)", "type": "log"}, "xaxis": {"showticklabels": False}}
+    return Plot("Residual of each capture", data, layout, "1 is noise. Crosses: excluded captures.", 340)
+
+
+def correlations_plot(diagnosis: Diagnosis) -> Plot:
+    """Correlations between the fitted values."""
+    found = diagnosis.correlations
+    data = [
+        {"type": "heatmap", "x": found.names, "y": found.names, "z": found.matrix}
+        | {"zmin": -1, "zmax": 1, "colorscale": "RdBu", "reversescale": True}
+    ]
+    layout = {"yaxis": {"autorange": "reversed"}}
+    return Plot("Correlations between the values found", data, layout, "", 160 + 28 * len(found.names))
+
+
+def _cells(part: PartView, rows: BoolArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean place (k, 2) and residual (k, 2) of the readings in each cell of a grid over the field."""
+    rows = rows & np.isfinite(residual).all(axis=1)
+    place, own = part.place[rows], residual[rows]
+    low, high = part.place.min(axis=0), part.place.max(axis=0)
+    cell = np.minimum((place - low) / (high - low).clip(1e-12) * _CELLS, np.array(_CELLS) - 1).astype(int)
+    _, index, counts = np.unique(cell[:, 0] * _CELLS[1] + cell[:, 1], return_inverse=True, return_counts=True)
+    means = [np.bincount(index, values) / counts for values in (*place.T, *own.T)]
+    return np.stack(means[:2], axis=1), np.stack(means[2:], axis=1)
+
+
+def _arrows(at: FloatArray, arrow: FloatArray, scale: float) -> tuple[list[float | None], list[float | None]]:
+    """Coordinates of arrows (k, 2) as broken lines: shaft and two barbs, with None between arrows."""
+    tip = at + scale * arrow
+    back = 0.25 * scale * arrow
+    across = np.stack([-back[:, 1], back[:, 0]], axis=1)
+    points = np.stack([at, tip, tip - back + 0.6 * across, tip, tip - back - 0.6 * across], axis=1)
+    points = np.concatenate([points, np.full((len(at), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+    x, y = ([None if np.isnan(value) else round(float(value), 3) for value in column] for column in points.T)
+    return x, y
+
+
+def _round_number(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= max(value, 1e-9) * (1 + 1e-9)))
+
+
+def _radial(residual: FloatArray, outwards: FloatArray) -> FloatArray:
+    """Components (n, 2) along a direction and across it, clockwise in the image."""
+    across = np.stack([-outwards[:, 1], outwards[:, 0]], axis=1)
+    return np.stack([np.sum(residual * outwards, axis=1), np.sum(residual * across, axis=1)], axis=1)
+
+
+def _bins(values: FloatArray) -> tuple[IntArray, IntArray]:
+    """Bin of each value (n,), few distinct values each their own, and how many each bin has."""
+    distinct = np.unique(np.round(values, 9))
+    if len(distinct) <= _BINS:
+        edges = 0.5 * (distinct[1:] + distinct[:-1])
+    else:
+        edges = np.quantile(values, np.linspace(0, 1, _BINS + 1)[1:-1])
+    _, index, counts = np.unique(np.searchsorted(edges, values), return_inverse=True, return_counts=True)
+    return index.astype(np.int64), counts.astype(np.int64)
