@@ -39,6 +39,13 @@ VERBS = (
         "Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs.",
     ),
     Verb(
+        "diagnose",
+        EXPLAIN,
+        "diagnose:diagnose",
+        "Compare a measured session with the bench model, find the physical causes of any difference, and write a "
+        "corrected bench model.",
+    ),
+    Verb(
         "hold-out",
         EXPLAIN,
         "hold_out:hold_out",

@@ -14,6 +14,7 @@ from oracle.session_writer import write_session
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.settings import Settings
 from wlr_render.jobs import diagnose
 from wlr_render.simulation.bench_file import load_bench
 
@@ -23,8 +24,8 @@ FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_t
 
 @pytest.fixture
 def few_causes(monkeypatch):
-    options = procedure.Options(FEW, subsample=1500)
-    monkeypatch.setattr(diagnose, "diagnose", partial(procedure.diagnose, options=options))
+    quick = partial(procedure.diagnose, causes=FEW, settings=Settings(subsample=1500))
+    monkeypatch.setattr(diagnose, "diagnose_session", quick)
 
 
 @pytest.fixture(scope="module")
@@ -45,27 +46,27 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
     out = tmp_path / "out"
     status, printed = run(capsys, session, "--out", out)
     assert status == 0
-    assert printed.out.startswith("Explained: printed size of the target (target_scale: scale_")
-    assert "What the corrected bench is worth in use" in printed.out
+    assert "Explained: printed size of the target (target_scale: scale_" in printed.out
+    assert "Improvement in use" in printed.out
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
-        "diagnosis.html",
-        "diagnosis.json",
         "corrected/bench.toml",
         "corrected/display.csv.gz",
         "corrected/seethrough.csv.gz",
+        "diagnosis.html",
+        "diagnosis.json",
+        "diagnosis.md",
     ]
-    record = json.loads((out / "diagnosis.json").read_text())
-    (cause,) = record["causes"]
-    for axis in "xy":
-        found = cause["parameters"][f"scale_{axis}"]
+    record = json.loads((out / "diagnosis.json").read_text())["record"]
+    (cause,) = record["diagnosis"]["causes"]
+    for found in cause["parameters"]:
         assert found["unit"] == "%"
         assert abs(found["value"] - SCALE_PERCENT) < 4 * found["sigma"]
-    assert record["gains"]["seethrough_refitted"]["held_out_improvement"] > 20
+    assert record["in_use"]["see_through"]["improvement"]["percent"] > 20
     corrected = load_bench(out / "corrected" / "bench.toml")
     np.testing.assert_allclose(corrected.target.scale, 1 + 1e-2 * SCALE_PERCENT, atol=3e-4)
 
 
-def test_by_the_extended_bench_the_session_shows_no_effect_and_the_old_bench_goes(
+def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_goes(
     session, few_causes, tmp_path, capsys
 ):
     out = tmp_path / "out"
@@ -76,10 +77,11 @@ def test_by_the_extended_bench_the_session_shows_no_effect_and_the_old_bench_goe
     elsewhere = tmp_path / "record.json"
     status, printed = run(capsys, corrected, "--out", out, "--json", elsewhere)
     assert status == 0
-    assert printed.out.startswith("No effect found")
-    record = json.loads(elsewhere.read_text())
-    assert (record["verdict"], record["causes"], record["gains"]) == ("no effect", [], None)
-    assert {limit["cause"] for limit in record["detection_limits"]} == set(FEW)
+    assert "No effect found" in printed.out
+    record = json.loads(elsewhere.read_text())["record"]
+    assert (record["diagnosis"]["verdict"], record["diagnosis"]["causes"], record["in_use"]) == ("no effect", [], None)
+    assert {limit["cause"] for limit in record["diagnosis"]["detection_limits"]} == set(FEW)
+    assert not (out / "diagnosis.json").exists()
     assert not (out / "corrected" / "bench.toml").exists()
 
 
@@ -96,7 +98,7 @@ def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, 
     def never(*arguments):
         raise AssertionError("work was begun")
 
-    monkeypatch.setattr(diagnose, "diagnose", never)
+    monkeypatch.setattr(diagnose, "diagnose_session", never)
     taken = tmp_path / "taken"
     taken.write_text("a file")
     for arguments, words in (

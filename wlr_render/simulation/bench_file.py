@@ -103,14 +103,10 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
 def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
     """The keys of a bench file, by table, that make the old bench the new one, in frame `WRITTEN_FRAME`."""
     before, after = (_sections(bench, FRAMES[WRITTEN_FRAME]) for bench in (old, new))
-    changed = {
-        table: {
-            key: value
-            for key, value in keys.items()
-            if key not in before[table] or not np.array_equal(value, before[table][key])
-        }
-        for table, keys in after.items()
-    }
+    changed: dict[str, dict[str, Any]] = {}
+    for table, keys in after.items():
+        old_keys = before[table]
+        changed[table] = {k: v for k, v in keys.items() if k not in old_keys or not np.array_equal(v, old_keys[k])}
     return {table: keys for table, keys in changed.items() if keys}
 
 
