@@ -179,7 +179,7 @@ def _swim(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
 def _followed(mappings: EyeMappings) -> list[Cell]:
     """What is left where the map follows the eye: the reading between the points of the compositor's warp grid."""
     panel, axes, pixel = mappings.display.panel, middle_axes(mappings), _judged_pixels(mappings)
-    warp_grid = choose_warp_grid(mappings, axes, (panel.width_px, panel.height_px)).warp_grid
+    warp_grid = choose_warp_grid(mappings, axes, (panel.width_px, panel.height_px)).grid
     viewpoints, place = _other_viewpoints(mappings), (pixel - warp_grid.first_px) / warp_grid.step_px
     slope_offsets = [
         bilinear(solve_pixels(mappings, axes, warp_grid.panel_pixel(), each).slope_offset, place) for each in viewpoints

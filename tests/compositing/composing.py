@@ -52,7 +52,7 @@ class Traced:
 
     colour: np.ndarray
     position: np.ndarray
-    field: RayMap
+    ray_map: RayMap
 
 
 def traced(mappings: EyeMappings, size, at_viewpoint, pose, renderer: RayRenderer) -> Traced:
@@ -65,7 +65,7 @@ def traced(mappings: EyeMappings, size, at_viewpoint, pose, renderer: RayRendere
 
 def clear_of_edges(truth: Traced, renderer, eye_in_world, drawn_from, pose, reach_px=2):
     """Pixels that are neither near a silhouette nor near what a picture drawn from a place cannot show."""
-    hidden = disoccluded(renderer.tracer, drawn_from, truth.field, pose, truth.position).astype(np.uint8)
+    hidden = disoccluded(renderer.tracer, drawn_from, truth.ray_map, pose, truth.position).astype(np.uint8)
     near_hidden = cv2.dilate(hidden, np.ones((2 * reach_px + 1,) * 2, np.uint8)) > 0
     return ~(near_hidden | near_silhouettes(truth.position, eye_in_world, reach_px))
 

@@ -40,7 +40,7 @@ def solved_at(monkeypatch):
 
 
 def slope_offset(frame):
-    (field,) = frame.eyes["right"].fields
+    (field,) = frame.eyes["right"].ray_maps
     return (field if isinstance(field, RayMap) else field.read()).slope_offset.astype(np.float64)
 
 

@@ -139,7 +139,7 @@ def test_a_picture_drawn_from_where_the_rays_come_hides_less_of_what_they_meet(t
     for at_viewpoint in (True, False):
         painter = WarpedPainter(headset, open_raster_backend(scene, "cpu"), at_viewpoint=at_viewpoint)
         drawn_from = painter.view(viewpoint, HEAD_POSE).viewpoint_in_world
-        hidden.append(disoccluded(renderer.tracer, drawn_from, traced.field, HEAD_POSE, traced.position).sum())
+        hidden.append(disoccluded(renderer.tracer, drawn_from, traced.ray_map, HEAD_POSE, traced.position).sum())
     # The plate offsets rays in proportion to their tangents, which is a shift of the eye but for its small prism.
     assert hidden[0] > 20
     assert hidden[1] <= 0.2 * hidden[0]
@@ -159,7 +159,7 @@ def test_the_colours_of_an_eye_share_an_intermediate_image_that_covers_all(dispe
     frame = WarpedPainter(dispersive_headset, raster_backend).paint(viewpoint, HEAD_POSE)
     assert not (frame.warp_status == WarpStatus.OUTSIDE).any()
     for_red_only = WarpedPainter(dispersive_headset[0], raster_backend).view(viewpoint, HEAD_POSE)
-    blue = raster_backend.draw_warped(for_red_only, frame.fields[2:])
+    blue = raster_backend.draw_warped(for_red_only, frame.ray_maps[2:])
     assert (blue.image.status == WarpStatus.OUTSIDE).any()
 
 
@@ -196,7 +196,7 @@ def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headse
     for channel, mappings in enumerate(colours):
         plan = choose_plan(mappings)
         alone = raster_backend.draw_warped(
-            view, [ray_map(mappings, viewpoint, plan)], painter._taps, with_geometry=True
+            view, [ray_map(mappings, viewpoint, plan)], painter._samples_per_axis, with_geometry=True
         )
         statuses.append(alone.image.status)
         # The camera frames of red and blue differ from green's by a degree, so that float32 rounds elsewhere.
@@ -254,7 +254,7 @@ def test_pixels_without_a_ray_show_the_background_and_nothing_else(toy_headset_w
     scene = unlit((quad((-9, -9), (9, 9)), at(0, 0, -2)), background=GREEN)
     headset = toy_headset_with_hole
     frame = painter_of(way, headset, scene).paint(headset.eye_box.centre, np.eye(4), with_geometry=True)
-    hole = frame.field.status == Status.MISS
+    hole = frame.ray_map.status == Status.MISS
     assert 60 < hole.sum() < 100  # a disc of radius 5 px
     np.testing.assert_array_equal(np.isnan(frame.position).any(axis=-1), hole)
     np.testing.assert_array_equal((frame.colour == encode_srgb(np.array(GREEN, np.float32))).all(axis=-1), hole)
@@ -349,5 +349,5 @@ def test_a_frame_starts_from_the_last_ones_solution_and_is_the_same(toy_headset,
     cold = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE)
     started_with.clear()
     warm = painter.paint(headset.eye_box.at(OFF_CENTRE), HEAD_POSE, first.warm_start)
-    assert started_with[0] is first.field.warm_start.display
+    assert started_with[0] is first.ray_map.warm_start.display
     np.testing.assert_array_equal(warm.colour, cold.colour)

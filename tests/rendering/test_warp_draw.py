@@ -181,7 +181,7 @@ def test_fields_and_transforms_that_do_not_fit_are_told(gl_context, image):
         uploaded(gl_context, image, CAMERA),
         uploaded_field(gl_context, pixel_bend()),
     )
-    with pytest.raises(BadInputError, match="one field for each channel"):
+    with pytest.raises(BadInputError, match="one ray map for each channel"):
         warp.draw(picture, [field], np.eye(4), (WIDTH, HEIGHT))
     with pytest.raises(BadInputError, match="one transform for each row"):
         warp.draw(picture, [field] * 3, np.zeros((HEIGHT - 1, 4, 4)), (WIDTH, HEIGHT))

@@ -24,17 +24,17 @@ from wlr_render.rendering.warp_grid import WarpGrid
 @dataclass(frozen=True, eq=False)
 class _Composed:
     image: WarpedImage
-    fields: list[RayMap]
+    ray_maps: list[RayMap]
     texture: None = None
 
     def read(self) -> WarpedImage:
         return self.image
 
     def unsolved(self) -> dict[str, int]:
-        return count_unsolved(field.status for field in self.fields)
+        return count_unsolved(field.status for field in self.ray_maps)
 
     def read_ray_maps(self) -> list[RayMap]:
-        return self.fields
+        return self.ray_maps
 
 
 class CpuEye:
@@ -50,7 +50,7 @@ class CpuEye:
             else CpuNodeSolver(mappings, RayMapPlan.onto_grid(pixels, choose_plan(mappings).node_count, axes))
             for mappings in plan.channels
         ]
-        self._fields = CachedRayMaps(solves)
+        self._ray_maps = CachedRayMaps(solves)
         self._picture: GeometryImage | None = None
 
     def set_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
@@ -68,7 +68,7 @@ class CpuEye:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor sees to it that every eye is submitted"
         plan = self._plan
-        fields = [field.read() for field in self._fields.at(viewpoint)]
+        fields = [field.read() for field in self._ray_maps.at(viewpoint)]
         image = warp_on_cpu(
             self._picture,
             plan.camera,
@@ -81,7 +81,7 @@ class CpuEye:
 
     def forget(self) -> None:
         """See `EyeBackend`."""
-        self._fields.forget()
+        self._ray_maps.forget()
 
 
 class CpuBackend:

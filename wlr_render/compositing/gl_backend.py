@@ -32,7 +32,7 @@ class GlComposed:
     """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
 
     warped: GpuWarped | None
-    fields: list[SolvedGpuRayMap]
+    ray_maps: list[SolvedGpuRayMap]
 
     @property
     def texture(self) -> gl.Texture | None:
@@ -49,11 +49,11 @@ class GlComposed:
 
     def unsolved(self) -> dict[str, int]:
         """See `ComposedEye`."""
-        return count_unsolved(field.read_status() for field in self.fields)
+        return count_unsolved(field.read_status() for field in self.ray_maps)
 
     def read_ray_maps(self) -> list[RayMap]:
         """See `ComposedEye`."""
-        return [field.read() for field in self.fields]
+        return [field.read() for field in self.ray_maps]
 
 
 class GlEye:
@@ -69,7 +69,7 @@ class GlEye:
     ) -> None:
         self._context, self._framebuffers = context, framebuffers
         self._plan, self._background = plan, background
-        self._fields = CachedRayMaps([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
+        self._ray_maps = CachedRayMaps([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
         self._warp = GlWarp(context, len(plan.channels))
         self._import = PictureImport(context)
         self._picture: GpuImage | None = None
@@ -100,7 +100,7 @@ class GlEye:
     ) -> GlComposed:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor checks that every eye is submitted"
-        fields = self._fields.at(viewpoint)
+        fields = self._ray_maps.at(viewpoint)
         drawn = (self._picture, fields, image_from_ray_map)
         if target is not None:
             with self._framebuffers.draw_buffers_kept(target.framebuffer):
@@ -111,7 +111,7 @@ class GlEye:
 
     def forget(self) -> None:
         """See `EyeBackend`."""
-        self._fields.forget()
+        self._ray_maps.forget()
 
 
 class GlBackend:

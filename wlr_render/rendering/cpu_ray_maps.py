@@ -58,11 +58,11 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
 class CpuSolvedRayMap:
     """A ray map in numpy arrays."""
 
-    field: RayMap
+    ray_map: RayMap
 
     def read(self) -> RayMap:
         """The ray map."""
-        return self.field
+        return self.ray_map
 
 
 class CpuPixelSolver:

@@ -131,8 +131,8 @@ class GlPlanarSolver:
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
         with context.drawing():
             self._solve = context.full_screen("solve.frag", "full_screen.vert", functions, **constants)
-            self._bend = context.target(warp_grid.size, 4, "f4")
-            gl.read_between_texels(self._bend)
+            self._slope_offset = context.target(warp_grid.size, 4, "f4")
+            gl.read_between_texels(self._slope_offset)
             self._status_and_iterations = context.target(warp_grid.size, 2, "u1")
             # The shader reads one while it writes the other.
             self._new, self._last = (self._solution() for _ in range(2))
@@ -141,7 +141,7 @@ class GlPlanarSolver:
     def _solution(self) -> _Solution:
         tangents = self._context.target(self._warp_grid.size, 2, "f4")
         slopes = self._context.target(self._warp_grid.size, 4, "f2")  # only a start comes of them
-        textures = [self._bend, tangents, self._status_and_iterations, slopes]
+        textures = [self._slope_offset, tangents, self._status_and_iterations, slopes]
         return _Solution(tangents, slopes, self._context.framebuffer(textures))
 
     def solve(self, viewpoint: FloatArray) -> GlSolvedRayMap:
@@ -165,7 +165,7 @@ class GlPlanarSolver:
             viewpoint,
             self._device_from_camera,
             self._warp_grid,
-            self._bend,
+            self._slope_offset,
             self._new.tangents,
             self._status_and_iterations,
         )
@@ -214,21 +214,21 @@ class GlNodeSolver:
         columns, rows = plan.warp_grid.size
         self._interleaved = np.empty((rows, columns, 4), np.float32)
         with context.drawing():
-            self._bend = context.target(plan.warp_grid.size, 4, "f4")
-            gl.read_between_texels(self._bend)
+            self._slope_offset = context.target(plan.warp_grid.size, 4, "f4")
+            gl.read_between_texels(self._slope_offset)
 
     def solve(self, viewpoint: FloatArray) -> GlSpreadRayMap:
         """See `RayMapSolver`."""
-        field = self._nodes.solve(viewpoint).field
+        field = self._nodes.solve(viewpoint).ray_map
         # One texture of four components costs a shader much less to read than four textures.
         with self._context.drawing():
-            self._bend.write(cv2.merge(list(field.slope_offset), self._interleaved))
+            self._slope_offset.write(cv2.merge(list(field.slope_offset), self._interleaved))
         return GlSpreadRayMap(
             self._context,
             field.viewpoint_in_device,
             field.device_from_camera,
             self._plan.warp_grid,
-            self._bend,
+            self._slope_offset,
             field.status,
         )
 

@@ -33,7 +33,7 @@ class Frame:
 
     Attributes:
         colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
-        fields: the world rays of each channel; `status` says why a pixel has none.
+        ray_maps: the world rays of each channel; `status` says why a pixel has none.
         warp_status: (height, width) uint8, one `WarpStatus` each, the worst of the channels; None for frames that were
             not met with a depth image.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
@@ -45,7 +45,7 @@ class Frame:
     """
 
     colour: NDArray[np.uint8]
-    fields: tuple[RayMap, ...]
+    ray_maps: tuple[RayMap, ...]
     warp_status: NDArray[np.uint8] | None = None
     traced: tuple[Float32Array, ...] = ()
     sources: tuple[Float32Array, ...] = ()
@@ -53,14 +53,14 @@ class Frame:
     intermediate: GeometryImage | None = None
 
     @property
-    def field(self) -> RayMap:
+    def ray_map(self) -> RayMap:
         """The only or the green channel's."""
-        return self.fields[len(self.fields) // 2]
+        return self.ray_maps[len(self.ray_maps) // 2]
 
     @property
     def warm_start(self) -> "WarmStarts":
         """Warm start of the eye's next frame."""
-        return tuple(field.warm_start for field in self.fields)
+        return tuple(field.warm_start for field in self.ray_maps)
 
     @property
     def source(self) -> Float32Array | None:
@@ -265,7 +265,7 @@ class MeshWarpedPainter:
         sources = tuple(source_of_position(view, position) for position in traced.traced)
         colours = [remap(image.colour, source[..., :2], self._background)[0] for source in sources]
         colour = _by_colour([np.asarray(each, np.uint8) for each in colours])
-        return Frame(colour, traced.fields, traced=traced.traced, sources=sources, view=view, intermediate=image)
+        return Frame(colour, traced.ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image)
 
 
 def source_of_position(view: View, position: Float32Array) -> Float32Array:
