@@ -16,7 +16,6 @@ THEIRS = {
     "bench.toml",
     "board.toml",
     "device.toml",
-    "compare.md",
     "report.md",
     "calibration.md",
 }

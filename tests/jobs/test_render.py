@@ -1,6 +1,7 @@
 import itertools
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions, planned_moments, render
+from wlr_render.mappings import EyeBox
+from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.rendering import gl
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.painters import WarpedPainter
@@ -337,6 +340,29 @@ def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
     for lost in (f"right-000000.{suffix}", "right-000000.json"):
         (options.out / lost).unlink()
         assert counts(render(options.with_values(maps=suffix))) == (1, 0)
+
+
+def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
+    right = load_eye_model(model_file)
+    box = right.mappings.eye_box
+    moved = replace(right.mappings, eye="left", eye_box=EyeBox(box.centre + [0.001, 0.002, 0.0], box.size))
+    both = save_eye_models(tmp_path / "both.json", [right, replace(right, mappings=moved)])
+    assert counts(render(options.with_values(headset=str(both), eye="both"))) == (2, 0)
+    frames = json.loads((options.out / "sequence.json").read_text())["frames"]
+    assert [frame["file"] for frame in frames] == ["left-000000.png", "right-000000.png"]
+    left_viewpoint, right_viewpoint = (np.array(frame["viewpoint_in_device_m"]) for frame in frames)
+    np.testing.assert_allclose(left_viewpoint - right_viewpoint, [0.001, 0.002, 0.0], atol=1e-12)
+    assert len(set(pictures(options.out).values())) == 2
+
+
+def test_the_report_lists_frames_inputs_and_files(moving):
+    report = render(moving)
+    assert report.tables[0].rows == [["right", 5, 0.1, 0.5]]
+    written = ["sequence.json", "report.html", "report.md", "report.json"]
+    assert list(report.files) == [moving.out / name for name in written]
+    inputs = json.loads((moving.out / "report.json").read_text())["provenance"]["inputs"]
+    assert [file["name"] for file in inputs] == [moving.headset, moving.scene, str(moving.head), str(moving.eye_track)]
+    assert (moving.out / "report.html").read_text().count("data:image/png;base64,") == 1
 
 
 def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):

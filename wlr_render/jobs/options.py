@@ -58,7 +58,7 @@ def described(text: str, *, name: str | None = None, flag: bool = False, many: b
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Options:
-    """Base of all options: checks ranges, and refuses options that the others make meaningless."""
+    """Base of all options: checks choices and ranges, and refuses options that the others make meaningless."""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):

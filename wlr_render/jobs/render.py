@@ -162,7 +162,7 @@ def _report(options: RenderOptions, moments: list[Moment], drawn: int, files: li
         own = [moment for moment in moments if moment.eye == eye]
         rows.append([eye, len(own), own[0].time_s, own[-1].time_s])
         first = _picture_file(options.out, own[0])
-        blocks.append(Picture(f"First frame, {eye} eye", first, "What the panel shows, unseen through the optics."))
+        blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
     table = ReportTable("Frames by eye", ["eye", "frames", "first time stamp (s)", "last time stamp (s)"], rows)
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
