@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.compositing.composed_frame import ComposedFrame
+from wlr_render.compositing.backend import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.eye_plan import EyeCamera
 from wlr_render.compositing.scene_source import SceneSource

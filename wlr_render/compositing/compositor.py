@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.compositing.backend import Backend, open_backend
+from wlr_render.compositing.backend import Backend, ComposedFrame, open_backend
 from wlr_render.compositing.checks import (
     checked_background,
     checked_models,
@@ -21,7 +21,6 @@ from wlr_render.compositing.checks import (
     checked_viewpoints,
     nearest_in_reach,
 )
-from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.eye_plan import EyeCamera, EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
