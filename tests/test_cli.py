@@ -169,17 +169,21 @@ def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_
     options = options_of(verb)
     hints = typing.get_type_hints(options, include_extras=True)
     fields = dataclasses.fields(options)
+    choices = {field.name: typing.get_args(typing.get_args(hints[field.name])[0]) for field in fields}
+    choices = {name: values for name, values in choices.items() if all(isinstance(value, str) for value in values)}
     required = [field.name for field in fields if field.default is field.default_factory is dataclasses.MISSING]
+    good = {name: (choices[name] or [name])[0] for name in required}
     for field in fields:
         limits = [note for note in hints[field.name].__metadata__ if isinstance(note, Range)]
-        values = typing.get_args(typing.get_args(hints[field.name])[0])
         if limits and "tuple" not in str(hints[field.name]):
-            flag, sentence = [flag_of(options, field.name), "-1"], "is -1"
-        elif values and all(isinstance(value, str) for value in values):
-            flag, sentence = [flag_of(options, field.name), "nonsense"], 'Invalid value "nonsense"'
+            wrong, sentence = "-1", "is -1"
+        elif choices.get(field.name):
+            wrong, sentence = "nonsense", 'Invalid value "nonsense"'
         else:
             continue
-        assert sentence in refused([*verb.words.split(), *required, *flag], capsys), field.name
+        flag = [] if field.name in required else [flag_of(options, field.name), wrong]
+        positional = (good | {field.name: wrong} if field.name in required else good).values()
+        assert sentence in refused([*verb.words.split(), *positional, *flag], capsys), field.name
     assert not list(tmp_path.iterdir())
 
 
