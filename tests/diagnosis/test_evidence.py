@@ -103,3 +103,29 @@ def test_chance_is_the_tail_of_chi_squared_times_the_tries():
     assert evidence.p_value(10.83, 1, 30) == pytest.approx(0.03, rel=0.01)
     assert evidence.p_value(1.0, 3, 40) == 1.0
     assert evidence.p_value(-5.0, 3, 1) == 1.0
+
+
+def test_the_evidence_is_the_marginal_likelihood_of_a_linear_model(tilted):
+    """Against the closed form of Bayesian linear regression, -2 log N(residual; 0, 1 + J J^T), of noise 1."""
+    (found,) = fits(tilted, explanation(combiner_tilt=[0, 0, 0]))
+    rng = np.random.default_rng(1)
+    jacobian, count = rng.normal(0, 0.4, (60, 2, 3)), 120
+    flat = jacobian.reshape(count, 3)
+    sizes = np.array([0.7, -1.1, 0.4])
+    measured_values = flat @ sizes + rng.normal(0, 1, count)
+    # The noise must not be profiled: less is left than sigma would give.
+    posterior = np.linalg.solve(flat.T @ flat + np.eye(3), flat.T @ measured_values)
+    measured_values = flat @ posterior + 0.9 * (measured_values - flat @ posterior)
+    solution = np.linalg.solve(flat.T @ flat + np.eye(3), flat.T @ measured_values)
+    left = measured_values - flat @ solution
+    prior_sigma = np.array([parameter.prior_sigma for parameter in found.explanation.parameters()])
+    linear = replace(
+        found,
+        explanation=found.explanation.at(solution * prior_sigma),
+        chi_squared=float(left @ left),
+        by_part=((count, float(left @ left)),),
+        information=flat.T @ flat,
+    )
+    covariance = np.eye(count) + flat @ flat.T
+    expected = measured_values @ np.linalg.solve(covariance, measured_values) + np.linalg.slogdet(covariance)[1]
+    assert evidence.minus_two_log_evidence(linear) == pytest.approx(expected, rel=1e-9)

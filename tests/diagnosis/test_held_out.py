@@ -98,3 +98,16 @@ def test_the_sigma_of_a_gain_is_its_spread_over_sessions():
     gains = [held_out_improvement(b, a) for b, a in zip(before, after, strict=True)]
     stated = np.mean([gain.sigma for gain in gains])
     assert stated == pytest.approx(np.std([gain.percent for gain in gains]), rel=0.1)
+
+
+def test_the_significance_is_the_mean_difference_over_its_standard_error():
+    """By hand: differences 1, 2, 3, 4 have mean 2.5, standard deviation sqrt(5/3), standard error sqrt(5/12)."""
+    before = np.array([11.0, 12.0, 13.0, 14.0])
+    assert held_out_improvement(before, np.full(4, 10.0)).significance == pytest.approx(2.5 / np.sqrt(5 / 12))
+
+
+def test_without_a_gain_the_significance_scatters_by_one():
+    rng = np.random.default_rng(8)
+    draws = [held_out_improvement(*rng.chisquare(100, (2, 50))).significance for _ in range(400)]
+    assert np.mean(draws) == pytest.approx(0.0, abs=0.15)
+    assert np.std(draws) == pytest.approx(1.0, abs=0.12)

@@ -75,7 +75,7 @@ def imported(monkeypatch, tmp_path, capsys):
 
 @pytest.fixture
 def few_causes(monkeypatch):
-    monkeypatch.setattr(hold_out, "diagnose", partial(procedure.diagnose, options=procedure.Options(FEW)))
+    monkeypatch.setattr(hold_out, "diagnose", partial(procedure.diagnose, causes=FEW))
 
 
 def test_without_optics_the_session_predicts_what_the_bare_camera_saw(imported):
@@ -104,7 +104,7 @@ def test_stated_scatter_is_that_of_the_dots_and_not_of_a_few_wrong_ones():
 def test_the_plate_is_found_and_predicts_the_other_distance(imported, few_causes, tmp_path, capsys):
     folder, _ = imported(pairs_through_plate(THICKNESS_MM))
     bench, session = load_session(folder)
-    found = procedure.diagnose(bench, session, options=procedure.Options(FEW))
+    found = procedure.diagnose(bench, session, causes=FEW)
     (cause,) = found.causes
     assert (found.verdict, cause.name) == ("explained", "see_through_plate")
     thickness = cause.parameters[0]

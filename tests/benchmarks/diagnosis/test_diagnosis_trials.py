@@ -87,8 +87,8 @@ def test_moved_captures_are_found_missed_or_wrong():
     cause, moved = ("panel_scale",), ("display capture 3",)
     found = figures(
         [
-            outcome(Kind.MOVED, cause, cause, 0, moved=moved, set_aside=moved),
-            outcome(Kind.MOVED, cause, cause, 1, moved=moved, set_aside=("display capture 4",)),
+            outcome(Kind.MOVED, cause, cause, 0, moved=moved, excluded=moved),
+            outcome(Kind.MOVED, cause, cause, 1, moved=moved, excluded=("display capture 4",)),
         ]
     )
     assert found["capture that moved set aside (%)"] == (50.0, 2)
