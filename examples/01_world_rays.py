@@ -1,4 +1,4 @@
-"""World rays of every display pixel, for a renderer of your own: origins, directions, status."""
+"""Compute the world ray of every display pixel, for your own renderer: origin, direction, status."""
 
 import numpy as np
 
@@ -12,8 +12,8 @@ plan = choose_plan(eye)  # once per headset
 
 viewpoint = eye.eye_box.centre + [0.002, -0.001, 0.0]  # entrance pupil, device frame, metres
 world_from_device = np.eye(4)
-field = ray_map(eye, viewpoint, plan)
-origin, direction = field.world_rays(world_from_device)  # (height * width, 3) float32, row by row
+rays = ray_map(eye, viewpoint, plan)
+origin, direction = rays.world_rays(world_from_device)  # (height * width, 3) float32, row by row
 
-print(f"{len(direction)} rays, {np.mean(field.status == Status.OK):.1%} of them OK")
-print("the first:", origin[0], direction[0])
+print(f"{len(direction)} rays, {np.mean(rays.status == Status.OK):.1%} of them OK")
+print("first ray:", origin[0], direction[0])

@@ -1,4 +1,4 @@
-"""Fit planar models to captures, look at the fit, save and load them."""
+"""Fit planar models to simulated captures, print the residual, save and load the models."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ setup = CaptureSetup(truth, camera_noise_arcmin=0.25)
 rng = np.random.default_rng(1)
 positions = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
 
-# Captures of your own are the same two records: who saw which pixel, or which real point, in which direction.
+# Your own captures have the same two records: pixels or real points, with viewpoints and view directions.
 captures = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 fit = fit_eye(captures, "planar", display_degree=5, see_through_degree=3)
 print(f"display residual {fit.display.residual_arcmin.rms:.3f} arcmin rms, degree {fit.display.degree}")
@@ -29,4 +29,4 @@ model = load_eye_model(path).mappings
 anywhere = viewpoints.random_in_eye_box(truth.eye_box, 50, rng)[:, None]
 pixels = rng.uniform(0, truth.display.panel.size_px, (50, 40, 2))
 error = display_error(model.display, sightings_of_pixels(truth.display, anywhere, pixels))
-print(f"against the truth, anywhere in the eye box: {summary(error.forward_arcmin).rms:.3f} arcmin rms")
+print(f"error against the exact optics, over the eye box: {summary(error.forward_arcmin).rms:.3f} arcmin rms")

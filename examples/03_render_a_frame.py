@@ -1,4 +1,4 @@
-"""One frame by rasterisation and warp, and by ray tracing; how far apart they are."""
+"""Draw a frame by rasterisation and warp, and by ray tracing, and measure the difference."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ warped = WarpedPainter(eye, raster_backend).paint(viewpoint, world_from_device, 
 traced = TracedPainter(eye, renderer, shadows=True).paint(viewpoint, world_from_device, with_geometry=True)
 write_png("raster.png", warped.colour)
 write_png("raytrace.png", traced.colour)
-write_map("warp.tiff", warped.source)  # u, v in the intermediate image, inverse depth there; float32, NaN for nothing
+write_map("warp.tiff", warped.source)  # u, v and inverse depth in the intermediate image; float32, NaN for nothing
 
 eye_in_world = transforms.apply(world_from_device, viewpoint)
 error = raster_error(warped.position, traced.position, eye_in_world)

@@ -1,4 +1,4 @@
-"""A head that moves and eyes that look around: trajectories to files, frames from them for both eyes."""
+"""Write synthetic head and eye trajectories to files, and draw frames of both eyes along them."""
 
 from pathlib import Path
 

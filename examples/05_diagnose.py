@@ -1,4 +1,4 @@
-"""Explain a measured session: why the simulation differs from it, and the corrected bench."""
+"""Diagnose a bench session: find the physical cause of the residuals, and write a corrected bench model."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from wlr_render.files import output_folder
 from wlr_render.report.save import save_report
 from wlr_render.simulation.session_folder import load_session, save_session
 
-# A session as a bench delivers it: bench.toml says what its makers believe, and something is not as they believe.
-# data/README.md says what. A session of your own is such a folder too: docs/bench-session.md.
+# bench.toml describes the nominal bench; one of its values is wrong (data/README.md says which).
+# docs/bench-session.md has the format for your own sessions.
 bench, session = load_session(Path(__file__).parent / "data" / "session")
 found = diagnose(bench, session)
 print(verdict_sentence(found), *advice(found), sep="\n")

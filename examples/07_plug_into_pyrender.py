@@ -1,4 +1,4 @@
-"""A plain pyrender script, and the 14 lines that make it draw for the panels of a headset."""
+"""A plain pyrender script, and the few lines that make it draw for the panels of a headset."""
 
 import os
 
@@ -23,7 +23,7 @@ def add(shape, rgb, position):
     scene.add(pyrender.Mesh.from_trimesh(shape, material=material, smooth=False), pose=pose)
 
 
-dot = np.array([0.05, 0.03, -0.9])  # a white dot on a dark board, by which the picture is judged below
+dot = np.array([0.05, 0.03, -0.9])  # a white dot on a dark board; its error is measured below
 add(trimesh.creation.cylinder(radius=0.01, height=0.0005), [1.0, 1.0, 1.0], dot)
 add(trimesh.creation.box((3.0, 3.0, 0.02)), [0.05, 0.05, 0.1], dot - [0.0, 0.0, 0.0101])
 add(trimesh.creation.box((0.1, 0.1, 0.1)), [0.6, 0.2, 0.1], [-0.1, -0.1, -0.7])
@@ -50,8 +50,8 @@ with Compositor(models, size=(1440, 1600), context=os.environ["PYOPENGL_PLATFORM
     drawn_by = compositor.renderer
 # ---- plug-in ends ----
 
-renderer.delete()  # only now: on EGL it takes the display from everybody in the process
-print(f"drawn by {drawn_by}; rays without a proper answer: {unsolved}")
+renderer.delete()  # after the compositor: on EGL this terminates the display for the whole process
+print(f"drawn by {drawn_by}; unsolved rays: {unsolved}")
 for eye, picture in panels.items():
     write_png(f"{eye}.png", picture)
     white = picture.min(axis=-1) > 100
@@ -60,8 +60,8 @@ for eye, picture in panels.items():
     real = models[eye].see_through.view_dir_of_real_point(dot, pupils[eye]).value
     print(f"{eye} eye: the drawn dot appears {arcmin_between(seen, real):.2f} arcmin from the real one")
 
-# Nothing leaves the GPU if pyrender draws in the compositor's context instead of in an OffscreenRenderer:
+# Without a copy to the CPU, pyrender draws in the compositor's context instead of in an OffscreenRenderer:
 #     drawing = PyrenderDrawing(compositor.context, scene, camera_node)
 #     compositor.submit(drawing.draw_on_gpu(wanted.view, eye), eye=eye)
-# Its depth is that of the pixels' centres. On EGL OffscreenRenderer's is that of the first of four samples, 0.4 pixels
-# beside them, which shows at silhouettes; what it gives for RenderFlags.SEG is right there, too.
+# Its depth is that of the pixel centres. On EGL, OffscreenRenderer has the depth of the first of four samples, 0.4 pixels
+# from the centre, which is visible at silhouettes; its depth with RenderFlags.SEG is correct there.

@@ -1,4 +1,4 @@
-"""A ModernGL program with its own context, shader and framebuffers, whose frames a compositor brings to the panel."""
+"""Compose the frames of a ModernGL program, which has its own context, shader and framebuffers, for a panel."""
 
 import time
 
@@ -13,9 +13,9 @@ from wlr_render.tracking.synthetic import eye_motion, head_motion
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
 
 SIZE, FRAMES, RATE_HZ, NEAR_M = (360, 400), 30, 90.0, 0.05
-TO_FIRST_ROW_S, SCAN_OUT_S = 0.010, 0.008  # from drawing to the panel's first row, and from that to its last
+TO_FIRST_ROW_S, SCAN_OUT_S = 0.010, 0.008  # from drawing to the panel's first row, and from its first row to its last
 
-# The engine: cubes on a grid, drawn by a shader of its own.
+# The engine: cubes on a grid, drawn with its own shader.
 VERTEX = """
 #version 430
 uniform mat4 clip_from_world;
@@ -34,7 +34,7 @@ CUBE = [0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 
 ctx = moderngl.create_context(standalone=True, backend="egl", require=430)
 program = ctx.program(VERTEX, FRAGMENT)
 cubes = ctx.vertex_array(program, [], index_buffer=ctx.buffer(np.array(CUBE, np.uint32)))
-panel = ctx.framebuffer([ctx.texture(SIZE, 4)])  # a headset's swap chain, say
+panel = ctx.framebuffer([ctx.texture(SIZE, 4)])  # in place of a headset's swap chain
 
 eye = traced_eye(load_device("northstar"))  # or models.model_file.load_eye_model("model.json").mappings
 centre, duration_s = eye.eye_box.centre, FRAMES / RATE_HZ + 0.1
@@ -44,7 +44,7 @@ compositor = Compositor(eye, SIZE, context=ctx)
 
 wanted = compositor.begin_frame(head.at(0.0), centre)["right"]
 picture = ctx.framebuffer([ctx.texture(wanted.size_px, 4)], ctx.depth_texture(wanted.size_px))
-picture.use()  # the engine sets its state here, and never again
+picture.use()  # the engine sets its OpenGL state once, here
 ctx.enable(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
 ctx.front_face = "cw"
 
@@ -75,8 +75,8 @@ for number in range(FRAMES):
 
 shown = np.frombuffer(panel.read(components=3), np.uint8).reshape(SIZE[1], SIZE[0], 3)
 write_png("panel.png", shown[::-1])
-print(f"{compositor.renderer}: {FRAMES} frames; {tracker.counts.sentence}; {unsolved} points of the field unsolved")
-print("milliseconds a frame, 50, 95, 99 %:", *np.percentile(milliseconds, [50, 95, 99]).round(1))
+print(f"{compositor.renderer}: {FRAMES} frames; {tracker.counts.sentence}; {unsolved} points of the ray map unsolved")
+print("milliseconds per frame, 50, 95, 99 %:", *np.percentile(milliseconds, [50, 95, 99]).round(1))
 draw(wanted)
 left_alone = picture.read() == before and ctx.error == "GL_NO_ERROR"
 print("OpenGL state of its own was", "left alone" if left_alone else "CHANGED")

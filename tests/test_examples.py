@@ -1,4 +1,4 @@
-"""The examples run as they stand, each in a folder of its own, and say something."""
+"""The examples run as they stand, each in a folder of its own, and print what they should."""
 
 import os
 import re
@@ -14,14 +14,14 @@ from wlr_render.rendering.native_contexts import OsMesaContext
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
 WORDS_AND_FILES = {
     "01_world_rays": ("2304000 rays, 100.0% of them OK", set()),
-    "02_calibrate": ("against the truth, anywhere in the eye box: 0.0", {"birdbath28.model.json"}),
+    "02_calibrate": ("error against the exact optics, over the eye box: 0.0", {"birdbath28.model.json"}),
     "03_render_a_frame": ("pixels are disoccluded", {"raster.png", "raytrace.png", "warp.tiff"}),
     "04_moving_wearer": (
         "again: 0 frames drawn, 4 kept from an earlier run",
         {"head.tum", "eyes.txt", "frames"},
     ),
     "05_diagnose": ("Explained: printed size of the target", {"out"}),
-    "06_photographs": ("81 dots found to 0.00", set()),
+    "06_photographs": ("81 dots found, median error 0.00", set()),
     "07_plug_into_pyrender": ("right eye: the drawn dot appears 0.", {"left.png", "right.png"}),
     "08_real_time": ("OpenGL state of its own was left alone", {"panel.png"}),
 }
@@ -55,8 +55,8 @@ def test_the_plug_in_works_without_egl_too(tmp_path):
     run("07_plug_into_pyrender", tmp_path, PYOPENGL_PLATFORM="osmesa")
 
 
-def test_the_session_that_is_diagnosed_is_made_as_its_readme_says(tmp_path, monkeypatch):
-    """To what text of other processors' rounding allows."""
+def test_the_code_in_the_readme_makes_the_session_of_example_5(tmp_path, monkeypatch):
+    """Up to rounding differences between processors."""
     data = EXAMPLES[0].parent / "data"
     (code,) = re.findall(r"```python\n(.*?)```", (data / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     monkeypatch.chdir(tmp_path)
@@ -69,5 +69,5 @@ def test_the_session_that_is_diagnosed_is_made_as_its_readme_says(tmp_path, monk
         np.testing.assert_allclose(made, kept, rtol=0, atol=1e-3)
 
 
-def test_every_example_is_known_here():
+def test_every_example_is_tested():
     assert {path.stem for path in EXAMPLES} == set(WORDS_AND_FILES)
