@@ -33,7 +33,7 @@ def causes_table(diagnosis: Diagnosis) -> ReportTable:
             cause.name,
             cause.title,
             cause.part,
-            "\n".join(value_text(parameter) for parameter in cause.parameters),
+            "; ".join(value_text(parameter) for parameter in cause.parameters),
             cause.effect_over_noise,
             _percent(cause.improvement),
         ]
