@@ -5,7 +5,7 @@ A new verb is a job (options, function, report) and its row in `VERBS`.
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
@@ -66,24 +66,30 @@ EPILOGUE = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    return run_app(make_app, arguments)
+
+
+def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
+    """Run one command of an app whose commands are jobs; returns the exit status as `main`."""
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in tokens
     tokens = [token for token in tokens if token != "--debug"] or ["--help"]
     # Before numpy is imported: on thin matrix products BLAS threads are slower than none, many times so on a machine
     # that is busy otherwise. Work is shared out over threads and processes elsewhere.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    app = make()
     try:
-        return _run(tokens)
+        return _run(app, tokens)
     except (BadInputError, CycloptsError) as error:
         if debug:
             raise
-        return _refuse(_sentence(error), 2)
+        return _refuse(app, _sentence(error), 2)
     except BrokenPipeError:
         # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        return _refuse("interrupted; finished files are kept.", 130)
+        return _refuse(app, "interrupted; finished files are kept.", 130)
 
 
 def make_app() -> App:
@@ -110,8 +116,7 @@ def make_app() -> App:
     return app
 
 
-def _run(tokens: Sequence[str]) -> int:
-    app = make_app()
+def _run(app: App, tokens: Sequence[str]) -> int:
     command, bound, ignored = app.parse_args(tokens, exit_on_error=False, print_error=False)
     if "progress" not in ignored:
         command(*bound.args, **bound.kwargs)  # --help, --version and completion
@@ -122,7 +127,7 @@ def _run(tokens: Sequence[str]) -> int:
         report = command(*bound.args, **bound.kwargs, progress=progress)
     print_report(report)
     if report.faults:
-        return _refuse(f"{len(report.faults)} faulty item(s) were left out: {', '.join(report.faults)}.", 2)
+        return _refuse(app, f"{len(report.faults)} faulty item(s) were left out: {', '.join(report.faults)}.", 2)
     return 0
 
 
@@ -132,10 +137,10 @@ def _sentence(error: BadInputError | CycloptsError) -> str:
     return str(error)
 
 
-def _refuse(sentence: str, status: int) -> int:
+def _refuse(app: App, sentence: str, status: int) -> int:
     from wlr_render.report.terminal import say
 
-    say(f"{PROGRAM}: {sentence}", error=True)
+    say(f"{app.name[0]}: {sentence}", error=True)
     return status
 
 

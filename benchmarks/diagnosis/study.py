@@ -1,9 +1,10 @@
 """How often a diagnosis is right and how sure it may be, over sessions in which an effect is hidden."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from oracle.effects import LISTED, UNLISTED
@@ -11,10 +12,12 @@ from oracle.effects import LISTED, UNLISTED
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import Kind, Outcome, Trial, run_trial
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.files import output_folder, write_text
+from wlr_render.files import output_folder
+from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
 from wlr_render.jobs.processes import as_finished
-from wlr_render.progress import SILENT, Progress
-from wlr_render.report.blocks import ReportTable, tables_as_json
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+from wlr_render.report.save import save_report
 
 _CLEAN = 5  # clean bench sessions for every trial of a cause: false alarms are rare
 _PAIRS = 4  # of causes, likewise
@@ -22,24 +25,25 @@ _MOVED = 4  # captures that moved, likewise
 
 
 @dataclass(frozen=True)
-class Options:
-    """How much to try.
+class DiagnosisOptions(Options):
+    """Options of `diagnosis`."""
 
-    Attributes:
-        trials: of every cause and of every effect that no cause stands for.
-        seed: of all random numbers.
-        workers: processes; None for one per core.
-        out: folder for the results.
-    """
-
-    trials: int = 20
-    seed: int = 1
-    workers: int | None = None
-    out: Path = Path("out/benchmarks/diagnosis")
+    _: KW_ONLY
+    trials: Annotated[
+        int,
+        described("Trials of every cause and of every effect that no cause stands for; one of each takes minutes."),
+        Range(at_least=1),
+    ] = 20
+    seed: Seed = 1
+    workers: Workers = None
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/diagnosis")
 
 
-def run(options: Options, progress: Progress = SILENT) -> list[ReportTable]:
-    """Run all trials; writes diagnosis.md and diagnosis.json into `options.out`, interrupted or not."""
+_DEFAULTS = DiagnosisOptions()
+
+
+def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
+    """Run all trials; writes diagnosis.html, .md and .json into `options.out`, interrupted or not."""
     folder = output_folder(options.out)
     tasks = trials(options.trials, options.seed)
     outcomes: list[Outcome] = []
@@ -49,9 +53,10 @@ def run(options: Options, progress: Progress = SILENT) -> list[ReportTable]:
             outcomes.append(outcome)
     finally:
         outcomes.sort(key=lambda outcome: tasks.index(outcome.trial))
-        found = tables(outcomes)
-        _write(folder, options, outcomes, found)
-    return found
+        record = {"trials_per_cause": options.trials, "seed": options.seed, "trials": outcomes}
+        title = f"{len(outcomes)} of {len(tasks)} diagnoses where the truth is known"
+        report = save_report(Report(title, blocks=tables(outcomes), record=record), folder, "diagnosis")
+    return report
 
 
 def trials(count: int, seed: int) -> list[Trial]:
@@ -75,11 +80,3 @@ def trials(count: int, seed: int) -> list[Trial]:
 
 def _share(number: int, size: int) -> Iterable[int]:
     return range(size * number, size * (number + 1))
-
-
-def _write(folder: Path, options: Options, outcomes: list[Outcome], found: list[ReportTable]) -> None:
-    write_text(folder / "diagnosis.md", "\n".join(table.markdown() for table in found))
-    record = tables_as_json(
-        found, trials_per_cause=options.trials, seed=options.seed, trials=[asdict(outcome) for outcome in outcomes]
-    )
-    write_text(folder / "diagnosis.json", record)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from benchmarks.diagnosis.trial import Kind, Outcome
+from benchmarks.intervals import INTERVAL, interval_percent
 from wlr_render.diagnosis.diagnosis import NO_EFFECT, UNEXPLAINED
 from wlr_render.report.blocks import Cell, ReportTable
 
@@ -73,8 +74,18 @@ def _figures(outcomes: Sequence[Outcome]) -> ReportTable:
         ("effects that no cause stands for: unexplained (%)", unlisted, _share(_admitted), None),
         ("seconds for a diagnosis, median", [o.seconds for o in outcomes], _median, None),
     ]
-    rows: list[list[Cell]] = [[text, found(each), len(each), goal] for text, each, found, goal in figures if each]
-    return ReportTable("Diagnoses where the truth is known", ("figure", "value", "of", "goal"), rows, _NOTES)
+    rows: list[list[Cell]] = []
+    for text, each, found, goal in figures:
+        if each:
+            value = found(each)
+            interval = _interval(value, len(each)) if text.endswith("(%)") else None  # all percentages are shares
+            rows.append([text, value, len(each), interval, goal])
+    columns = ("figure", "value", "of", INTERVAL, "goal")
+    return ReportTable("Diagnoses where the truth is known", columns, rows, _NOTES)
+
+
+def _interval(percent: float, total: int) -> str:
+    return interval_percent(round(percent * total / 100), total)
 
 
 _NOTES = (
@@ -111,11 +122,12 @@ def _confusion(outcomes: Sequence[Outcome]) -> ReportTable:
     for name, mine in _by_effect(_of(outcomes, Kind.ONE)).items():
         strong = _strong(mine)
         right = _percent(map(_right, strong)) if strong else None
-        rows.append([name, _counted(outcome.first for outcome in mine), _size(mine), len(strong), right])
+        interval = None if right is None else _interval(right, len(strong))
+        rows.append([name, _counted(outcome.first for outcome in mine), _size(mine), len(strong), right, interval])
     for kind in (Kind.CLEAN, Kind.CLEAN_RUN_TIME):
         if mine := _of(outcomes, kind):
-            rows.append([kind.value, _counted(outcome.first for outcome in mine), _size(mine), None, None])
-    columns = ("hidden", "named first (trials)", "size over noise", "5 sigma remain", "of these right (%)")
+            rows.append([kind.value, _counted(outcome.first for outcome in mine), _size(mine), None, None, None])
+    columns = ("hidden", "named first (trials)", "size over noise", "5 sigma remain", "of these right (%)", INTERVAL)
     return ReportTable("Confusion: what was hidden, and what was named first", columns, rows, (_SIZE_NOTE,))
 
 
@@ -128,8 +140,10 @@ def _estimates(outcomes: Sequence[Outcome]) -> ReportTable:
         deviations = _deviations(mine)
         if deviations:
             held_out = _median([outcome.held_out for outcome in mine if outcome.exact])
-            rows.append([name, len(deviations), _covered(deviations), _mean_square(deviations), held_out])
-    columns = ("cause", "estimates", "68 % intervals cover (%)", "variance / bound", "held-out / noise")
+            covered = _covered(deviations)
+            interval = _interval(covered, len(deviations))
+            rows.append([name, len(deviations), covered, interval, _mean_square(deviations), held_out])
+    columns = ("cause", "estimates", "68 % intervals cover (%)", INTERVAL, "variance / bound", "held-out / noise")
     return ReportTable("Parameters", columns, rows)
 
 

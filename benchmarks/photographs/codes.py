@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.intervals import INTERVAL, interval_percent
 from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.patterns import PATTERNS
 from wlr_render.captures.patterns.catalogue import make_pattern
@@ -33,7 +34,7 @@ class CodeTrial:
         compared: how many accepted pixels were compared with exact positions.
         rms_px: of accepted pixels about the exact position, per axis, less the mean error.
         mean_px: of the errors, both axes together: what the finite pupil does to aberrated light.
-        wrong: share of accepted pixels that are off by more than one panel pixel.
+        wrong: accepted pixels that are off by more than one panel pixel.
         accepted: share of the camera pixels that see the panel, its rim left out.
         decode_s: from files to positions.
         read_s: reading the files alone.
@@ -44,7 +45,7 @@ class CodeTrial:
     compared: int
     rms_px: float
     mean_px: float
-    wrong: float
+    wrong: int
     accepted: float
     decode_s: float
     read_s: float
@@ -83,7 +84,8 @@ def code_table(trials: list[CodeTrial], bench: PhotoBench, snr: float) -> Report
             trial.compared,
             trial.rms_px,
             trial.mean_px,
-            f"{trial.wrong:.1e}",
+            trial.wrong,
+            interval_percent(trial.wrong, trial.compared),
             100 * trial.accepted,
             trial.decode_s,
             trial.decode_s / trial.read_s,
@@ -102,6 +104,7 @@ def code_table(trials: list[CodeTrial], bench: PhotoBench, snr: float) -> Report
         "error rms (panel px, per axis)",
         "mean error (panel px)",
         "wrong by > 1 px",
+        INTERVAL,
     ]
     columns += ["accepted (%)", "decoded in (s)", "by reading the files alone"]
     notes = (
@@ -135,7 +138,7 @@ def _judged(name: str, pictures: int, decoded: Decoded, truth: FloatArray, decod
         len(error),
         float(np.sqrt(np.mean((error - mean) ** 2))),
         float(np.linalg.norm(mean)),
-        float(np.mean(np.linalg.norm(error, axis=1) > 1.0)),
+        int(np.sum(np.linalg.norm(error, axis=1) > 1.0)),
         float(np.mean(accepted[inner])),
         decode_s,
         read_s,

@@ -1,42 +1,43 @@
 """How good the reading of photographs is: codes at a low signal, and a whole session if one is given."""
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated
 
 from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
-from wlr_render.files import output_folder, write_text
+from wlr_render.files import output_folder
 from wlr_render.jobs.calibrate import photos as calibrate
+from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described
 from wlr_render.jobs.simulate.making import load_making
 from wlr_render.optics.device_file import load_device
-from wlr_render.progress import SILENT, Progress
-from wlr_render.report.blocks import ReportTable, tables_as_json
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
 
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels
 
 
 @dataclass(frozen=True)
-class Options:
-    """What to try.
+class PhotographsOptions(Options):
+    """Options of `photographs`."""
 
-    Attributes:
-        session: folder of a simulated session, or None to try codes only.
-        calibration: folder of what `calibrate` has read of it.
-        snr: of a white panel.
-        seed: of all random numbers.
-        out: for the tables.
-    """
-
-    session: Path | None = None
-    calibration: Path = Path("out/calibrate")
-    snr: float = 20.0
-    seed: int = 1
-    out: Path = Path("out/benchmarks/photographs")
+    _: KW_ONLY
+    session: Annotated[
+        Path | None, described("Also compare the calibration of this simulated session with the truth.")
+    ] = None
+    calibration: Annotated[Path, described("Folder of that session's calibration.")] = Path("out/calibrate")
+    snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(above=0)] = 20.0
+    seed: Seed = 1
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/photographs")
 
 
-def run(options: Options, progress: Progress = SILENT) -> list[ReportTable]:
-    """Photograph, read, compare; writes photographs.md and photographs.json.
+_DEFAULTS = PhotographsOptions()
+
+
+def run(options: PhotographsOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
+    """Photograph, read, compare; writes photographs.html, .md and .json.
 
     Raises:
         BadInputError: the session is not a simulated one, or cannot be calibrated.
@@ -49,6 +50,6 @@ def run(options: Options, progress: Progress = SILENT) -> list[ReportTable]:
         truth = load_making(options.session).build()
         found = calibrate.run(options.session, options.calibration, progress=progress)
         tables += truth_tables(compare_with_truth(truth, found, options.seed), options.seed)
-    write_text(folder / "photographs.md", "\n".join(table.markdown() for table in tables))
-    write_text(folder / "photographs.json", tables_as_json(tables, seed=options.seed))
-    return tables
+    inputs = [] if options.session is None else [options.session]
+    report = Report("Photographs compared with the truth", blocks=tables, inputs=inputs, record={"seed": options.seed})
+    return save_report(report, folder, "photographs")

@@ -5,14 +5,12 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
 
 from benchmarks.soak.records import SACCADE_MM, Cost, EyeMoment, FrameNote, MapCheck, Stream
-from wlr_render.files import write_text
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Cell, ReportTable, tables_as_json
+from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.tracking.tracked_viewpoint import TrackingState
 
 _PERCENTILES = (50, 95, 99)
@@ -32,21 +30,6 @@ def tables_of(stream: Stream) -> tuple[ReportTable, ...]:
     """In the order of telling."""
     tables = [_times(stream), _slowest(stream), _tracking(stream), _jumps(stream), _rest(stream)]
     return (*tables, _dropped(stream)) if stream.dropped() else tuple(tables)
-
-
-def write(stream: Stream, tables: Sequence[ReportTable], folder: Path) -> list[Path]:
-    """Write soak.md, soak.json and frames.csv."""
-    context = {
-        "renderer": stream.renderer,
-        "size_px": list(stream.size_px),
-        "frames_per_second": stream.frames_per_second,
-        "late_ms": stream.late_ms,
-    }
-    return [
-        write_text(folder / "soak.md", "\n".join(table.markdown() for table in tables)),
-        write_text(folder / "soak.json", tables_as_json(tables, **context)),
-        write_text(folder / "frames.csv", _frames_csv(stream)),
-    ]
 
 
 def costs(frames: Iterable[FrameNote], name: str) -> FloatArray:
@@ -171,7 +154,8 @@ def _rest(stream: Stream) -> ReportTable:
     )
 
 
-def _frames_csv(stream: Stream) -> str:
+def frames_csv(stream: Stream) -> str:
+    """A row for each frame: time, costs, and the state of each eye."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     of_eye = ("tracking", "x_m", "y_m", "z_m", "moved_mm", "brought_back", "not_converged", "otherwise_unsolved")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
-from wlr_render.report.blocks import ReportTable
+from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.save import markdown
 
 
 def record(tables: Sequence[ReportTable], folder: str | Path, renderer: str) -> Path:
@@ -23,5 +24,6 @@ def record(tables: Sequence[ReportTable], folder: str | Path, renderer: str) -> 
     slug = re.sub(r"[^a-z0-9]+", "-", renderer.lower()).strip("-")
     if not slug:
         raise BadInputError(f"the renderer's name '{renderer}' gives no file name; name the device in letters.")
-    text = "\n".join([f"# Measured on {renderer}\n", *(table.markdown() for table in tables)])
-    return write_text(Path(folder) / f"{slug}.md", text)
+    return write_text(
+        Path(folder) / f"{slug}.md", markdown(Report(f"Measured on {renderer}", blocks=tables), Path(folder))
+    )

@@ -3,9 +3,12 @@
 import os
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cache, partial
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from benchmarks.speed import accuracy_tables, eye_tracking, fixed_maps, growth, stages
 from benchmarks.speed.frozen_map import frozen_map_table
@@ -14,12 +17,14 @@ from benchmarks.speed.record import record
 from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
 from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.files import output_folder, write_text
+from wlr_render.files import output_folder
+from wlr_render.jobs.options import Backend, Options, ProgressArgument, described
 from wlr_render.mappings import Panel
-from wlr_render.progress import SILENT, Progress
+from wlr_render.progress import SILENT
 from wlr_render.rendering import gl
 from wlr_render.rendering.thread_pool import worker_count
-from wlr_render.report.blocks import ReportTable, tables_as_json
+from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.save import save_report
 
 _NOTES = (
     "Ray path baseline: embreex's own query of the same rays, shared out over the same threads.",
@@ -53,22 +58,26 @@ class Extent:
 
 
 @dataclass(frozen=True)
-class Options:
-    """Options of a run.
+class SpeedOptions(Options):
+    """Options of `speed`."""
 
-    Attributes:
-        backend: of OpenGL.
-        out: folder for speed.md and speed.json.
-        record: folder in which the tables are also kept, in a file named after the renderer; None for nowhere.
-    """
-
-    backend: str = "auto"
-    out: Path = Path("out/benchmarks/speed")
-    record: Path | None = None
+    _: KW_ONLY
+    backend: Backend = "auto"
+    record: Annotated[Path | None, described("Folder that also keeps the tables, as RENDERER.md.")] = None
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/speed")
 
 
-def run(options: Options, progress: Progress = SILENT, extent: Extent = Extent()) -> list[ReportTable]:
-    """Measure; writes speed.md and speed.json into `options.out`.
+_DEFAULTS = SpeedOptions()
+_FULL = Extent()
+
+
+def run(
+    options: SpeedOptions = _DEFAULTS,
+    *,
+    progress: ProgressArgument = SILENT,
+    extent: Annotated[Extent, Parameter(parse=False)] = _FULL,
+) -> Report:
+    """Measure; writes speed.html, .md and .json into `options.out`.
 
     Raises:
         BadInputError: a folder that cannot be written, or `record` without OpenGL.
@@ -90,11 +99,9 @@ def run(options: Options, progress: Progress = SILENT, extent: Extent = Extent()
         parts += _in_real_time(work.with_rounds(rounds), options.backend, extent)
     parts += _accuracy(options.backend, extent, with_gl=renderer is not None)
     tables = [table for part in progress(iter(parts), len(parts), "benchmarks") for table in part()]
-    write_text(folder / "speed.md", "\n".join(table.markdown() for table in tables))
-    write_text(folder / "speed.json", tables_as_json(tables))
     if options.record is not None and renderer is not None:
         record(tables, options.record, renderer.name)
-    return tables
+    return save_report(Report("Speed and accuracy", blocks=tables), folder, "speed")
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,38 @@
-"""What captures of a display from two viewpoints say about display models: from a folder to tables."""
+"""Display models supported by captures from two viewpoints."""
 
-from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated
 
 from benchmarks.published_data.northstar_vcam import read_northstar_vcam
 from benchmarks.two_views.evidence import viewpoint_evidence
 from benchmarks.two_views.tables import tables
-from wlr_render.files import output_folder, write_text
-from wlr_render.report.blocks import ReportTable, tables_as_json
+from wlr_render.files import output_folder
+from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+from wlr_render.report.save import save_report
 
 
-def run(folder: Path, out: Path) -> Sequence[ReportTable]:
-    """Judge the captures of both eyes; writes two-views.md and two-views.json.
+@dataclass(frozen=True)
+class TwoViewsOptions(Options):
+    """Options of `two-views`."""
 
-    Args:
-        folder: with captures of the kind that `read_northstar_vcam` reads.
-        out: for the tables.
+    captures: Annotated[Path, described("Folder of North Star captures (docs/measured-data.md).")]
+    _: KW_ONLY
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/two-views")
+
+
+def run(options: TwoViewsOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Compare display models on the captures of both eyes; writes two-views.html, .md and .json.
 
     Raises:
         BadInputError: faulty captures, or an output folder that cannot be written.
     """
-    captures = read_northstar_vcam(folder)
-    out = output_folder(out)
+    progress.say("reading the captures")
+    captures = read_northstar_vcam(options.captures)
+    folder = output_folder(options.out)
+    progress.say("fitting the models")
     found = tables(viewpoint_evidence([captures.left, captures.right]))
-    write_text(out / "two-views.md", "\n".join(table.markdown() for table in found))
-    write_text(out / "two-views.json", tables_as_json(found, captures=folder.name))
-    return found
+    title = f"Captures from two viewpoints: {options.captures.resolve().name}"
+    return save_report(Report(title, blocks=found, inputs=[options.captures]), folder, "two-views")

@@ -224,7 +224,7 @@ def test_repetitions_are_pooled_by_their_squares_and_their_spread_is_told():
         (["--degrees", "13"], "--degrees is 13"),
         (["--experiment", "field", "--degrees", "3"], "--degrees is used with --experiment camera-positions or"),
         (["--experiment", "dense", "--noise-arcmin", "1"], "--noise-arcmin is used with"),
-        (["--box", "10x8"], "--box is 10x8; give width, height and depth in mm"),
+        (["--box", "10x8"], "'10x8' is not width, height and depth in mm"),
         (["--box", "10x8x0"], "--box is 0.0; it must be a finite number above 0"),
         (["no-such-device"], "no-such-device"),
         (["no_optics", "--eye", "left"], "no left eye"),

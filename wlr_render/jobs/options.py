@@ -8,15 +8,17 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from cyclopts import Parameter, Token
 
 from wlr_render.errors import BadInputError
 from wlr_render.progress import Progress
+
+Length = TypeVar("Length", int, float)
 
 
 @dataclass(frozen=True)
@@ -146,13 +148,21 @@ _BOX_HELP = (
 
 
 def _box_size(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:
+    return _lengths(tokens[0], float, 3, "width, height and depth in mm, e.g. 10x8x6")
+
+
+def _pixel_size(_: type, tokens: Sequence[Token]) -> tuple[int, ...]:
+    return _lengths(tokens[0], int, 2, "width and height in pixels, e.g. 1280x1024")
+
+
+def _lengths(token: Token, kind: Callable[[str], Length], count: int, wanted: str) -> tuple[Length, ...]:
     try:
-        edges = tuple(float(edge) for edge in tokens[0].value.lower().split("x"))
+        lengths = tuple(kind(each) for each in token.value.lower().split("x"))
     except ValueError:
-        edges = ()
-    if len(edges) != 3:
-        raise BadInputError(f"--box is {tokens[0].value}; give width, height and depth in mm, e.g. 10x8x6.")
-    return edges
+        lengths = ()
+    if len(lengths) != count:
+        raise BadInputError(f"'{token.value}' is not {wanted}.")
+    return lengths
 
 
 BoxSize = Annotated[
@@ -161,6 +171,12 @@ BoxSize = Annotated[
     Range(above=0),
 ]
 """Edge lengths of an eye box in millimetres; None for the device's own eye box."""
+PixelSize = Annotated[
+    tuple[int, int] | None,
+    Parameter(converter=_pixel_size, n_tokens=1, accepts_keys=False, metavar="WxH"),
+    Range(at_least=1),
+]
+"""Width and height of an image; None for a default that the option's help states."""
 
 
 def eyes_of(eye: Eyes) -> tuple[Eye, ...]:

@@ -66,11 +66,11 @@ def save_report(report: Report, folder: Path, stem: str) -> Report:
 def provenance(inputs: Sequence[Path]) -> Provenance:
     """Date, version, command line and input hashes of the running program."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    command = shlex.join(["wlr-render" if Path(sys.argv[0]).stem in _PROGRAM_NAMES else sys.argv[0], *sys.argv[1:]])
+    started = Path(sys.argv[0])
+    is_module = started.name == "__main__.py"
+    program = ["python", "-m", started.parent.name] if is_module else [started.name]
+    command = shlex.join([*program, *sys.argv[1:]])
     return Provenance(now, __version__, command, tuple(InputFile(str(path), _sha256(path)) for path in inputs))
-
-
-_PROGRAM_NAMES = ("wlr-render", "__main__")
 
 
 def _sha256(path: Path) -> str:

@@ -13,6 +13,7 @@ from benchmarks.diagnosis import study, trial
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import Kind, Outcome, Trial, observed, run_trial
 from benchmarks.diagnosis.truths import truth_of
+from benchmarks.intervals import INTERVAL
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import observe
 from wlr_render.simulation.simulate_session import simulate
@@ -68,6 +69,20 @@ def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
     assert found["right cause and no other, where 5 sigma remain (%)"] == (pytest.approx(100 / 3), 3)
     confusion = tables(wrong + right)[1]
     assert confusion.rows[0][:2] == ["combiner_tilt", "panel_shift 2, combiner_tilt 2"]
+
+
+def test_every_share_has_its_interval():
+    tilt = ("combiner_tilt",)
+    outcomes = [outcome(Kind.ONE, tilt, tilt, number, deviations=(0.5,)) for number in range(4)]
+    outcomes.append(outcome(Kind.ONE, tilt, ("panel_shift",), 4))
+    figure_table, confusion, parameters, *_ = tables(outcomes)
+    column = figure_table.columns.index(INTERVAL)
+    intervals = {row[0]: row[column] for row in figure_table.rows}
+    assert intervals["right cause first, in all trials (%)"] == "28.4 to 99.5"
+    assert intervals["68 % intervals cover (%)"] == "above 47.3"
+    assert intervals["variance of estimates over the Cramer-Rao bound"] is None
+    assert confusion.rows[0][confusion.columns.index(INTERVAL)] == "28.4 to 99.5"
+    assert parameters.rows[0][parameters.columns.index(INTERVAL)] == "above 47.3"
 
 
 def test_coverage_and_efficiency_are_those_of_the_deviations():
@@ -137,10 +152,10 @@ def test_an_interrupted_study_keeps_what_is_finished(monkeypatch, tmp_path):
 
     monkeypatch.setattr(study, "as_finished", some)
     with pytest.raises(KeyboardInterrupt):
-        study.run(study.Options(trials=1, out=tmp_path))
+        study.run(study.DiagnosisOptions(trials=1, out=tmp_path))
     record = json.loads((tmp_path / "diagnosis.json").read_text())
-    assert [each["trial"]["effects"] for each in record["trials"]] == [[name] for name in list(CAUSES)[:3]]
-    assert record["seed"] == 1
+    assert [each["trial"]["effects"] for each in record["record"]["trials"]] == [[name] for name in list(CAUSES)[:3]]
+    assert record["record"]["seed"] == 1
     assert "right cause first" in (tmp_path / "diagnosis.md").read_text()
 
 

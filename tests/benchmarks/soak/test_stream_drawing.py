@@ -64,8 +64,9 @@ class TrustsItsStart:
 
 
 def options(scene_file, wearer, frames, **others):
-    return study.Options(
-        ("headset",), scene_file, wearer=wearer, frames=frames, frames_per_second=RATE_HZ, size=(56, 40), **others
+    wears = {"head": wearer.head, "eye_track": wearer.eyes, "seed": wearer.seed}
+    return study.SoakOptions(
+        "headset", scene_file, **wears, frames=frames, frames_per_second=RATE_HZ, size=(56, 40), **others
     )
 
 
@@ -81,7 +82,7 @@ def test_after_a_jump_the_frames_own_map_is_right_and_the_one_before_is_not(
     context, flat_image_headset, scene_file, tmp_path
 ):
     wearer = recorded(tmp_path / "eyes.txt", fixations([-3, 0, 1], [3, 2, -1], [0, -3, 0]))
-    stream = streamed(options(scene_file, wearer, 12, context=context), {"right": flat_image_headset})
+    stream = streamed(options(scene_file, wearer, 12, backend=context), {"right": flat_image_headset})
     jumped = [check for check in stream.checks if check.moved_mm > 1.0]
     assert [round(check.time_s, 3) for check in jumped] == [0.04, 0.08]
     for check in stream.checks:
@@ -94,14 +95,14 @@ def test_after_a_jump_the_frames_own_map_is_right_and_the_one_before_is_not(
 def test_a_map_that_lags_behind_its_viewpoint_is_found_out(flat_image_headset, scene_file, tmp_path):
     lagging = dataclasses.replace(flat_image_headset, display=TrustsItsStart(flat_image_headset.display))
     wearer = recorded(tmp_path / "eyes.txt", fixations([-3, 0, 1], [3, 2, -1]))
-    stream = streamed(options(scene_file, wearer, 8, context="cpu"), {"right": lagging})
+    stream = streamed(options(scene_file, wearer, 8, backend="cpu"), {"right": lagging})
     (jumped,) = (check for check in stream.checks if check.moved_mm > 1.0)
     assert jumped.own_arcmin > 1.0
 
 
 @pytest.mark.parametrize("device", ["small_northstar", "model_file"])
 def test_optics_are_caught_up_with_in_one_frame_too(device, request, scene_file):
-    chosen = options(scene_file, Wearer(seed=5), 24, context="auto")
+    chosen = options(scene_file, Wearer(seed=5), 24, backend="auto")
     mappings = study.open_eye(request.getfixturevalue(device))
     # At 3 frames per second the eye looks elsewhere in nearly every one.
     stream = streamed(dataclasses.replace(chosen, frames_per_second=3.0), {"right": mappings})
@@ -116,7 +117,7 @@ def test_points_that_fail_are_named_with_time_and_eye_and_are_whole_again_next_f
 ):
     failing = dataclasses.replace(flat_image_headset, display=FailsLeftWhenFarRight(flat_image_headset.display))
     wearer = recorded(tmp_path / "eyes.txt", fixations([0, 0, 0], [3, 0, 0], [0, 0, 0], each=3))
-    stream = streamed(options(scene_file, wearer, 9, context=context, solve="nodes"), {"right": failing})
+    stream = streamed(options(scene_file, wearer, 9, backend=context, solve="nodes"), {"right": failing})
     assert [(round(frame.moment.time_s, 3), eye) for frame, eye in stream.dropped()] == [
         (0.03, "right"),
         (0.04, "right"),
@@ -153,7 +154,7 @@ def test_python_keeps_nothing_of_a_frame_that_is_not_kept(flat_image_headset, sc
 
 def test_both_eyes_of_a_late_head_are_drawn_and_each_is_noted(straight_device, scene_file):
     models = {eye: study.open_eye(straight_device, eye) for eye in ("left", "right")}
-    stream = study.draw(options(scene_file, Wearer(), 4, context="cpu", late_ms=20.0), models)
+    stream = study.draw(options(scene_file, Wearer(), 4, backend="cpu", late_ms=20.0), models)
     assert stream.eyes == ("left", "right")
     for frame in stream.frames:
         assert frame.unsolved.keys() == frame.moment.eyes.keys() == {"left", "right"}
@@ -169,7 +170,7 @@ def test_each_frame_is_drawn_for_the_pose_at_its_beginning_and_composed_for_that
     monkeypatch.setattr(Compositor, "begin_frame", lambda c, pose, at: begun.append(pose) or begin_frame(c, pose, at))
     monkeypatch.setattr(Compositor, "compose", lambda c, *, pose: composed.append(pose) or compose(c, pose=pose))
     models = {"right": study.open_eye(straight_device)}
-    stream = study.draw(options(scene_file, Wearer(), 4, context="cpu", late_ms=20.0), models)
+    stream = study.draw(options(scene_file, Wearer(), 4, backend="cpu", late_ms=20.0), models)
     for k, frame in enumerate(stream.frames):
         np.testing.assert_array_equal(begun[k], frame.moment.world_from_device)
         np.testing.assert_array_equal(composed[k], frame.moment.at_scan_out)

@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.__main__ import main
 from benchmarks.soak import report, study
 from benchmarks.soak.records import Cost, EyeMoment, FrameNote, MapCheck, Stream, StreamFrame
-from benchmarks.soak.wearer import Wearer
-from wlr_render.errors import BadInputError
+from wlr_render.progress import Progress
 from wlr_render.tracking.tracked_viewpoint import TrackingState
+
+
+class Heard(Progress):
+    def __init__(self, given):
+        self.given = given
+
+    def __call__(self, items, total, label):
+        self.given.append((total, label))
+        yield from items
 
 
 def stream_of(states, *, frame_ms=None, failed=None, x_mm=None, resident_mb=None, jumped_at=()):
@@ -90,19 +99,14 @@ def test_a_jump_that_was_not_caught_up_with_is_seen_in_the_table():
 
 def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(straight_device, scene_file, tmp_path):
     out, given = tmp_path / "out", []
-    options = study.Options(
-        (straight_device,), scene_file, ("left", "right"), frames=6, size=(32, 18), context="cpu", out=out
+    options = study.SoakOptions(
+        straight_device, scene_file, eye="both", frames=6, size=(32, 18), backend="cpu", out=out
     )
-
-    def progress(items, total, label):
-        given.append((total, label))
-        yield from items
-
-    result = study.run(options, progress)
+    found = study.run(options, progress=Heard(given))
     assert given[0] == (6, "frames")
-    assert sorted(result.files) == sorted(out.iterdir())
-    assert all(each.title in (out / "soak.md").read_text() for each in result.tables)
-    assert json.loads((out / "soak.json").read_text())["size_px"] == [32, 18]
+    assert sorted(found.files) == sorted(out.iterdir())
+    assert all(each.title in (out / "soak.md").read_text() for each in found.tables)
+    assert json.loads((out / "soak.json").read_text())["record"]["size_px"] == [32, 18]
     rows = list(csv.DictReader((out / "frames.csv").open()))
     assert [float(row["time_s"]) for row in rows] == pytest.approx([k / 90.0 for k in range(6)])
     assert {row["left_tracking"] for row in rows} | {row["right_tracking"] for row in rows} <= {
@@ -114,20 +118,22 @@ def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(straight_device, 
 
 
 @pytest.mark.parametrize(
-    ("changes", "sentence"),
+    ("arguments", "sentence"),
     [
-        ({"frames": 1}, "2 or more"),
-        ({"frames_per_second": 0.0}, "frame rate is 0.0"),
-        ({"frames_per_second": float("inf")}, "frame rate is inf"),
-        ({"late_ms": 80.0}, "80 ms; give 0 to 50 ms"),
-        ({"headset": ("a", "b", "c")}, "3 headsets are given for 1 eyes"),
-        ({"wearer": Wearer(eyes="none.txt")}, "none.txt: cannot be read"),
+        (["--frames", "1"], "--frames is 1; it must be a finite number of 2 or more"),
+        (["--fps", "0"], "--fps is 0.0; it must be a finite number above 0"),
+        (["--fps", "inf"], "--fps is inf"),
+        (["--late-ms", "80"], "--late-ms is 80.0; it must be between 0 and 50"),
+        (["--size", "640"], "'640' is not width and height in pixels"),
+        (["--size", "0x9"], "--size is 0"),
+        (["--eye-track", "none.txt"], "none.txt: cannot be read"),
     ],
 )
 def test_what_makes_no_sense_is_refused_and_nothing_is_written(
-    changes, sentence, straight_device, scene_file, tmp_path
+    arguments, sentence, straight_device, scene_file, tmp_path, capsys
 ):
-    options = study.Options((straight_device,), scene_file, context="cpu", out=tmp_path / "out")
-    with pytest.raises(BadInputError, match=sentence):
-        study.run(dataclasses.replace(options, **changes))
+    out = tmp_path / "out"
+    assert main(["soak", straight_device, str(scene_file), "--backend", "cpu", *arguments, "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert sentence in line
     assert not list(tmp_path.glob("out/*"))

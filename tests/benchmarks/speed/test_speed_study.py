@@ -10,7 +10,7 @@ from wlr_render.rendering import gl
 def test_a_run_without_opengl_cannot_be_recorded_and_nothing_is_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "workload", lambda *given: pytest.fail("it measures first"))
     with pytest.raises(BadInputError, match="OpenGL does not open here; leave --record out"):
-        study.run(study.Options("cpu", out=tmp_path / "out", record=tmp_path / "kept"))
+        study.run(study.SpeedOptions(backend="cpu", out=tmp_path / "out", record=tmp_path / "kept"))
     assert not (tmp_path / "kept").exists()
 
 

@@ -11,7 +11,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.geometry.transforms import rotate, rotation_about
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.report.blocks import tables_as_json
 
 PANEL = Panel(160, 160)
 HALF_BASELINE_M = 0.011
@@ -136,5 +135,4 @@ def test_the_real_captures_support_a_bundle_and_blame_the_optics(measured_data):
         assert ignored > 3 * point > 9 * bundle
         assert bundle < 1.5 * eye.noise_arcmin
     assert evidence.split.optics_arcmin > 10 * evidence.split.rig_arcmin
-    record = tables_as_json(tables(evidence))
-    assert "bundle of rays" in record
+    assert any("bundle of rays" in row for row in tables(evidence)[0].rows)
