@@ -112,7 +112,7 @@ def _admitted(outcome: Outcome) -> bool:
 
 
 def _wrongly(outcome: Outcome) -> set[str]:
-    """Captures set aside that did not move."""
+    """Excluded captures that did not move."""
     return set(outcome.excluded) - set(outcome.moved)
 
 

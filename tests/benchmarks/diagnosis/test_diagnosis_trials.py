@@ -106,8 +106,8 @@ def test_moved_captures_are_found_missed_or_wrong():
             outcome(Kind.MOVED, cause, cause, 1, moved=moved, excluded=("display capture 4",)),
         ]
     )
-    assert found["capture that moved set aside (%)"] == (50.0, 2)
-    assert found["sessions where another was set aside (%)"] == (50.0, 2)
+    assert found["capture that moved excluded (%)"] == (50.0, 2)
+    assert found["sessions where another was excluded (%)"] == (50.0, 2)
 
 
 def test_both_of_two_causes_must_leave_something():
