@@ -159,3 +159,12 @@ def test_correlations_are_those_of_the_values(explained):
     np.testing.assert_allclose(np.diag(matrix), 1.0)
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
     assert np.linalg.cond(matrix) == pytest.approx(explained.correlations.condition, rel=1e-6)
+
+
+def test_curves_have_one_scale_and_a_plot_for_each_variable(explained):
+    part = part_views(explained)[0]
+    layout = plots.residual_curves(part).layout
+    axes = [name for name in layout if name.startswith("yaxis")]
+    assert len(axes) == len(part.variables)
+    assert all(layout[name].get("matches") == "y" for name in axes if name != "yaxis")
+    assert layout["xaxis"]["title"]["text"] == part.variables[0].name

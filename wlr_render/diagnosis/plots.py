@@ -15,6 +15,7 @@ from wlr_render.report.blocks import Plot
 _BEFORE, _AFTER, _GREY = "#c4651a", "#2f7fc1", "#8c8c8c"
 _CELLS = (14, 11)  # arrows across and down
 _BINS = 12
+_COLUMNS = 3
 _BAND = 2.0  # standard errors that count as noise
 _HISTOGRAM = np.linspace(-6.0, 6.0, 61)
 _QUANTILES = 99
@@ -28,6 +29,7 @@ def residual_maps(part: PartView) -> Plot:
     unit = _round_number(float(np.percentile(lengths, 95)))
     scale = 1.6 * pitch / unit
     low, high = part.place.min(axis=0) - pitch, part.place.max(axis=0) + pitch
+    largest = int(np.argmax([np.sqrt(np.mean(row[0][1] ** 2)) for row in cells]))
     data: list[dict[str, Any]] = []
     for number, row in enumerate(cells):
         for place, (state, (at, arrow)) in enumerate(zip(part.states, row, strict=True)):
@@ -35,7 +37,7 @@ def residual_maps(part: PartView) -> Plot:
             lines = _arrows(np.append(at, [[low[0], low[1]]], axis=0), np.append(arrow, [[unit, 0.0]], axis=0), scale)
             data.append(
                 {"type": "scatter", "mode": "lines", "name": state.name, "line": style, "hoverinfo": "skip"}
-                | {"visible": number == 0, "showlegend": False}
+                | {"visible": number == largest, "showlegend": False}
                 | {"x": lines[0], "y": lines[1], "xaxis": f"x{place + 1 if place else ''}", "yaxis": "y"}
             )
     count = len(part.states)
@@ -47,15 +49,14 @@ def residual_maps(part: PartView) -> Plot:
         }
         for number, field in enumerate(part.maps)
     ]
-    layout: dict[str, Any] = {"sliders": [{"steps": steps, "pad": {"t": 50}}], "annotations": []}
-    layout["yaxis"] = {"title": part.place_label[1], "range": [high[1], low[1] - pitch]}
+    layout: dict[str, Any] = {"sliders": [{"steps": steps, "active": largest, "pad": {"t": 50}}], "annotations": []}
+    layout["yaxis"] = {"range": [high[1], low[1] - pitch]} | _title(part.place_label[1])
     for place, state in enumerate(part.states):
         domain = [place / count + 0.02, (place + 1) / count - 0.02]
         layout[f"xaxis{place + 1 if place else ''}"] = {
-            "title": part.place_label[0],
             "range": [low[0], high[0]],
             "domain": domain,
-        }
+        } | _title(part.place_label[0])
         layout["annotations"].append(
             {"text": state.name, "xref": "paper", "yref": "paper", "x": domain[0], "y": 1.08, "showarrow": False}
         )
@@ -66,40 +67,61 @@ def residual_maps(part: PartView) -> Plot:
     return Plot(f"Residual over the field of view: {part.name}", data, layout, caption, 520)
 
 
-def residual_curves(part: PartView) -> list[Plot]:
-    """Mean residual in bins of each variable, with the same axes for both benches."""
-    return [_curves(part, variable) for variable in part.variables]
+def residual_curves(part: PartView) -> Plot:
+    """Mean residual in bins of each variable, with one scale for all variables and both benches."""
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {"annotations": []}
+    rows = -(-len(part.variables) // _COLUMNS)
+    for number, variable in enumerate(part.variables):
+        row, column = divmod(number, _COLUMNS)
+        suffix = str(number + 1) if number else ""
+        axes = {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"}
+        data += [trace | axes for trace in _curves(part, variable, number == 0)]
+        across, down = [(column + 0.09) / _COLUMNS, (column + 0.96) / _COLUMNS], [row / rows, (row + 0.7) / rows]
+        radial = " (outwards, around)" if variable.outwards is not None else ""
+        layout[f"xaxis{suffix}"] = {"domain": across, "anchor": f"y{suffix}"} | _title(variable.name + radial)
+        layout[f"yaxis{suffix}"] = {"domain": [1 - down[1], 1 - down[0]], "anchor": f"x{suffix}"}
+        layout[f"yaxis{suffix}"] |= {"matches": "y"} if number else {}
+        layout[f"yaxis{suffix}"] |= _title("arcmin") if column == 0 else {}
+    layout["legend"] = {"orientation": "h", "y": 1.08, "yanchor": "bottom"}
+    caption = (
+        "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where so "
+        "marked, outwards (solid) and around (dotted). Band: how far noise alone would move a mean (two standard "
+        "errors). Click on the legend to see what the rms has beyond the noise: a pattern that averages out."
+    )
+    return Plot(f"Residual against each variable: {part.name}", data, layout, caption, 120 + 230 * rows)
 
 
-def _curves(part: PartView, variable: Variable) -> Plot:
-    radial = variable.outwards is not None
-    names = ("outwards", "around") if radial else ("right", "down")
+def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[str, Any]]:
     data: list[dict[str, Any]] = []
     for place, state in enumerate(part.states):
         curve = binned(variable, state.seen, part.sigma_arcmin)
         colour = (_BEFORE, _AFTER)[place]
-        axes = {"xaxis": "x", "yaxis": "y"}
         if place == 0:
             band = {"x": [*curve.middle, *curve.middle[::-1]], "y": [*curve.band, *-curve.band[::-1]]}
             data.append(
                 {"type": "scatter", "mode": "lines", "fill": "toself", "fillcolor": "rgba(140,140,140,0.3)"}
-                | {"line": {"width": 0}, "name": "noise of a mean", "hoverinfo": "skip"}
+                | {"line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
                 | band
             )
-        for mean, name, dash in zip(curve.means, names, ("solid", "dot"), strict=True):
-            line = {"color": colour, "dash": dash}
+        for number, mean in enumerate(curve.means):
+            line = {"color": colour, "dash": ("solid", "dot")[number]}
             data.append(
-                {"type": "scatter", "mode": "lines+markers", "name": f"{state.name}: {name}", "line": line}
+                {"type": "scatter", "mode": "lines+markers", "name": state.name, "legendgroup": state.name}
+                | {"line": line, "marker": {"size": 4}, "showlegend": in_legend and number == 0}
                 | {"x": curve.middle, "y": mean}
-                | axes
             )
+        name = f"{state.name}: rms beyond the noise"
         data.append(
-            {"type": "scatter", "mode": "lines", "name": f"{state.name}: rms beyond the noise", "visible": "legendonly"}
-            | {"line": {"color": _GREY}, "x": curve.middle, "y": curve.excess}
+            {"type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "visible": "legendonly"}
+            | {"line": {"color": _GREY}, "x": curve.middle, "y": curve.excess, "showlegend": in_legend}
         )
-    layout = {"xaxis": {"title": variable.name}, "yaxis": {"title": "mean residual (arcmin)"}}
-    caption = "Band: how far noise alone would move a mean (two standard errors)."
-    return Plot(f"{part.name}: residual against {variable.name}", data, layout, caption, 320)
+    return data
+
+
+def _title(text: str) -> dict[str, Any]:
+    """Title of an axis."""
+    return {"title": {"text": text, "font": {"size": 12}}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,10 +180,10 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
         | {"line": {"color": _GREY}, "xaxis": "x2", "yaxis": "y2"},
     ]
     layout = {
-        "xaxis": {"domain": [0, 0.46], "title": "residual (sigma)"},
-        "yaxis": {"title": "density"},
-        "xaxis2": {"domain": [0.56, 1], "title": "normal quantile"},
-        "yaxis2": {"anchor": "x2", "title": "residual quantile (sigma)"},
+        "xaxis": {"domain": [0, 0.46]} | _title("residual (sigma)"),
+        "yaxis": _title("density"),
+        "xaxis2": {"domain": [0.56, 1]} | _title("normal quantile"),
+        "yaxis2": {"anchor": "x2"} | _title("residual quantile (sigma)"),
         "bargap": 0,
     }
     caption = (
@@ -182,7 +204,7 @@ def captures_plot(diagnosis: Diagnosis) -> Plot:
         | {"marker": {"color": colour, "symbol": marks}}
         for name, colour, values in shown
     ]
-    layout = {"yaxis": {"title": "rms residual (sigma)", "type": "log"}, "xaxis": {"showticklabels": False}}
+    layout = {"yaxis": {"type": "log"} | _title("rms residual (sigma)"), "xaxis": {"showticklabels": False}}
     return Plot("Residual of each capture", data, layout, "1 is noise. Crosses: excluded captures.", 340)
 
 

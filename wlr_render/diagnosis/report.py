@@ -29,7 +29,7 @@ def diagnosis_report(
     blocks += [*_values(diagnosis), *_next_steps(diagnosis), tables.limits_table(diagnosis)]
     for part in part_views(diagnosis):
         name = part.name[:1].upper() + part.name[1:]
-        blocks += [Section(f"{name} residual"), plots.residual_maps(part), *plots.residual_curves(part)]
+        blocks += [Section(f"{name} residual"), plots.residual_maps(part), plots.residual_curves(part)]
     blocks += [Section("Captures"), plots.captures_plot(diagnosis), tables.excluded_table(diagnosis)]
     blocks += [tables.captures_table(diagnosis), Section("Evidence")]
     blocks += [tables.in_use_table(in_use)] if in_use else []
