@@ -62,7 +62,7 @@ def _next_steps(diagnosis: Diagnosis) -> list[Block]:
     plan = diagnosis.observations.session.plan
     verbs = [f"diagnose {CORRECTED} --out again"]
     if plan.display is not None and plan.see_through is not None:
-        verbs.append(f"calibrate --captures {CORRECTED}")
+        verbs.append(f"calibrate captures {CORRECTED}")
     if diagnosis.corrected.device is not diagnosis.observations.nominal.device:
         verbs.append(f"render {CORRECTED}/device.toml desk")
     text = (
