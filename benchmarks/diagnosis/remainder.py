@@ -1,4 +1,4 @@
-"""What remains of a hidden effect once another single cause has imitated it as well as it can."""
+"""What remains of a hidden effect once another single cause has matched it as well as it can."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,34 +10,34 @@ from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 
-_RIVALS = 6
-_WORTH_A_FIT = 0.3  # of what the truth gains: who promises less leaves far more than the truth does
+_OTHERS = 6
+_WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does
 
 
 def remainder(said: Diagnosis, hidden: Sequence[str], name: str) -> float:
     """Chi-squared that the best other cause in the place of a hidden one leaves above the truth; 25 are 5 sigma.
 
-    All causes are fitted to the readings that the diagnosis used; no cause at all is a rival too. What the diagnosis
+    All causes are fitted to the readings that the diagnosis used; no cause at all competes too. What the diagnosis
     found does not matter.
 
     Args:
         said: the diagnosis.
         hidden: all causes that are at work.
-        name: which of them is to be imitated, the others being at work.
+        name: which of them is to be replaced, the others being at work.
     """
     predictor = Predictor(said.observations)
     rest = fit(predictor, Explanation(), said.used)
     for other in hidden:
         if other != name:
             rest = min(_fitted(predictor, rest, [other], 1), key=lambda each: each.chi_squared)
-    truth = min(each.chi_squared for each in _fitted(predictor, rest, [name], _RIVALS))
-    promising = _WORTH_A_FIT * (rest.chi_squared - truth)
-    ranking = _fitted(predictor, rest, set(CAUSES) - set(hidden), _RIVALS, promising)
-    return float(min([rest.chi_squared, *(each.chi_squared for each in ranking)]) - truth)
+    truth = min(each.chi_squared for each in _fitted(predictor, rest, [name], _OTHERS))
+    least = _WORTH_A_FIT * (rest.chi_squared - truth)
+    others = _fitted(predictor, rest, set(CAUSES) - set(hidden), _OTHERS, least)
+    return float(min([rest.chi_squared, *(each.chi_squared for each in others)]) - truth)
 
 
 def _fitted(predictor: Predictor, rest: Fit, names: Iterable[str], most: int, least_gain: float = -np.inf) -> list[Fit]:
-    """One more cause on top of the rest, in the most promising ways; none that promises less than `least_gain`."""
+    """One more cause on top of the rest, in the most promising ways; none that gains less than `least_gain`."""
     causes = {name: CAUSES[name] for name in names}
     screened = [found for each in hypotheses(causes) if (found := screen(predictor, rest, each)) is not None]
     chosen = sorted((p for p in screened if p.gain > least_gain), key=lambda p: -p.gain)[:most]

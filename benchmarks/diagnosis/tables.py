@@ -25,7 +25,7 @@ def _of(outcomes: Sequence[Outcome], *kinds: Kind) -> list[Outcome]:
 
 
 def _strong(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Trials in which every hidden cause leaves 5 sigma that no other single cause imitates."""
+    """Trials in which every hidden cause leaves 5 sigma that no other single cause explains."""
     return [outcome for outcome in outcomes if min(outcome.remainder) > _FIVE_SIGMA]
 
 

@@ -25,7 +25,7 @@ def tilted(bench, plan):
     return measured(bench, plan, SIGMA_PX, seed=7, combiner_tilt=[0.3, -0.2, 0.3])
 
 
-def test_the_misfit_is_one_at_the_noise_and_more_above(tilted):
+def test_reduced_chi_squared_is_one_at_the_noise_and_more_above(tilted):
     nothing, tilt = fits(tilted, Explanation(), explanation(combiner_tilt=[0, 0, 0]))
     assert evidence.reduced_chi_squared(nothing) > 100
     assert evidence.reduced_chi_squared(tilt) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (2 * len(tilted))))
@@ -38,7 +38,7 @@ def test_a_true_cause_costs_less_than_one_that_nests_it(tilted, richer):
     assert evidence.minus_two_log_evidence(true) < evidence.minus_two_log_evidence(more) - 4
 
 
-def test_a_true_cause_costs_less_than_its_imitations_and_than_nothing(tilted):
+def test_a_true_cause_costs_less_than_its_spurious_matches_and_than_nothing(tilted):
     found = costs(
         tilted,
         explanation(combiner_tilt=[0, 0, 0]),

@@ -11,7 +11,7 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 @pytest.fixture(scope="module")
 def few(bench, plan):
-    """Observations with two causes at work, thinned to twelve readings a capture."""
+    """Observations with two causes at work, subsampled to twelve readings a capture."""
     observations = measured(
         bench, plan, SIGMA_PX, seed=5, camera_pupil_offset=[0.3, -0.2, 0.4], stage_scale=[1, 0, 0.5]
     )

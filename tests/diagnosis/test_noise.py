@@ -1,4 +1,4 @@
-"""How much of a session is noise, whatever else is in it; and single readings that went astray."""
+"""How much of a session is noise, whatever else is in it; and single readings that are outliers."""
 
 import numpy as np
 import pytest
@@ -184,7 +184,7 @@ def test_too_few_points_in_a_photograph_tell_nothing(bench, plan):
     assert not outlier_readings(few, nominal_residual(few)).any()
 
 
-class TestStrays:
+class TestOutlierReadings:
     def test_exactly_those_injected_are_found_beside_any_effect(self, bench, plan):
         """At the corner, at the edge, in the middle of a photograph, in repeats, and two in one photograph."""
         observations = measured(bench, plan, SIGMA_PX, seed=3, combiner_tilt=[1.0, 1.0, 1.0])
@@ -203,11 +203,11 @@ class TestStrays:
         observations = measured(bench, plan, SIGMA_PX, seed=4, **effect)
         assert not outlier_readings(observations, nominal_residual(observations)).any()
 
-    def test_more_noise_than_stated_is_not_astray(self, bench, plan):
+    def test_more_noise_than_stated_is_no_outlier_reading(self, bench, plan):
         observations = measured(bench, plan, 5 * SIGMA_PX, seed=5)
         assert outlier_readings(observations, nominal_residual(observations)).sum() <= 2
 
-    def test_a_capture_that_moved_is_not_astray(self, bench, plan):
+    def test_a_capture_that_moved_is_no_outlier_reading(self, bench, plan):
         observations = measured(bench, plan, SIGMA_PX, seed=6)
         observations.session.readings.dot_pixel[observations.group[observations.part == SEE_THROUGH] == 20] += 20.0
         assert not outlier_readings(observations, nominal_residual(observations)).any()

@@ -25,10 +25,10 @@ def with_moved(observations, bench, captures, shift_mm, turn_deg=(0.0, 0.0, 0.0)
     return observations
 
 
-def found_in(observations, start=Explanation(), aside=None):  # noqa: B008
+def found_in(observations, start=Explanation(), excluded=None):  # noqa: B008
     predictor = Predictor(observations)
     good = np.ones(len(observations), dtype=bool)
-    return moved_captures(predictor, fit(predictor, start, good if aside is None else ~aside), good)
+    return moved_captures(predictor, fit(predictor, start, good if excluded is None else ~excluded), good)
 
 
 @pytest.mark.parametrize("shift_mm", [(0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 0.5)])
@@ -77,8 +77,8 @@ def test_two_that_moved_are_found_on_top_of_a_cause(bench, plan):
 def test_readings_of_outliers_are_not_not_excluded(bench, plan):
     observations = with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [NEAR], (0.5, 0.0, 0.0))
     predictor = Predictor(observations)
-    aside = ~not_excluded(predictor, found_in(observations))
-    np.testing.assert_array_equal(aside, observations.group == observations.captures.index(NEAR))
+    excluded = ~not_excluded(predictor, found_in(observations))
+    np.testing.assert_array_equal(excluded, observations.group == observations.captures.index(NEAR))
     assert not_excluded(predictor, []).all()
 
 
@@ -103,7 +103,7 @@ def test_recordings_at_run_time_have_no_camera_to_move(bench, run_time):
     assert found_in(observations) == []
 
 
-def test_strays_do_not_move_their_capture(bench, plan):
+def test_outlier_readings_do_not_move_their_capture(bench, plan):
     observations = measured(bench, plan, SIGMA_PX, seed=2)
     observations.session.readings.panel_pixel[:4] += 60.0
     predictor, all_of = Predictor(observations), np.ones(len(observations), dtype=bool)

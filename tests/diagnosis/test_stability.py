@@ -1,4 +1,4 @@
-"""A true cause has one value wherever it is measured, also beside something unexplained; an imitation has not."""
+"""A true cause has one value wherever it is measured, also beside something unexplained; a spurious match has not."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from wlr_render.diagnosis.evidence import instability
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.prediction import Predictor
 
-STEADY, UNSTEADY = 0.1, 0.35
+STABLE, UNSTABLE = 0.1, 0.35
 
 
 def waved(observations, size_px):
@@ -35,28 +35,28 @@ def tilted_and_waved(bench, plan):
     return waved(measured(bench, plan, SIGMA_PX, seed=4, combiner_tilt=[0.3, -0.2, 0.3]), 2.0)
 
 
-def test_a_true_cause_is_steady_down_at_the_noise(tilted):
+def test_a_true_cause_is_stable_down_at_the_noise(tilted):
     change, found = of(tilted, combiner_tilt=[0, 0, 0])
     assert evidence.reduced_chi_squared(found) < 1.1
     assert change[0] < 0.02
 
 
-def test_a_true_cause_is_steady_beside_something_unexplained(tilted_and_waved):
+def test_a_true_cause_is_stable_beside_something_unexplained(tilted_and_waved):
     change, found = of(tilted_and_waved, combiner_tilt=[0, 0, 0])
     assert evidence.reduced_chi_squared(found) > 10
-    assert change[0] < STEADY
+    assert change[0] < STABLE
 
 
 @pytest.mark.parametrize("name", ["stage_scale", "camera_distortion", "panel_scale", "panel_rotation"])
-def test_an_imitation_is_not(tilted_and_waved, name):
+def test_a_spurious_match_is_not(tilted_and_waved, name):
     change, _ = of(tilted_and_waved, **{name: CAUSES[name].null()})
-    assert change[0] > 2 * UNSTEADY
+    assert change[0] > 2 * UNSTABLE
 
 
-def test_of_two_causes_the_imitation_is_told(tilted_and_waved):
+def test_of_two_causes_the_spurious_match_is_recognised(tilted_and_waved):
     change, _ = of(tilted_and_waved, combiner_tilt=[0, 0, 0], stage_scale=[0, 0, 0])
-    assert change[0] < STEADY
-    assert change[1] > 2 * UNSTEADY
+    assert change[0] < STABLE
+    assert change[1] > 2 * UNSTABLE
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -65,7 +65,7 @@ def test_a_small_true_cause_is_not_blamed_for_what_noise_changes(bench, plan, se
     observations = measured(bench, plan, SIGMA_PX, seed=seed, stage_backlash=[0.0052])
     change, found = of(observations, stage_backlash=[0.0])
     assert abs(found.explanation.vector()[0]) < 9 * found.sigmas()[0]
-    assert change[0] < UNSTEADY
+    assert change[0] < UNSTABLE
 
 
 def test_a_session_without_photographs_has_no_halves(bench, run_time):
