@@ -60,6 +60,7 @@ def evaluate(options: EvaluateOptions = _DEFAULTS, *, progress: ProgressArgument
     report = Report(
         f"Evaluation of {', '.join(dict.fromkeys(eye.name for eye in eyes))}",
         verdict=" ".join(next((findings.verdict for findings in found.values() if findings.verdict), ())),
+        advice=[sentence for findings in found.values() for sentence in findings.advice],
         blocks=blocks,
         inputs=[device_path(device) for device in dict.fromkeys(options.device)],
         record={"options": asdict(options), **records},

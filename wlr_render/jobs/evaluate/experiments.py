@@ -138,8 +138,13 @@ def camera_positions(study: Study) -> Findings:
             ReportTable(f"Camera positions that volumetric sampling needs, {bench}", other_columns, other_rows),
             _error_curves(f"Camera positions, {bench}", "number of camera positions", lines),
         ),
-        [str(each) for each in needed],
-        {"camera_positions_needed": needed},
+        verdict=[str(each) for each in needed],
+        advice=[
+            f"Calibrate {each.eye} with {each.positions} camera positions and a display model of degree {each.degree}."
+            for each in needed
+            if each.positions
+        ],
+        record={"camera_positions_needed": needed},
     )
 
 

@@ -92,11 +92,13 @@ class Findings:
     Attributes:
         blocks: tables and plots.
         verdict: sentences, one for each eye; those of the first experiment stand at the top of the report.
+        advice: what to do next.
         record: data for the JSON beside tables and plots.
     """
 
     blocks: Sequence[Block]
     verdict: Sequence[str] = ()
+    advice: Sequence[str] = ()
     record: object = None
 
 
