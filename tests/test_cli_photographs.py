@@ -7,42 +7,30 @@ import pytest
 from command_line import refused
 
 from wlr_render.cli import main
-from wlr_render.jobs.simulate import session as simulate
-from wlr_render.jobs.simulate.making import Making
-from wlr_render.jobs.verify import verify
-from wlr_render.report.blocks import ReportTable
+from wlr_render.jobs import simulate
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
-TABLE = ReportTable("A title", ("what", "how much (arcmin)"), [["this", 1.25]], ("A note.",))
 
-
-def test_simulate_and_verify_options_reach_their_jobs(monkeypatch, capsys):
+def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     given = []
-    simulated = simulate.Simulated(Path("there"), 7, 3)
-    verified = verify.Result((TABLE,), (Path("out/verify/verification.md"),))
-    monkeypatch.setattr(simulate, "run", lambda *arguments: given.append(arguments[:3]) or simulated)
-    monkeypatch.setattr(verify, "run", lambda *arguments: given.append(arguments[:2]) or verified)
+    monkeypatch.setattr(simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or (7, 3))
     chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20", "--stage-error-um", "0"]
-    depths = ["--depths-m", "0.5", "0.8", "2"]
+    depths = ["--depths-m", "0.5", "--depths-m", "0.8", "--depths-m", "2"]
     assert main(["simulate", "there", *chosen, *bench_options, *depths, "--seed", "4", "--workers", "1"]) == 0
-    assert main(["verify", "there", *depths, "--viewpoints", "3", "--seed", "5", "--backend", "cpu"]) == 0
     made_of = PhotoBenchOptions((640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 0.0, 4)
-    assert given[0] == (Path("there"), Making("northstar", "left", 6, "gray", made_of), 1)
-    expected = verify.Options(Path("there"), Path("out/calibrate"), Path("out/verify"), 3, (0.5, 0.8, 2.0), 5, "cpu")
-    assert given[1] == (expected, None)
+    assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), 1)]
     printed = capsys.readouterr().out
     assert "7 photographs taken, 3 kept from an earlier run: there" in printed
-    assert "Next: wlr-render calibrate there" in printed
-    assert "A title" in printed
+    assert "wlr-render calibrate photos there" in printed
 
 
 def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsys):
     small = ["--columns", "8", "--rows", "7", "--pitch-mm", "10", "--dpi", "100"]
     assert main(["board", *small, "--out", str(tmp_path / "out")]) == 0
-    printed = capsys.readouterr().out.split()
-    assert [Path(name).name for name in printed] == ["board.svg", "board.png", "board.toml"]
-    assert all(Path(name).is_file() for name in printed)
+    assert "board.svg" in capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["board.png", "board.svg", "board.toml"]
     assert "pitch_mm = 10.0" in (tmp_path / "out" / "board.toml").read_text()
 
 
@@ -50,7 +38,7 @@ def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsy
 def test_pictures_of_a_code_taken_for_photographs_decode_to_themselves(code, tmp_path, capsys):
     panel = ["--panel", "160x100", "--pattern", code]
     assert main(["pattern", *panel, "--out", str(tmp_path / "shown")]) == 0
-    assert "to show them, open" in capsys.readouterr().out
+    assert "show.html" in capsys.readouterr().out
     assert main(["decode", str(tmp_path / "shown"), *panel, "--out", str(tmp_path / "out")]) == 0
     assert "Written: " in capsys.readouterr().out
     decoded = np.load(tmp_path / "out" / "decoded.npz")
@@ -61,8 +49,8 @@ def test_pictures_of_a_code_taken_for_photographs_decode_to_themselves(code, tmp
 
 
 PHOTOGRAPH_FAULTS = {
-    "no session": (lambda f: ["calibrate", str(f)], "has no session.toml"),
-    "no simulated session": (lambda f: ["verify", str(f)], "has no simulation.toml"),
+    "no session": (lambda f: ["calibrate", "photos", str(f)], "has no session.toml"),
+    "no simulated session": (lambda f: ["verify", "session", str(f)], "has no simulation.toml"),
     "no panel": (lambda f: ["decode", str(f)], "--panel is missing"),
     "no photographs": (lambda f: ["decode", str(f), "--panel", "64x40"], "holds no photographs"),
     "no folder": (lambda f: ["decode", str(f / "none"), "--panel", "64x40"], "there is no such folder"),
@@ -79,8 +67,24 @@ def test_what_cannot_be_done_with_photographs_is_told_in_one_line(fault, tmp_pat
 
 
 @pytest.mark.parametrize("size", ["1920", "1920x", "0x1080", "wide x high"])
-def test_sizes_that_make_no_sense_are_refused_by_the_parser(size, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["pattern", "--panel", size])
-    assert left.value.code == 2
-    assert "argument --panel" in capsys.readouterr().err
+def test_sizes_that_make_no_sense_are_refused_by_the_parser(size, tmp_path, capsys):
+    sentence = refused(["pattern", "--panel", size, "--out", str(tmp_path / "out")], capsys)
+    assert f"--panel: '{size}' is no size; give width and height in pixels, e.g. 1920x1080." in sentence
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        (["simulate", "--pupil-mm", "-1"], "--pupil-mm is -1.0; it must be a finite number of 0 or more."),
+        (["simulate", "--bits", "9"], "Invalid value"),
+        (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be a finite number of 1 or more."),
+        (["decode", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
+        (["decode", "--from", "procam-graycode", "--panel", "64x40"], "--panel is used with --from own only"),
+        (["calibrate", "photos", "--workers", "0"], "--workers is 0; it must be a finite number of 1 or more."),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
+    verb = wrong[: 2 if wrong[0] in ("verify", "calibrate") else 1]
+    assert sentence in refused([*verb, str(tmp_path / "none"), *wrong[len(verb) :]], capsys)
+    assert list(tmp_path.iterdir()) == []

@@ -52,9 +52,44 @@ VERBS = (
         "Diagnose a session and cross-validate: predict left-out captures and target distances.",
     ),
     Verb("import", DATA, "import_session:import_session", "Convert a third-party data set into a bench session."),
+    Verb(
+        "calibrate photos",
+        CALIBRATE,
+        "calibrate.photos:calibrate_photos",
+        "Calibrate cameras, stage and one eye from the photographs of a session.",
+    ),
+    Verb(
+        "calibrate captures",
+        CALIBRATE,
+        "calibrate.captures:calibrate_captures",
+        "Fit the models of one eye to a capture file or to a bench session.",
+    ),
+    Verb(
+        "calibrate simulate",
+        CALIBRATE,
+        "calibrate.simulate:calibrate_simulate",
+        "Simulate the captures of a device, fit models to them, and compare the models with the device.",
+    ),
+    Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
+    Verb(
+        "verify session",
+        CALIBRATE,
+        "verify.session:verify_session",
+        "Draw the target with a calibration on the simulated bench, photograph it, and measure the misalignment.",
+    ),
+    Verb(
+        "verify pairs",
+        CALIBRATE,
+        "verify.pairs:verify_pairs",
+        "Measure the misalignment in your own photographs of the target, display off and on.",
+    ),
+    Verb("decode", DATA, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
+    Verb("board", DATA, "targets:board", "Design a two-size dot board and write it for printing and for calibration."),
+    Verb("pattern", DATA, "targets:pattern", "Write the pictures of a panel code, and a page that shows them."),
 )
 FOLDERS_OF_VERBS = {
     "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),
+    "verify": (CALIBRATE, "Photograph the drawn target over the real one and measure the misalignment."),
 }
 """Verbs that have verbs of their own."""
 

@@ -14,7 +14,7 @@ from benchmarks.diagnosis.trial import Kind, Outcome, Trial, run_trial
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
-from wlr_render.jobs.processes import as_finished
+from wlr_render.processes import as_finished
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report

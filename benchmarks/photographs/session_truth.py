@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.calibration.fit_eye import EyeFit, fit_eye
 from wlr_render.calibration.photograph_captures import (
     Headset,
@@ -22,8 +23,7 @@ from wlr_render.calibration.poses import ARCMIN, motion_between
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.geometry import transforms
-from wlr_render.jobs.calibrate.captures import truth_errors
-from wlr_render.jobs.calibrate.photos import SessionCalibration
+from wlr_render.jobs.calibrate.simulate import truth_errors
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable

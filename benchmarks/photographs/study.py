@@ -7,14 +7,14 @@ from typing import Annotated
 from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
 from wlr_render.files import output_folder
-from wlr_render.jobs.calibrate import photos as calibrate
+from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described
-from wlr_render.jobs.simulate.making import load_making
 from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
+from wlr_render.simulation.photographs.recipe import load_recipe
 
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels
 
@@ -47,8 +47,8 @@ def run(options: PhotographsOptions = _DEFAULTS, *, progress: ProgressArgument =
     trials = list(progress(code_trials(bench, options.snr, options.seed), 3, "codes"))
     tables = [code_table(trials, bench, options.snr)]
     if options.session is not None:
-        truth = load_making(options.session).build()
-        found = calibrate.run(options.session, options.calibration, progress=progress)
+        truth = load_recipe(options.session).build()
+        found = calibrated(CalibratePhotosOptions(options.session, out=options.calibration), progress=progress)
         tables += truth_tables(compare_with_truth(truth, found, options.seed), options.seed)
     inputs = [] if options.session is None else [options.session]
     report = Report("Photographs compared with the truth", blocks=tables, inputs=inputs, record={"seed": options.seed})

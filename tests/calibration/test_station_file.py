@@ -84,7 +84,7 @@ def test_other_files_are_refused(path, change, complaint):
 
 
 def test_files_that_cannot_be_read_are_refused(path, tmp_path):
-    with pytest.raises(BadInputError, match="`wlr-render calibrate` writes it"):
+    with pytest.raises(BadInputError, match="`calibrate photos` writes it"):
         load_station(tmp_path / "none.json")
     path.write_text(path.read_text(encoding="utf-8")[:200], encoding="utf-8")
     with pytest.raises(BadInputError, match="is not valid JSON"):

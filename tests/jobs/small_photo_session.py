@@ -13,30 +13,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.captures import session_reading
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource, write_toml
 from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.jobs.calibrate import photos as calibrate
-from wlr_render.jobs.calibrate import reading
-from wlr_render.jobs.calibrate.captures import FitOptions
-from wlr_render.jobs.calibrate.store import Store
-from wlr_render.jobs.simulate import making
-from wlr_render.jobs.simulate import session as simulate
-from wlr_render.jobs.simulate.making import Making
-from wlr_render.jobs.verify import procedure
+from wlr_render.jobs.calibrate.photos import READ, CalibratePhotosOptions, calibrated, report_of
+from wlr_render.jobs.verify import session as verify
+from wlr_render.simulation.photographs import recipe, simulate_photo_session
 from wlr_render.simulation.photographs.photo_bench import (
     PhotoBench,
     PhotoBenchOptions,
     design_photo_bench,
     plan_photographs,
 )
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)
 TRACKING_PX = (400, 300)
-FIT = FitOptions(display_degree=None, see_through_degree=None)  # as the command line has it
 
 
 def in_this_process(run, tasks, workers):
@@ -66,9 +62,9 @@ def small_plan(bench, viewpoints):
 
 def make_small(patch):
     """Have everything about simulated sessions small, by a `pytest.MonkeyPatch`."""
-    patch.setattr(making, "design_photo_bench", small_bench)
-    patch.setattr(simulate, "plan_photographs", small_plan)
-    for module in (simulate, reading, procedure):
+    patch.setattr(recipe, "design_photo_bench", small_bench)
+    patch.setattr(simulate_photo_session, "plan_photographs", small_plan)
+    for module in (simulate_photo_session, session_reading, verify):
         patch.setattr(module, "as_finished", in_this_process)
 
 
@@ -93,19 +89,23 @@ class SmallSession:
 
     folder: Path
     out: Path
-    making: Making
+    recipe: SimulationRecipe
 
     @property
     def bench(self) -> PhotoBench:
         """The truth."""
-        return small_bench_of(self.making)
+        return small_bench_of(self.recipe)
+
+    @property
+    def options(self):
+        return CalibratePhotosOptions(self.folder, out=self.out)
 
     def read(self):
         """What calibration reads first."""
-        return reading.read_session(load_photo_session(self.folder), Store(self.out / calibrate.READ))
+        return session_reading.read_session(load_photo_session(self.folder), self.out / READ)
 
     def calibrate(self):
-        return calibrate.run(self.folder, self.out, FIT)
+        return calibrated(self.options)
 
     def refusal(self):
         """The one sentence in which calibration says no."""
@@ -152,12 +152,15 @@ def small_bench_of(made):
 
 def made_session(folder):
     """Simulate the session and calibrate it once; returns both."""
-    made = Making(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=PhotoBenchOptions(camera_px=CAMERA_PX))
+    bench = PhotoBenchOptions(camera_px=CAMERA_PX)
+    made = SimulationRecipe(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=bench)
     session = SmallSession(folder / "session", folder / "out", made)
     with pytest.MonkeyPatch.context() as patch:
         make_small(patch)
-        simulate.run(session.folder, made)
-        return session, session.calibrate()
+        simulate_photo_session.simulate_photo_session(session.folder, made)
+        found = session.calibrate()
+        report_of(found, session.options)
+        return session, found
 
 
 def copied(session, folder):

@@ -102,7 +102,7 @@ def load_station(path: str | Path) -> SavedStation:
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}); `wlr-render calibrate` writes it.") from error
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}); `calibrate photos` writes it.") from error
     except ValueError as error:
         raise BadInputError(f"{path}: is not valid JSON ({error}).") from error
     table = Table(content if isinstance(content, dict) else {}, str(path))

@@ -64,7 +64,7 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
         blocks=[table],
         inputs=[options.session],
     )
-    return save_report(report, folder)
+    return save_report(report, folder, "report")
 
 
 def _sentences(table: ReportTable) -> Iterator[str]:

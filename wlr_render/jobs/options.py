@@ -179,6 +179,25 @@ PixelSize = Annotated[
 """Width and height of an image; None for a default that the option's help states."""
 
 
+def _pixel_size(_: object, tokens: Sequence[Token]) -> tuple[int, int]:
+    width, _, height = tokens[0].value.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise BadInputError(f"'{tokens[0].value}' is no size; give width and height in pixels, e.g. 1920x1080.")
+    return int(width), int(height)
+
+
+def described_size(text: str, *, optional: bool = False) -> Parameter:
+    """Help text of an option that is a size in pixels, e.g. 1920x1080."""
+    return Parameter(
+        converter=_pixel_size,
+        n_tokens=1,
+        accepts_keys=False,
+        metavar="WxH",
+        help=text,
+        show_default=None if optional else lambda size: f"{size[0]}x{size[1]}",
+    )
+
+
 def eyes_of(eye: Eyes) -> tuple[Eye, ...]:
     """The eyes that an `--eye` option names."""
     return ("left", "right") if eye == "both" else (eye,)

@@ -1,35 +1,67 @@
 """What a lab prints and shows: dot boards, and the pictures of panel codes."""
 
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
 from wlr_render.captures.targets.board_design import design_board
 from wlr_render.captures.targets.board_file import save_board, write_board_png, write_board_svg
 from wlr_render.files import output_folder
+from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described, described_size
 from wlr_render.mappings import Panel
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+
+Code = Literal["gray", "fringes", "gray-fringes"]
 
 
-def write_board(
-    folder: str | Path, columns: int, rows: int, pitch_m: float, dots_per_inch: int = 200, seed: int = 1
-) -> tuple[Path, ...]:
+@dataclass(frozen=True)
+class BoardOptions(Options):
+    """Options of `board`."""
+
+    _: KW_ONLY
+    columns: Annotated[int, described("Columns of dots."), Range(at_least=1)] = 36
+    rows: Annotated[int, described("Rows of dots."), Range(at_least=1)] = 24
+    pitch_mm: Annotated[float, described("Distance of neighbouring dots in mm."), Range(at_least=0)] = 20.0
+    dpi: Annotated[int, described("Resolution of the PNG in dots per inch."), Range(at_least=1)] = 200
+    seed: Seed = 1
+    out: Annotated[Path, described("Output folder.")] = Path("out/board")
+
+
+def board(options: BoardOptions = BoardOptions(), *, progress: ProgressArgument = SILENT) -> Report:
     """Write a board as board.svg and board.png, to be printed, and board.toml, for the session's folder.
 
     Raises:
         BadInputError: no such board can be made.
     """
-    board = design_board(columns, rows, pitch_m, seed=seed)
-    into = output_folder(folder)
-    picture = write_board_png(board, into / "board.png", dots_per_inch)  # first, as it alone may be refused
-    return write_board_svg(board, into / "board.svg"), picture, save_board(board, into / "board.toml")
+    designed = design_board(options.columns, options.rows, 1e-3 * options.pitch_mm, seed=options.seed)
+    folder = output_folder(options.out)
+    picture = write_board_png(designed, folder / "board.png", options.dpi)  # first, as it alone may be refused
+    files = [write_board_svg(designed, folder / "board.svg"), picture, save_board(designed, folder / "board.toml")]
+    advice = ["Print board.svg at its true size, and put board.toml into the session's folder."]
+    return Report("Board", f"A board of {options.columns} x {options.rows} dots.", advice, files=files)
 
 
-def write_pattern(folder: str | Path, panel_px: tuple[int, int], name: str) -> tuple[int, Path]:
-    """Write the pictures of a code and the page that shows them; returns how many there are, and the page.
+@dataclass(frozen=True)
+class PatternOptions(Options):
+    """Options of `pattern`."""
+
+    _: KW_ONLY
+    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080.")]
+    pattern: Annotated[Code, described("Code to show.")] = "gray-fringes"
+    out: Annotated[Path, described("Output folder.")] = Path("out/pattern")
+
+
+def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Write the pictures of a code and the page that shows them full screen, one picture pixel on one panel pixel.
 
     Raises:
         BadInputError: no such code can be made.
     """
-    pattern = make_pattern(name, Panel(*panel_px))
-    pictures = write_show_page(output_folder(folder), pattern)
-    return len(pictures), pictures[0].parent / PAGE
+    code = make_pattern(options.pattern, Panel(*options.panel))
+    pictures = write_show_page(output_folder(options.out), code)
+    page = options.out / PAGE
+    advice = [f"Open {page} on the panel's screen to show them."]
+    return Report("Pattern", f"{len(pictures)} pictures of the code {options.pattern}.", advice, files=[page])

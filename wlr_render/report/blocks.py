@@ -105,7 +105,7 @@ class Report:
         blocks: the evidence.
         inputs: files and folders that the result depends on; pages state their SHA-256.
         files: files that the job wrote.
-        record: data for the JSON file, a dataclass or a mapping.
+        record: data for the JSON file beside the tables; any dataclass or mapping.
         faults: items that could not be used; the command line ends with status 2 if there are any.
     """
 
@@ -116,7 +116,7 @@ class Report:
     blocks: Sequence[Block] = ()
     inputs: Sequence[Path] = ()
     files: Sequence[Path] = ()
-    record: Any = field(default_factory=dict)
+    record: object = None
     faults: Sequence[str] = ()
 
     @property

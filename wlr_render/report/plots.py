@@ -1,7 +1,7 @@
-"""Builders of interactive plots: curves and heat maps as Plotly traces."""
+"""Builders of interactive plots: curves, bars, heat maps and arrow maps as Plotly traces."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,11 @@ from wlr_render.report.blocks import Plot
 
 MAX_CELLS = 200
 """Cells of a heat map, across and down: more cannot be told apart in a page and would only make it slow."""
+MAX_ARROWS = 200
+"""Arrows of one group of a map: more cannot be told apart."""
+_ALL_ARROWS = 5000  # of all groups: what a page can carry, but 40 of each group in any case
+_ARROW_SHARE = 0.05
+"""Length of the reference arrow, as a part of the map's width."""
 
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
@@ -106,6 +111,97 @@ def block_maxima(values: FloatArray, block: int) -> FloatArray:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
         return np.asarray(np.nanmax(blocks, axis=(1, 3)))
+
+
+def bars(title: str, names: Sequence[str], series: Mapping[str, ArrayLike], y_title: str, *, caption: str = "") -> Plot:
+    """Named values side by side, one colour for each series; NaN leaves a gap."""
+    data = [
+        {"type": "bar", "name": name, "x": list(names), "y": _rounded(values), "showlegend": len(series) > 1}
+        for name, values in series.items()
+    ]
+    layout = {"barmode": "group", "xaxis": {"type": "category"}, "yaxis": {"title": {"text": y_title}}}
+    return Plot(title, data, layout, caption)
+
+
+def arrow_map(
+    title: str,
+    groups: Mapping[str, tuple[FloatArray, FloatArray]],
+    unit: str,
+    axes: tuple[str, str],
+    *,
+    y_down: bool = False,
+    caption: str = "",
+) -> Plot:
+    """Arrows at positions, one group at a time chosen from a menu; all groups have one scale and a reference arrow.
+
+    Args:
+        title: one line.
+        groups: positions (n, 2) and arrows (n, 2) by name; arrows point right and up. NaN is left out.
+        unit: of the arrows.
+        axes: titles of x and y, units included.
+        y_down: the y axis points down.
+        caption: what it shows.
+    """
+    every = np.concatenate([place for place, _ in groups.values()])
+    low, high = every.min(axis=0), every.max(axis=0)
+    sizes = np.concatenate([np.linalg.norm(arrow, axis=1) for _, arrow in groups.values()])
+    reference = float(f"{max(float(np.nanquantile(sizes, 0.9)), 1e-3):.2g}")
+    scale = _ARROW_SHARE * float(high[0] - low[0] or 1.0) / reference * np.array([1.0, -1.0 if y_down else 1.0])
+    colours = {"colorscale": "Viridis", "cmin": 0.0, "cmax": reference, "showscale": True}
+    most = min(MAX_ARROWS, max(40, _ALL_ARROWS // len(groups)))
+    data: list[dict[str, Any]] = []
+    for number, (place, arrow) in enumerate(groups.values()):
+        known = np.flatnonzero(np.isfinite(arrow).all(axis=1))
+        rows = known[:: max(1, len(known) // most)]
+        tip = place[rows] + scale * arrow[rows]
+        shaft = np.stack([place[rows], tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
+        size = np.linalg.norm(arrow[rows], axis=1)
+        shown = {"visible": number == 0, "showlegend": False}
+        data += [
+            _trace(shaft, "lines", line={"width": 1, "color": "#888888"}, hoverinfo="skip", **shown),
+            _trace(
+                tip,
+                "markers",
+                marker={"size": 5, "color": _rounded(size), "colorbar": {"title": {"text": unit}}, **colours},
+                text=[f"{one:.3g} {unit}" for one in size],
+                hoverinfo="text",
+                **shown,
+            ),
+        ]
+    corner = low - [0.0, 0.06 * (high - low)[1]] if not y_down else np.array([low[0], high[1] + 0.06 * (high - low)[1]])
+    data.append(
+        _trace(
+            np.stack([corner, corner + [abs(scale[0]) * reference, 0.0]]),
+            "lines+text",
+            line={"width": 3, "color": "#d62728"},
+            text=["", f"  {reference:g} {unit}"],
+            textposition="middle right",
+            showlegend=False,
+            hoverinfo="skip",
+        )
+    )
+    buttons = [
+        {
+            "label": name,
+            "method": "update",
+            "args": [{"visible": [k // 2 == number for k in range(2 * len(groups))] + [True]}],
+        }
+        for number, name in enumerate(groups)
+    ]
+    layout: dict[str, Any] = {
+        "xaxis": {"title": {"text": axes[0]}, "constrain": "domain"},
+        "yaxis": {"title": {"text": axes[1]}, "scaleanchor": "x", "constrain": "domain"}
+        | ({"autorange": "reversed"} if y_down else {}),
+        "hovermode": "closest",
+    }
+    if len(groups) > 1:
+        menu = {"buttons": buttons, "x": 0.0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "bgcolor": "#cccccc"}
+        layout["updatemenus"] = [menu | {"font": {"color": "#111111"}}]
+    return Plot(title, data, layout, caption, height_px=560)
+
+
+def _trace(points: FloatArray, mode: str, **more: object) -> dict[str, Any]:
+    return {"type": "scatter", "mode": mode, "x": _rounded(points[:, 0]), "y": _rounded(points[:, 1]), **more}
 
 
 def _axis(title: str, log: bool = False) -> dict[str, Any]:

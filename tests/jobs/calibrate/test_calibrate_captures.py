@@ -3,45 +3,52 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import needs_browser, open_page
 
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
+from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.transforms import rigid
-from wlr_render.jobs.calibrate.captures import (
-    FitOptions,
-    SimulationOptions,
-    calibrate_from_captures,
-    calibrate_simulated,
-    simulate,
-)
+from wlr_render.jobs.calibrate.captures import CalibrateCapturesOptions, calibrate_captures
+from wlr_render.jobs.calibrate.fit import FitOptions
+from wlr_render.jobs.calibrate.simulate import CalibrateSimulateOptions, calibrate_simulate, simulate_captures
 from wlr_render.mappings import FieldOfView
-from wlr_render.models.model_file import load_eye_model
+from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.report.blocks import Plot
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.bench_file import save_bench
 from wlr_render.simulation.session_folder import save_session
 from wlr_render.simulation.simulate_session import simulate as read_off
 
+SMALL_FIT = FitOptions(degree=3, see_through_degree=2)
+NORTHSTAR = load_device("northstar")
+SMALL = CalibrateSimulateOptions("birdbath28", viewpoints=12, noise_px=0.0, seed=4, fit=SMALL_FIT)
+
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
-    simulation = SimulationOptions(viewpoints=12, camera_noise_arcmin=0.1, seed=4)
-    return folder, calibrate_simulated("birdbath28", folder, simulation=simulation, fit=FitOptions("planar", 3, 2))
+    return folder, calibrate_simulate(SMALL.with_values(noise_px=0.1, out=folder))
 
 
-def truth_errors(calibration):
-    return {row[0]: row[1] for row in calibration.tables[-1].rows}
+def truth_errors(report):
+    return {row[0]: row[1] for row in report.tables[-1].rows}
+
+
+def residual(report):
+    """Of the display, rms in arcminutes."""
+    return dict(zip(report.tables[0].columns, report.tables[0].rows[0], strict=True))["residual rms (arcmin)"]
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
 def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(flat_image_headset, kind):
-    captures = simulate(flat_image_headset, kind, SimulationOptions(viewpoints=12))
+    captures = simulate_captures(flat_image_headset, SMALL.with_values(fit=FitOptions(kind=kind)))
     fitted = fit_eye(captures, kind, 2, 2).mappings
     rng = np.random.default_rng(8)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (20, 1, 3)))
@@ -60,20 +67,53 @@ def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(f
 
 
 def test_written_files_are_read_back(calibrated):
-    folder, result = calibrated
-    assert [path.name for path in result.files] == ["captures.npz", "model.json", "fit.md", "fit.json"]
+    folder, report = calibrated
+    assert [path.name for path in report.files[:2]] == ["model.json", "captures-right.npz"]
+    assert {path.name for path in report.files} == {path.name for path in folder.iterdir()}
     model = load_eye_model(folder / "model.json")
     assert (model.device, model.mappings.eye) == ("birdbath28", "right")
-    viewpoint, pixel = model.mappings.eye_box.centre, np.array([900.0, 500.0])
-    np.testing.assert_array_equal(
-        model.mappings.display.view_dir_of_pixel(pixel, viewpoint).value,
-        result.fit.mappings.display.view_dir_of_pixel(pixel, viewpoint).value,
-    )
-    captures = load_captures(folder / "captures.npz")
+    captures = load_captures(folder / "captures-right.npz")
     assert len(np.unique(captures.display.capture)) == 12
-    record = json.loads((folder / "fit.json").read_text())
-    assert record["simulation"] == {"viewpoints": 12, "camera_noise_arcmin": 0.1, "stage_error_mm": 0.0, "seed": 4}
-    assert "Against the traced truth" in (folder / "fit.md").read_text()
+    record = json.loads((folder / "report.json").read_text())["record"]
+    options = record["options"]
+    assert (options["viewpoints"], options["noise_px"], options["seed"]) == (12, 0.1, 4)
+    assert record["fits"]["right"] == json.loads(json.dumps(model.report))
+    assert "Against the traced truth" in (folder / "report.md").read_text()
+
+
+TWO_EYES = SMALL.with_values(device="northstar", noise_px=0.1)
+
+
+def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
+    both = calibrate_simulate(TWO_EYES.with_values(eye="both", out=tmp_path))
+    assert [path.name for path in both.files[:3]] == ["model.json", "captures-left.npz", "captures-right.npz"]
+    assert list(load_eye_models(tmp_path / "model.json")) == ["left", "right"]
+    noise = []
+    for eye in ("left", "right"):
+        captures, truth = load_captures(tmp_path / f"captures-{eye}.npz").display, traced_eye(NORTHSTAR, eye)
+        noise.append(captures.view_dir - truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint).value)
+    rows = min(map(len, noise))
+    upward = [each[:rows, 1] for each in noise]  # mirroring leaves y as it is
+    assert abs(np.corrcoef(upward)[0, 1]) < 0.1
+
+
+def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(tmp_path):
+    options = TWO_EYES.with_values(out=tmp_path)
+    assert calibrate_simulate(options).warnings == ()
+    (right,) = json.loads((tmp_path / "model.json").read_text())["eyes"]
+    (kept,) = calibrate_simulate(options.with_values(eye="left")).warnings
+    assert "also holds the right eye, from an earlier run" in kept
+    eyes = json.loads((tmp_path / "model.json").read_text())["eyes"]
+    assert [each["eye"] for each in eyes] == ["left", "right"]
+    assert eyes[1] == right
+
+
+@needs_browser
+def test_the_page_draws_its_plots(calibrated, tmp_path):
+    folder, report = calibrated
+    page = open_page(folder / "report.html", tmp_path)
+    assert page.console == []
+    assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 4
 
 
 def test_a_calibrated_eye_is_near_the_truth(calibrated):
@@ -83,38 +123,57 @@ def test_a_calibrated_eye_is_near_the_truth(calibrated):
 
 
 def test_stage_error_spoils_the_calibration_by_its_pupil_swim(calibrated, tmp_path):
-    simulation = SimulationOptions(viewpoints=12, stage_error_mm=0.3, seed=4)
-    spoiled = calibrate_simulated("birdbath28", tmp_path, simulation=simulation, fit=FitOptions("planar", 3, 2))
+    spoiled = calibrate_simulate(SMALL.with_values(stage_error_mm=0.3, out=tmp_path))
     # 0.3 mm per axis at 6.3 arcmin per mm, somewhat averaged by the fit.
     assert 0.5 < truth_errors(spoiled)["direction of a pixel (arcmin)"] < 4.0
 
 
 def test_captures_fit_to_the_model_that_they_were_simulated_for(calibrated, tmp_path):
-    folder, result = calibrated
-    again = calibrate_from_captures(folder / "captures.npz", tmp_path, FitOptions("planar", 3, 2))
-    assert [path.name for path in again.files] == ["model.json", "fit.md", "fit.json"]
-    assert again.fit.display == result.fit.display
+    folder, report = calibrated
+    options = CalibrateCapturesOptions(folder / "captures-right.npz", fit=SMALL_FIT, out=tmp_path)
+    again = calibrate_captures(options)
+    assert again.tables[0].rows == report.tables[0].rows
     assert (tmp_path / "model.json").read_text() == (folder / "model.json").read_text()
 
 
 def test_degrees_are_chosen_by_held_out_positions(calibrated, tmp_path):
     folder, _ = calibrated
-    chosen = calibrate_from_captures(folder / "captures.npz", tmp_path, FitOptions("static", None, None))
+    options = CalibrateCapturesOptions(folder / "captures-right.npz", fit=FitOptions(kind="static"), out=tmp_path)
+    chosen = calibrate_captures(options)
     held_out = chosen.tables[1]
     for mapping in ("display", "see-through"):
         assert [row[-1] for row in held_out.rows if row[0] == mapping].count("chosen") == 1
+    assert "Held-out error by degree" in [block.title for block in chosen.blocks]
 
 
 def test_too_few_viewpoints_say_how_many_are_missing(tmp_path):
     with pytest.raises(BadInputError, match="at least 21 viewpoints"):
-        calibrate_simulated("birdbath28", tmp_path, simulation=SimulationOptions(viewpoints=12))
+        calibrate_simulate(SMALL.with_values(fit=FitOptions(degree=5, see_through_degree=3), out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        (["--noise-px", "-1"], "--noise-px is -1.0; it must be a finite number of 0 or more."),
+        (["--degree", "13"], "--degree is 13; it must be between 1 and 12."),
+        (["--kind", "cubic"], "Invalid value"),
+        (["--bench", "bench.toml"], "Unknown option"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
+    assert main(["calibrate", "simulate", "birdbath28", *wrong, "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert sentence in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_captures_of_the_display_alone_are_refused(calibrated, tmp_path):
     folder, _ = calibrated
-    alone = EyeCaptures(load_captures(folder / "captures.npz").display)
+    alone = EyeCaptures(load_captures(folder / "captures-right.npz").display)
+    path = save_captures(tmp_path / "alone.npz", alone)
     with pytest.raises(BadInputError, match="no see-through part"):
-        calibrate_from_captures(save_captures(tmp_path / "alone.npz", alone), tmp_path)
+        calibrate_captures(CalibrateCapturesOptions(path, out=tmp_path / "out"))
 
 
 @pytest.fixture(scope="module")
@@ -154,14 +213,14 @@ def display_error(model):
 
 def test_a_session_is_calibrated_by_the_bench_that_is_believed(night, tmp_path):
     session, bench = night
-    options = FitOptions("planar", 4, 2)
-    believed = calibrate_from_captures(session, tmp_path / "believed", options)
-    extended = calibrate_from_captures(session, tmp_path / "extended", options, bench)
-    assert [path.name for path in extended.files] == ["model.json", "fit.md", "fit.json"]
+    options = CalibrateCapturesOptions(session, fit=FitOptions(degree=4, see_through_degree=2))
+    believed = calibrate_captures(options.with_values(out=tmp_path / "believed"))
+    extended = calibrate_captures(options.with_values(out=tmp_path / "extended", bench=bench))
+    assert extended.inputs == [session, bench]
     before, after = (display_error(load_eye_model(each.files[0]).mappings) for each in (believed, extended))
     assert after < 0.3 * before
     # The fit itself cannot tell: whoever believes the stage finds its captures in good order.
-    assert believed.fit.display.residual_arcmin.rms < 1.1 * extended.fit.display.residual_arcmin.rms
+    assert residual(believed) < 1.1 * residual(extended)
 
 
 def test_a_bench_of_another_headset_is_refused(night, tmp_path):
@@ -169,7 +228,7 @@ def test_a_bench_of_another_headset_is_refused(night, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(bench.read_text().replace('"northstar"', '"freeform40"'))
     with pytest.raises(BadInputError, match=r"other.toml: is a bench of freeform40 \(right eye\), the session"):
-        calibrate_from_captures(session, tmp_path, bench=other)
+        calibrate_captures(CalibrateCapturesOptions(session, bench=other, out=tmp_path))
 
 
 def test_a_bench_without_the_sessions_target_poses_is_refused(night, tmp_path):
@@ -177,10 +236,10 @@ def test_a_bench_without_the_sessions_target_poses_is_refused(night, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(bench.read_text().rsplit("[[target_pose]]", 1)[0])
     with pytest.raises(BadInputError, match="names target_pose 1, but its bench has 1"):
-        calibrate_from_captures(session, tmp_path, bench=other)
+        calibrate_captures(CalibrateCapturesOptions(session, bench=other, out=tmp_path))
 
 
 def test_a_bench_beside_a_capture_file_is_refused(calibrated, night, tmp_path):
     folder, _ = calibrated
-    with pytest.raises(BadInputError, match=r"captures\.npz: is no session's folder"):
-        calibrate_from_captures(folder / "captures.npz", tmp_path, bench=night[1])
+    with pytest.raises(BadInputError, match=r"captures-right\.npz: is no session's folder"):
+        calibrate_captures(CalibrateCapturesOptions(folder / "captures-right.npz", bench=night[1], out=tmp_path))

@@ -2,20 +2,21 @@
 
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_photo_session import FIT
+from browser import needs_browser, open_page
 
 from wlr_render.calibration.poses import motion_between
 from wlr_render.calibration.station_file import load_station
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.files import read_toml
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.calibrate import photos as calibrate
-from wlr_render.jobs.calibrate import report
+from wlr_render.jobs.calibrate.photos import calibrated, report_of
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.report.blocks import Plot
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -85,30 +86,47 @@ def test_a_display_that_is_of_degree_1_is_found_to_be_so_and_fits_to_the_noise(f
 
 def test_what_is_written_can_be_read_back_and_used(found, photo_session):
     out = photo_session.out
-    station = load_station(out / "station.json")
+    station = load_station(out / "station-right.json")
     reading = found.session.see_through[1].stage
     assert np.allclose(station.device_from_camera(reading), found.station.device_from_camera(reading), atol=1e-12)
-    assert np.array_equal(load_captures(out / "captures.npz").display.pixel, found.captures.display.pixel)
+    assert np.array_equal(load_captures(out / "captures-right.npz").display.pixel, found.captures.display.pixel)
     viewpoint, pixel = np.zeros(3), np.array([160.0, 90.0])
     again = load_eye_model(out / "model.json").mappings.display.view_dir_of_pixel(pixel, viewpoint)
     assert np.allclose(again.value, found.fit.mappings.display.view_dir_of_pixel(pixel, viewpoint).value, atol=1e-9)
 
 
-def test_the_report_is_one_page_with_its_pictures_and_tables(found, photo_session):
-    told = report.write(found, photo_session.out)
-    assert all(path.is_file() and path.stat().st_size > 0 for path in told.files)
-    page = (photo_session.out / "report.html").read_text(encoding="utf-8")
-    for name in ("coverage", "decoding", "display_residuals", "see_through_residuals", "degrees"):
-        assert f'src="{name}.png"' in page
+def test_the_report_tells_everything_in_the_order_of_the_procedure(found, photo_session):
+    report = report_of(found, photo_session.options)
+    assert all(path.is_file() and path.stat().st_size > 0 for path in report.files)
+    for name in ("coverage", "decoding"):
         assert (photo_session.out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-    titles = [table.title for table in told.tables]
-    assert "Set aside" not in titles  # nothing was, and an empty table says nothing
-    assert all(f"<h2>{title}</h2>" in page for title in titles)
+    titles = [table.title for table in report.tables]
+    assert "Excluded" not in titles  # nothing was, and an empty table says nothing
     assert titles[0] == "What was read"
-    assert [row[1:3] for row in told.tables[0].rows] == [[10, 10], [4, 4], [10, 10], [4, 4]]
-    record = json.loads((photo_session.out / "calibration.json").read_text(encoding="utf-8"))
-    assert record["eye"] == "right"
-    assert "every check of the station is right" in page
+    assert [row[1:3] for row in report.tables[0].rows] == [[10, 10], [4, 4], [10, 10], [4, 4]]
+    record = json.loads((photo_session.out / "report.json").read_text(encoding="utf-8"))
+    assert record["record"]["eye"] == "right"
+    assert "every check of the station passed" in report.verdict
+    assert report.faults == ()
+
+
+def test_residuals_of_each_photograph_are_plotted(found, photo_session):
+    plots = {each.title: each for each in report_of(found, photo_session.options).blocks if isinstance(each, Plot)}
+    (bars,) = plots["Residual of the display, by camera position"].data
+    assert bars["x"] == [f"display/0{number}" for number in range(4)]
+    overall = found.fit.display.residual_arcmin.rms
+    assert np.sqrt(np.mean(np.square(bars["y"]))) == pytest.approx(overall, rel=0.05)
+    sigma = found.station.pose_at(found.station.stage.reference).sigma_mm
+    plotted = [trace["y"][0] for trace in plots["Uncertainty of positions"].data]
+    assert plotted == pytest.approx(list(sigma), rel=1e-3)
+
+
+@needs_browser
+def test_the_page_draws_its_plots(found, photo_session, tmp_path):
+    report = report_of(found, photo_session.options)
+    page = open_page(photo_session.out / "report.html", tmp_path)
+    assert page.console == []
+    assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 7
 
 
 # What is read again.
@@ -117,7 +135,7 @@ def test_the_report_is_one_page_with_its_pictures_and_tables(found, photo_sessio
 def test_a_second_run_reads_nothing_and_finds_the_same(found, photo_session):
     again = photo_session.calibrate()
     assert (found.reading.kept, again.reading.kept) == (0, ALL)
-    assert again.reading.set_aside == ()
+    assert again.reading.excluded == ()
     assert np.allclose(again.captures.display.view_dir, found.captures.display.view_dir, rtol=0, atol=1e-9)
     assert np.array_equal(again.captures.display.pixel, found.captures.display.pixel)
 
@@ -151,7 +169,7 @@ def test_processes_find_what_one_finds(photo_session, monkeypatch, found):
     monkeypatch.undo()
     for name in ("bare__pose0_00.png", "display__02"):
         os.remove(photo_session.out / "read" / f"{name}.npz")
-    again = calibrate.run(photo_session.folder, photo_session.out, FIT, workers=1)
+    again = calibrated(replace(photo_session.options, workers=1))
     assert again.reading.kept == ALL - 2
     assert again.fit.display.residual_arcmin.rms == pytest.approx(found.fit.display.residual_arcmin.rms, rel=1e-6)
 

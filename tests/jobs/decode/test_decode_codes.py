@@ -9,7 +9,7 @@ from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.decode.codes import in_folder, of_procam_graycode, run
+from wlr_render.jobs.decode import DecodeVerbOptions, decode
 from wlr_render.mappings import Panel
 
 
@@ -25,13 +25,13 @@ def photographed(tmp_path):
 
 def test_positions_tables_and_pictures_are_written(photographed, tmp_path):
     folder, pattern = photographed
-    result = run(in_folder(folder, pattern), tmp_path / "out")
+    result = decode(DecodeVerbOptions(folder, panel=(96, 64), pattern="gray", out=tmp_path / "out"))
     assert all(path.stat().st_size > 100 for path in result.files)
     with np.load(tmp_path / "out" / "decoded.npz") as decoded:
         accepted = decoded["rejection"] == Rejection.ACCEPTED
         assert accepted.mean() > 0.9
         np.testing.assert_allclose(decoded["pixel"][accepted], pattern.panel.pixel_centres()[accepted], atol=0.02)
-    fate, strength, flatness, _ = json.loads((tmp_path / "out" / "decode.json").read_text())["tables"]
+    fate, strength, flatness, _ = json.loads((tmp_path / "out" / "report.json").read_text())["tables"]
     assert sum(row["pixels"] for row in fate["rows"]) == 96 * 64
     assert [row["bit"] for row in strength["rows"]] == [name for name in pattern.names()[2:] if "inverse" not in name]
     assert all(row["median"] == 1.0 and row["verdict"] == "" for row in strength["rows"])
@@ -42,12 +42,13 @@ def test_positions_tables_and_pictures_are_written(photographed, tmp_path):
 
 def test_photographs_of_another_panel_are_refused(photographed, tmp_path):
     with pytest.raises(BadInputError, match="photograph"):
-        run(in_folder(photographed[0], GrayCode(Panel(300, 64))), tmp_path / "out")
+        decode(DecodeVerbOptions(photographed[0], panel=(300, 64), pattern="gray", out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data, tmp_path):
-    codes = of_procam_graycode(measured_data("procam_graycode"))
-    tables = {table.title: table for table in run(codes, tmp_path).tables}
+    options = DecodeVerbOptions(measured_data("procam_graycode"), source="procam-graycode", out=tmp_path)
+    tables = {table.title: table for table in decode(options).tables}
     fates = {row[0]: row[2] for row in tables["Camera pixels"].rows}
     assert fates[Rejection.ACCEPTED.sentence] > 50
     bits = {row[0]: row for row in tables["Strength of the bits"].rows}

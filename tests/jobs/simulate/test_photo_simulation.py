@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.simulate import session as simulate
-from wlr_render.jobs.simulate.making import difference, load_making, save_making
+from wlr_render.simulation.photographs.recipe import difference, load_recipe, save_recipe
+from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -22,73 +22,74 @@ def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session):
     untouched = kept.stat()
     for name in LOST:
         (folder / name).unlink()
-    made = simulate.run(folder, photo_session.making)
-    assert made.taken == 3
-    assert made.kept == 180 - 3
+    made = simulate_photo_session(folder, photo_session.recipe)
+    assert made == (3, 180 - 3)
     assert {name: (folder / name).read_bytes() for name in LOST} == before
     assert kept.stat().st_mtime_ns == untouched.st_mtime_ns
 
 
 def test_a_finished_session_is_left_as_it_is(photo_session):
-    made = simulate.run(photo_session.folder, photo_session.making)
-    assert (made.taken, made.kept) == (0, 180)
+    made = simulate_photo_session(photo_session.folder, photo_session.recipe)
+    assert made == (0, 180)
     assert photo_session.calibrate().reading.kept == 40
 
 
 def test_a_session_made_in_another_way_is_refused(photo_session):
-    making = photo_session.making
+    recipe = photo_session.recipe
     for other in (
-        replace(making, viewpoints=5),
-        replace(making, pattern="gray"),
-        replace(making, bench=replace(making.bench, seed=2)),
-        replace(making, device="birdbath28"),
+        replace(recipe, viewpoints=5),
+        replace(recipe, pattern="gray"),
+        replace(recipe, bench=replace(recipe.bench, seed=2)),
+        replace(recipe, device="birdbath28"),
     ):
         with pytest.raises(BadInputError, match=r"in another way \(\w+ .* there, .* here\); choose another"):
-            simulate.run(photo_session.folder, other)
+            simulate_photo_session(photo_session.folder, other)
 
 
 def test_a_device_file_that_changed_meanwhile_is_another_device(photo_session, tmp_path):
     text = (photo_session.folder / "device.toml").read_text(encoding="utf-8")
     (tmp_path / "device.toml").write_text(text.replace("index = 1.5", "index = 1.6"), encoding="utf-8")
     with pytest.raises(BadInputError, match="was simulated in another way"):
-        simulate.run(photo_session.folder, replace(photo_session.making, device=str(tmp_path / "device.toml")))
+        simulate_photo_session(
+            photo_session.folder, replace(photo_session.recipe, device=str(tmp_path / "device.toml"))
+        )
 
 
 def test_a_real_session_is_never_written_into(photo_session):
     (photo_session.folder / "simulation.toml").unlink()
     before = (photo_session.folder / "session.toml").read_bytes()
     with pytest.raises(BadInputError, match="holds a session that was not simulated; choose another folder"):
-        simulate.run(photo_session.folder, photo_session.making)
+        simulate_photo_session(photo_session.folder, photo_session.recipe)
     assert (photo_session.folder / "session.toml").read_bytes() == before
 
 
-def test_a_making_is_read_as_it_was_written(photo_session, tmp_path):
-    again = load_making(photo_session.folder)
-    assert difference(again, photo_session.making) == ""
-    named = replace(photo_session.making, device="birdbath28", eye="left")
-    save_making(tmp_path, named)
-    assert load_making(tmp_path) == named
+def test_a_recipe_is_read_as_it_was_written(photo_session, tmp_path):
+    again = load_recipe(photo_session.folder)
+    assert difference(again, photo_session.recipe) == ""
+    named = replace(photo_session.recipe, device="birdbath28", eye="left")
+    save_recipe(tmp_path, named)
+    assert load_recipe(tmp_path) == named
 
 
 @pytest.mark.parametrize(
     ("pattern", "text", "complaint"),
     [("snr = .*", "snr = 'much'", "'snr' must be a number"), ("seed", "sead", "key 'seed' is missing")],
 )
-def test_a_making_that_was_spoilt_is_refused(photo_session, pattern, text, complaint):
+def test_a_recipe_that_was_spoilt_is_refused(photo_session, pattern, text, complaint):
     path = photo_session.folder / "simulation.toml"
     content = re.sub(pattern, text, path.read_text(encoding="utf-8"), count=1)
     path.unlink()
     path.write_text(content, encoding="utf-8")
     with pytest.raises(BadInputError, match=complaint):
-        load_making(photo_session.folder)
+        load_recipe(photo_session.folder)
 
 
 def test_what_is_not_known_is_refused_before_anything_is_written(photo_session, tmp_path):
-    for making, complaint in (
-        (replace(photo_session.making, eye="left"), "has no left eye"),
-        (replace(photo_session.making, pattern="grey"), "There is no code 'grey'"),
-        (replace(photo_session.making, device="birdbath29"), "Did you mean birdbath28"),
+    for recipe, complaint in (
+        (replace(photo_session.recipe, eye="left"), "has no left eye"),
+        (replace(photo_session.recipe, pattern="grey"), "There is no code 'grey'"),
+        (replace(photo_session.recipe, device="birdbath29"), "Did you mean birdbath28"),
     ):
         with pytest.raises(BadInputError, match=complaint):
-            simulate.run(tmp_path / "new", making)
+            simulate_photo_session(tmp_path / "new", recipe)
     assert not (tmp_path / "new" / "simulation.toml").exists()

@@ -10,7 +10,7 @@ from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.verify import verify
+from wlr_render.jobs.verify.pairs import VerifyPairsOptions, verify_pairs
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -28,35 +28,44 @@ def pairs(photo_session, tmp_path):
     return folder
 
 
+def options(session, pairs, folder):
+    return VerifyPairsOptions(pairs, session.folder / "board.toml", calibration=session.out, out=folder / "out")
+
+
 def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
-    result = verify.run_pairs(pairs, photo_session.folder / "board.toml", photo_session.out, tmp_path / "out")
-    overall, each = result.tables
+    report = verify_pairs(options(photo_session, pairs, tmp_path))
+    overall, each = report.tables
     assert [row[:2] for row in each.rows] == [["left", "traced"], ["left", "warped"]]
     medians = {row[0]: row[2] for row in overall.rows}
-    camera = load_station(photo_session.out / "station.json").eyeball_camera
+    camera = load_station(photo_session.out / "station-right.json").eyeball_camera
     middle = camera.centre_px
     one_shift = float(arcmin_between(camera.dir_of_pixel(middle), camera.dir_of_pixel(middle + [SHIFT_PX, 0.0])))
     assert medians["traced"] < 0.01
     assert medians["warped"] == pytest.approx(one_shift, rel=0.1)  # an angle off the axis is somewhat smaller
-    assert all(path.is_file() for path in result.files)
+    assert all(path.is_file() for path in report.files)
 
 
 def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
-    given = ["--pairs", str(pairs), "--calibration", str(photo_session.out), "--out", str(tmp_path / "out")]
-    assert main(["verify", *given]) == 2
-    assert "--board is missing" in capsys.readouterr().err
-    assert main(["verify", *given, "--board", str(photo_session.folder / "board.toml")]) == 0
-    record = json.loads((tmp_path / "out" / "verification.json").read_text(encoding="utf-8"))
-    assert record["photographs"] == str(pairs)
+    given = ["--calibration", str(photo_session.out), "--out", str(tmp_path / "out")]
+    assert main(["verify", "pairs", str(pairs), *given]) == 2
+    assert "board" in capsys.readouterr().err
+    board = str(photo_session.folder / "board.toml")
+    assert main(["verify", "pairs", str(pairs), board, *given, "--eye", "left"]) == 2
+    assert "station-left.json" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert main(["verify", "pairs", str(pairs), board, *given]) == 0
+    assert "drawn dots lie" in capsys.readouterr().out
+    record = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    assert record["record"]["photographs"] == str(pairs)
 
 
 def test_what_is_no_pair_is_named(photo_session, pairs, tmp_path):
-    board = photo_session.folder / "board.toml"
+    given = options(photo_session, pairs, tmp_path)
     (pairs / "left_off.png").unlink()
     with pytest.raises(BadInputError, match=r"left_on_traced\.png: has no photograph with the display off beside it"):
-        verify.run_pairs(pairs, board, photo_session.out, tmp_path / "out")
+        verify_pairs(given)
     for path in pairs.glob("*_on_*"):
         path.unlink()
     write_photograph(pairs / "x.png", np.zeros((4, 4), np.uint8))
     with pytest.raises(BadInputError, match="holds no pairs of photographs"):
-        verify.run_pairs(pairs, board, photo_session.out, tmp_path / "out")
+        verify_pairs(given)

@@ -11,8 +11,7 @@ from wlr_render.captures.photographs import read_photograph
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.jobs.verify import verify
-from wlr_render.jobs.verify.procedure import METHODS
+from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
@@ -22,7 +21,14 @@ DEPTH_M = 0.6
 
 @pytest.fixture
 def options(photo_session, tmp_path):
-    return verify.Options(photo_session.folder, photo_session.out, tmp_path / "verify", 2, (DEPTH_M,), backend="cpu")
+    return VerifySessionOptions(
+        photo_session.folder,
+        calibration=photo_session.out,
+        out=tmp_path / "verify",
+        viewpoints=2,
+        depths_m=(DEPTH_M,),
+        backend="cpu",
+    )
 
 
 def test_drawn_dots_cover_real_ones(options):
@@ -30,7 +36,7 @@ def test_drawn_dots_cover_real_ones(options):
 
     Dots that the panel's edge cuts are found off their places, by arcminutes; hence medians.
     """
-    result = verify.run(options)
+    result = verify_session(options)
     overall, each = result.tables
     assert [row[0] for row in overall.rows] == list(METHODS)
     assert [row[:3] for row in each.rows] == [[DEPTH_M, view, method] for view in (0, 1) for method in METHODS]
@@ -40,9 +46,9 @@ def test_drawn_dots_cover_real_ones(options):
         assert 0 < median < 1.0
         assert row[-1] is None
     assert all(path.is_file() and path.stat().st_size > 0 for path in result.files)
-    assert {path.name for path in result.files} >= {"misalignment.png", "close_up.png", "verification.md"}
-    record = json.loads((options.out / "verification.json").read_text(encoding="utf-8"))
-    assert record["session"] == str(options.session)
+    assert {path.name for path in result.files} >= {"misalignment.png", "close_up.png", "report.html"}
+    record = json.loads((options.out / "report.json").read_text(encoding="utf-8"))
+    assert record["record"]["session"] == str(options.session)
 
 
 def test_photographs_of_an_earlier_verification_are_taken_again(options):
@@ -51,7 +57,7 @@ def test_photographs_of_an_earlier_verification_are_taken_again(options):
     stale.parent.mkdir(parents=True)
     options = replace(options, viewpoints=1)
     stale.write_bytes(b"of other models")
-    result = verify.run(options)
+    result = verify_session(options)
     assert read_photograph(stale).shape == (320, 400)
     assert all(row[-1] is None for row in result.tables[1].rows)
 
@@ -66,7 +72,7 @@ def test_an_error_of_the_display_model_is_measured(options, photo_session):
     display = replace(model.mappings.display, forward=replace(forward, coefficients=coefficients))
     os.remove(path)
     save_eye_models(path, [replace(model, mappings=replace(model.mappings, display=display))])
-    result = verify.run(replace(options, viewpoints=1))
+    result = verify_session(replace(options, viewpoints=1))
     medians = [row[4] for row in result.tables[1].rows]
     # The field reaches 18 degrees: a tangent there is 0.9 of an angle.
     assert medians == pytest.approx([0.005 / ARCMIN] * 2, rel=0.1)
@@ -96,20 +102,20 @@ def of_another_device(session, options):
     ("spoil", "complaint"),
     [
         (not_simulated, "has no simulation.toml, so it is no simulated session"),
-        (without("model.json"), "holds no model.json; run `wlr-render calibrate"),
-        (without("station.json"), "`wlr-render calibrate` writes it"),
+        (without("model.json"), "holds no model.json; run `wlr-render calibrate photos"),
+        (without("station-right.json"), "`calibrate photos` writes it"),
         (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),
         (lambda session, options: replace(options, depths_m=(0.05,)), "tracking_50mm.png"),
     ],
 )
 def test_what_cannot_be_verified_is_refused_in_one_sentence(photo_session, options, spoil, complaint):
     with pytest.raises(BadInputError, match=complaint) as caught:
-        verify.run(spoil(photo_session, options))
+        verify_session(spoil(photo_session, options))
     assert "\n" not in str(caught.value)
 
 
 def test_the_command_line_ends_with_status_2(photo_session, tmp_path, capsys):
     calibration = ["--calibration", str(tmp_path / "none"), "--out", str(tmp_path / "verify")]
-    assert main(["verify", str(photo_session.folder), *calibration]) == 2
+    assert main(["verify", "session", str(photo_session.folder), *calibration]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"wlr-render: {tmp_path / 'none'}: holds no model.json; run")

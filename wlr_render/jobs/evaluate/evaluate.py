@@ -65,7 +65,7 @@ def evaluate(options: EvaluateOptions = _DEFAULTS, *, progress: ProgressArgument
         inputs=[device_path(device) for device in dict.fromkeys(options.device)],
         record={"options": asdict(options), **records},
     )
-    return save_report(report, folder)
+    return save_report(report, folder, "report")
 
 
 def _evaluated_eyes(options: EvaluateOptions) -> list[EvaluatedEye]:

@@ -19,11 +19,11 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.designs import camera_positions
-from wlr_render.jobs.processes import as_finished
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.processes import as_finished
 from wlr_render.progress import Progress
 from wlr_render.report.blocks import Cell
 from wlr_render.simulation import viewpoints

@@ -15,7 +15,7 @@ _DEVICE_COPY = "device.toml"
 
 
 @dataclass(frozen=True)
-class Making:
+class SimulationRecipe:
     """All that decides what a simulated session's photographs show.
 
     Attributes:
@@ -37,29 +37,31 @@ class Making:
         return design_photo_bench(load_device(self.device), self.eye, self.bench)
 
 
-def save_making(folder: Path, making: Making) -> Path:
+def save_recipe(folder: Path, recipe: SimulationRecipe) -> Path:
     """Write simulation.toml; a device file of one's own is copied beside it."""
-    content = asdict(making)
-    if Path(making.device).suffix == ".toml":
-        write_bytes(folder / _DEVICE_COPY, Path(making.device).read_bytes())
+    content = asdict(recipe)
+    if Path(recipe.device).suffix == ".toml":
+        write_bytes(folder / _DEVICE_COPY, Path(recipe.device).read_bytes())
         content["device"] = _DEVICE_COPY
     return write_toml(folder / FILE, content, "how these photographs were simulated; calibration does not read this")
 
 
-def load_making(folder: Path) -> Making:
+def load_recipe(folder: Path) -> SimulationRecipe:
     """Read simulation.toml.
 
     Raises:
         BadInputError: there is none, so the session is not a simulated one, or it breaks the format.
     """
     if not (folder / FILE).is_file():
-        raise BadInputError(f"{folder}: has no {FILE}, so it is no simulated session; `wlr-render simulate` makes one.")
+        raise BadInputError(
+            f"{folder}: has no {FILE}, so it is no simulated session; `wlr-render simulate` writes one."
+        )
     file = read_toml(folder / FILE)
     table = file.table("bench")
     bench = PhotoBenchOptions(**{each.name: _value(table, each.name) for each in fields(PhotoBenchOptions)})
     table.finish()
     device = file.text("device")
-    making = Making(
+    recipe = SimulationRecipe(
         str(folder / device) if device == _DEVICE_COPY else device,
         file.text("eye"),
         int(file.number("viewpoints")),
@@ -67,20 +69,20 @@ def load_making(folder: Path) -> Making:
         bench,
     )
     file.finish()
-    return making
+    return recipe
 
 
-def difference(first: Making, second: Making) -> str:
+def difference(first: SimulationRecipe, second: SimulationRecipe) -> str:
     """What makes two sessions' photographs differ, in words, wherever a device file lies; empty if nothing does."""
-    one, other = (_flat(making) for making in (first, second))
+    one, other = (_flat(recipe) for recipe in (first, second))
     return ", ".join(f"{key} {one[key]} there, {other[key]} here" for key in one if one[key] != other[key])
 
 
-def _flat(making: Making) -> dict[str, Any]:
-    content = asdict(making)
+def _flat(recipe: SimulationRecipe) -> dict[str, Any]:
+    content = asdict(recipe)
     flat: dict[str, Any] = {key: value for key, value in content.items() if key != "bench"} | content["bench"]
-    if Path(making.device).suffix == ".toml":
-        digest = hashlib.sha256(Path(making.device).read_bytes()).hexdigest()[:8]
+    if Path(recipe.device).suffix == ".toml":
+        digest = hashlib.sha256(Path(recipe.device).read_bytes()).hexdigest()[:8]
         flat["device"] = f"a device file ({digest})"
     return flat
 

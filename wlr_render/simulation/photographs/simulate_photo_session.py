@@ -5,7 +5,6 @@ take more photographs on the same bench. Calibration never opens it.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,66 +17,53 @@ from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.captures.targets.board_file import save_board, write_board_svg
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.jobs.processes import as_finished, few_workers
-from wlr_render.jobs.simulate import making as making_file
-from wlr_render.jobs.simulate.making import Making
-from wlr_render.jobs.simulate.shots import BoardShot, PanelShots, Place, take
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
+from wlr_render.simulation.photographs import recipe as recipe_file
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoPlan, plan_photographs
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
 
 BOARD = "board.toml"
 _MOST_WORKERS = 4  # each takes up to 0.4 GB
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """What was written.
-
-    Attributes:
-        folder: of the session.
-        taken: number of photographs.
-        kept: number of photographs that an earlier run had taken.
-    """
-
-    folder: Path
-    taken: int
-    kept: int
-
-
-def run(folder: str | Path, making: Making, workers: int | None = None, progress: Progress = SILENT) -> Simulated:
-    """Take all photographs of a session; those that an interrupted run has taken are kept.
+def simulate_photo_session(
+    folder: Path, recipe: SimulationRecipe, workers: int | None = None, progress: Progress = SILENT
+) -> tuple[int, int]:
+    """Take all photographs of a session that an earlier run has not taken; returns the numbers taken and kept.
 
     Raises:
         BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way.
     """
-    bench = making.build()  # what cannot be simulated is refused before a folder is made
+    bench = recipe.build()  # what cannot be simulated is refused before a folder is made
     root = output_folder(folder)
-    pattern = make_pattern(making.pattern, bench.optics.panel.pixels)
-    if (root / making_file.FILE).is_file():
-        if apart := making_file.difference(making_file.load_making(root), making):
+    pattern = make_pattern(recipe.pattern, bench.optics.panel.pixels)
+    if (root / recipe_file.FILE).is_file():
+        if apart := recipe_file.difference(recipe_file.load_recipe(root), recipe):
             raise BadInputError(
                 f"{root}: holds a session that was simulated in another way ({apart}); choose another folder."
             )
     elif (root / FILE).is_file():
         raise BadInputError(f"{root}: holds a session that was not simulated; choose another folder.")
     else:
-        making_file.save_making(root, making)
-    plan = plan_photographs(bench, making.viewpoints)
-    session = _session(root, bench, plan, pattern, making)
-    places = list(_places(session, bench, plan, making.bench.stage_error_um, making.bench.seed))
-    total = sum(len(place.paths()) for place in places)
-    taken = sum(
-        progress(as_finished(take, places, workers or few_workers(_MOST_WORKERS)), len(places), "camera places")
-    )
+        recipe_file.save_recipe(root, recipe)
+    plan = plan_photographs(bench, recipe.viewpoints)
+    session = _session(root, bench, plan, pattern, recipe)
+    poses = list(_poses(session, bench, plan, recipe.bench.stage_error_um, recipe.bench.seed))
+    total = sum(len(pose.paths()) for pose in poses)
+    taken = sum(progress(as_finished(take, poses, workers or few_workers(_MOST_WORKERS)), len(poses), "camera poses"))
     save_board(session.board, root / BOARD)
     write_board_svg(session.board, root / "board.svg")
-    save_photo_session(session, {"pattern": making.pattern}, BOARD)
-    return Simulated(root, taken, total - taken)
+    save_photo_session(session, {"pattern": recipe.pattern}, BOARD)
+    return taken, total - taken
 
 
-def _session(root: Path, bench: PhotoBench, plan: PhotoPlan, pattern: Pattern, making: Making) -> PhotoSession:
+def _session(
+    root: Path, bench: PhotoBench, plan: PhotoPlan, pattern: Pattern, recipe: SimulationRecipe
+) -> PhotoSession:
     """What session.toml is to say: names and readings, and nothing of the truth."""
     poses = range(len(bench.device_from_target))
     eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
@@ -122,10 +108,10 @@ def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> Se
     )
 
 
-def _places(
+def _poses(
     session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, stage_error_um: float, seed: int
-) -> Iterator[Place]:
-    rng = np.random.default_rng([seed, 17])
+) -> Iterator[CameraPose]:
+    rng = np.random.default_rng([seed, 17, int(bench.eye == "left")])
 
     def camera_at(stage: FloatArray) -> FloatArray:
         return bench.camera_at(stage + rng.normal(0.0, 1e-6 * stage_error_um, 3))
@@ -143,7 +129,9 @@ def _places(
         (bench.device_from_tracking, tracked),
         (np.eye(4), _shots(session.tracking_camera, plan.tracking_boards)),
     ):
-        yield Place(bench.tracking, bench.tracking_sensor, pose, None, bench.board, shots, seed=seed)
+        yield CameraPose(
+            bench.tracking, bench.tracking_sensor, pose, None, bench.board, shots, seed=seed, eye=bench.eye
+        )
 
 
 def _eyeball(
@@ -153,9 +141,11 @@ def _eyeball(
     panels: tuple[PanelShots, ...],
     seed: int,
     through: bool,
-) -> Place:
+) -> CameraPose:
     optics = bench.optics if through else None
-    return Place(bench.eyeball, bench.eyeball_sensor, frame_from_camera, optics, bench.board, boards, panels, seed)
+    return CameraPose(
+        bench.eyeball, bench.eyeball_sensor, frame_from_camera, optics, bench.board, boards, panels, seed, bench.eye
+    )
 
 
 def _on_bench(photograph: BoardPhotograph, bench: PhotoBench) -> BoardShot:

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from wlr_render.jobs.processes import as_finished
+from wlr_render.processes import as_finished
 
 
 def test_every_task_is_done_once_with_one_thread_each(monkeypatch):
@@ -27,7 +27,7 @@ def test_a_fault_of_a_task_comes_back():
 
 WORK = """
 import os, sys, time
-from wlr_render.jobs.processes import as_finished
+from wlr_render.processes import as_finished
 
 def work(number):
     open(f"begun {os.getpid()}", "w").close()

@@ -1,4 +1,4 @@
-"""Taking simulated photographs: everything that one lens sees without being moved, whatever is not there yet."""
+"""Simulate the missing photographs of one camera pose."""
 
 import zlib
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ class BoardShot:
 
     Attributes:
         path: where it is written.
-        frame_from_board: (4, 4) in the frame of its place.
+        frame_from_board: (4, 4) in the frame of its camera pose.
     """
 
     path: Path
@@ -62,8 +62,8 @@ class PanelShots:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """A lens in its place, and what it photographs from there.
+class CameraPose:
+    """A camera at one pose, and the photographs taken from there.
 
     Attributes:
         lens, sensor: the camera.
@@ -72,6 +72,7 @@ class Place:
         board: the target.
         boards, panels: the photographs.
         seed: of the noise.
+        eye: "left" or "right", so that both eyes do not get mirrored noise.
     """
 
     lens: SimulatedLens
@@ -82,34 +83,35 @@ class Place:
     boards: Sequence[BoardShot] = field(default_factory=tuple)
     panels: Sequence[PanelShots] = field(default_factory=tuple)
     seed: int = 1
+    eye: str = "right"
 
     def paths(self) -> list[Path]:
         """Of all photographs."""
         return [shot.path for shot in self.boards] + [path for shots in self.panels for path in shots.paths()]
 
 
-def take(place: Place) -> int:
+def take(pose: CameraPose) -> int:
     """Take the photographs that are not there yet; returns how many."""
-    missing = {path for path in place.paths() if not path.is_file()}
+    missing = {path for path in pose.paths() if not path.is_file()}
     if not missing:
         return 0
-    if place.optics is None:
-        sight = CameraView.without_headset(place.lens, place.frame_from_camera)
+    if pose.optics is None:
+        sight = CameraView.without_headset(pose.lens, pose.frame_from_camera)
     else:
-        sight = CameraView.through_optics(place.optics, place.lens, place.frame_from_camera)
-    for shot in place.boards:
+        sight = CameraView.through_optics(pose.optics, pose.lens, pose.frame_from_camera)
+    for shot in pose.boards:
         if shot.path in missing:
-            light = sight.world_light(BoardLight(place.board, shot.frame_from_board))
-            write_photograph(shot.path, place.sensor.expose(light, _noise(place, shot.path)))
-    for shots in place.panels:
+            light = sight.world_light(BoardLight(pose.board, shot.frame_from_board))
+            write_photograph(shot.path, pose.sensor.expose(light, _noise(pose, shot.path)))
+    for shots in pose.panels:
         dark = sight.world_light(_DARK_ROOM)
         for number, path in enumerate(shots.paths()):
             if path in missing:
                 light = sight.panel_light(shots.pictures.image(number)) + dark
-                write_photograph(path, place.sensor.expose(light, _noise(place, path)))
+                write_photograph(path, pose.sensor.expose(light, _noise(pose, path)))
     return len(missing)
 
 
-def _noise(place: Place, path: Path) -> np.random.Generator:
+def _noise(pose: CameraPose, path: Path) -> np.random.Generator:
     """The same for a photograph whenever and in whatever order it is taken."""
-    return np.random.default_rng([place.seed, zlib.crc32("/".join(path.parts[-2:]).encode())])
+    return np.random.default_rng([pose.seed, zlib.crc32("/".join(path.parts[-2:]).encode()), int(pose.eye == "left")])

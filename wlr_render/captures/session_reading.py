@@ -1,0 +1,266 @@
+"""Read every photograph of a session in parallel, and keep what was read so that interrupted work resumes.
+
+A photograph that cannot be read does not stop the others: it is excluded and named with its reason.
+"""
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photographs import (
+    BadPhotographError,
+    check_photograph,
+    photographs_in,
+    read_each,
+    read_photograph,
+)
+from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
+from wlr_render.captures.targets.find_board import find_board
+from wlr_render.errors import BadInputError
+from wlr_render.files import write_arrays
+from wlr_render.processes import as_finished, few_workers
+from wlr_render.progress import SILENT, Progress
+
+_VERSION = 1  # of the way of reading: results of another one are read again
+_THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
+_MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
+
+
+@dataclass(frozen=True)
+class Excluded:
+    """A photograph, or a set, that nothing could be read from.
+
+    Attributes:
+        name: as reports give it.
+        reason: the sentence.
+        fault: whether the session is not as session.toml says (missing, of another size, out of order, without the
+            board), rather than one photograph having failed.
+    """
+
+    name: str
+    reason: str
+    fault: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PanelReading:
+    """What a set of code photographs says.
+
+    Attributes:
+        samples: panel positions at camera pixels.
+        counts: (number of reasons,) how many camera pixels have which `Rejection`.
+        fates: (h, w) uint8 `Rejection` of a thinned-out picture.
+        extent: (2, 2) lowest and highest panel position accepted.
+    """
+
+    samples: DecodedSamples
+    counts: NDArray[np.int64]
+    fates: NDArray[np.uint8]
+    extent: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What a session's photographs say.
+
+    Attributes:
+        boards: observation of each photograph of the board that could be read.
+        panels: of each set of code photographs that could be decoded, by its folder.
+        excluded: what could not be read, and why.
+        kept: how many were found read already by an earlier run.
+    """
+
+    boards: dict[Path, BoardObservation] = field(default_factory=dict)
+    panels: dict[Path, PanelReading] = field(default_factory=dict)
+    excluded: tuple[Excluded, ...] = ()
+    kept: int = 0
+
+    def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
+        """Those of some photographs that could be read, with their observations."""
+        return [(each, self.boards[each.path]) for each in photographs if each.path in self.boards]
+
+    def decoded(self, sets: Sequence[CodeSet]) -> list[tuple[CodeSet, PanelReading]]:
+        """Those of some sets that could be decoded, with what they say."""
+        return [(each, self.panels[each.folder]) for each in sets if each.folder in self.panels]
+
+
+def read_session(
+    session: PhotoSession, folder: Path, workers: int | None = None, progress: Progress = SILENT
+) -> Reading:
+    """Find the board and decode the panel wherever the session has photographs of them.
+
+    Args:
+        session: names the photographs.
+        folder: in which what was read is kept, and found again by the next run.
+        workers: processes, or None for one per core, but not more than memory allows.
+        progress: shows how far the work is.
+    """
+    panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
+    tasks: list[_Task] = [*panels, *boards]  # the long ones first
+    waiting = [(task, folder) for task in tasks if _kept(task, folder) is None]
+    finished = as_finished(_do_task, waiting, workers or few_workers(_MOST_WORKERS))
+    outcomes = list(progress(finished, len(waiting), "photographs"))
+    order = {task.name: number for number, task in enumerate(tasks)}
+    return Reading(
+        {task.path: task.result(kept) for task in boards if (kept := _kept(task, folder))},
+        {task.folder: task.result(kept) for task in panels if (kept := _kept(task, folder))},
+        tuple(sorted((each for each in outcomes if each), key=lambda each: order[each.name])),
+        len(tasks) - len(waiting),
+    )
+
+
+def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
+    for each in session.display:
+        size_px = session.eyeball_camera.size_px
+        yield _PanelTask(session.name_of(each.folder), each.folder, session.pattern, session.decoding, size_px)
+
+
+def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
+    """Every photograph of the board once."""
+    eyeball, tracking = session.eyeball_camera, session.tracking_camera
+    by_camera: list[tuple[SessionCamera, list[Path]]] = [
+        (eyeball, [*eyeball.intrinsics, *(each.path for each in (*session.bare, *session.see_through))]),
+        (tracking, [*tracking.intrinsics, *(each.path for each in session.tracking)]),
+    ]
+    for camera, paths in by_camera:
+        for path in dict.fromkeys(paths):
+            yield _BoardTask(session.name_of(path), path, session.board, camera.size_px, camera.full_scale)
+
+
+@dataclass(frozen=True, eq=False)
+class _BoardTask:
+    """Find the board in one photograph."""
+
+    name: str
+    path: Path
+    board: DotBoard
+    size_px: tuple[int, int]
+    full_scale: int
+
+    def fingerprint(self) -> str:
+        board = self.board
+        how = [board.pitch_m, board.large_m, board.small_m, board.large.tolist(), self.size_px, self.full_scale]
+        return _fingerprint([self.path], how)
+
+    def read(self) -> dict[str, NDArray[Any]]:
+        image = read_photograph(self.path)
+        check_photograph(image, self.size_px, self.full_scale, self.name)
+        found = find_board(image, self.board, self.name)
+        counts = np.array([found.unidentified, found.disagreeing])
+        return {"index": found.index, "pixel": found.pixel, "sigma_px": found.sigma_px, "counts": counts}
+
+    def result(self, kept: dict[str, NDArray[Any]]) -> BoardObservation:
+        unidentified, disagreeing = (int(number) for number in kept["counts"])
+        return BoardObservation(kept["index"], kept["pixel"], kept["sigma_px"], unidentified, disagreeing)
+
+
+@dataclass(frozen=True, eq=False)
+class _PanelTask:
+    """Decode one set of code photographs."""
+
+    name: str
+    folder: Path
+    pattern: Pattern
+    decoding: DecodeOptions
+    size_px: tuple[int, int]
+
+    @property
+    def path(self) -> Path:
+        return self.folder
+
+    def fingerprint(self) -> str:
+        return _fingerprint(photographs_in(self.folder), [self.pattern, self.decoding, self.size_px])
+
+    def read(self) -> dict[str, NDArray[Any]]:
+        paths = photographs_in(self.folder)
+        if len(paths) != (wanted := len(self.pattern.names())):
+            raise BadInputError(
+                f"holds {len(paths)} photographs, but the code has {wanted} pictures; give one photograph a picture."
+            )
+        first = read_photograph(paths[0])
+        # The first picture shows the panel white: what is wrong with it is wrong with all.
+        check_photograph(first, self.size_px, self.decoding.full_scale, f"{self.name}/{paths[0].name}")
+        decoded = self.pattern.decode(read_each(paths), self.decoding)
+        samples = sample(decoded)
+        if len(samples) == 0:
+            raise BadInputError(_why_nothing(decoded))
+        return _arrays(decoded, samples)
+
+    def result(self, kept: dict[str, NDArray[Any]]) -> PanelReading:
+        samples = DecodedSamples(kept["camera_pixel"], kept["panel_pixel"], kept["sigma_px"], kept["scale"])
+        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"])
+
+
+_Task = _BoardTask | _PanelTask
+
+
+def _do_task(work: tuple[_Task, Path]) -> Excluded | None:
+    """Read photographs and keep what they say; returns what is wrong with them."""
+    task, folder = work
+    try:
+        arrays = task.read()
+    except BadInputError as error:
+        # One photograph of the board that failed is one place less; a code without one of its pictures is none.
+        one_less = isinstance(error, BadPhotographError) and isinstance(task, _BoardTask)
+        text = str(error)
+        for prefix in (f"{task.path}: ", f"{task.name}: ", f"{task.path}/", f"{task.name}/"):
+            text = text.removeprefix(prefix)
+        return Excluded(task.name, text.removesuffix("."), fault=not one_less)
+    write_arrays(_kept_path(task, folder), {"fingerprint": np.array(task.fingerprint())} | arrays)
+    return None
+
+
+def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
+    """What was kept, if it was read from these very files in this very way; else None."""
+    path = _kept_path(task, folder)
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return dict(kept) if str(kept["fingerprint"]) == task.fingerprint() else None
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, BadInputError):
+        return None  # photographs are missing, or the kept file cannot be read: they are read again
+
+
+def _kept_path(task: _Task, folder: Path) -> Path:
+    return folder / (task.name.replace("/", "__") + ".npz")
+
+
+def _fingerprint(paths: Sequence[Path], how: object) -> str:
+    """SHA-256 of the names, sizes and dates of files, and of how they are read."""
+    about = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
+    return hashlib.sha256(json.dumps([_VERSION, about, repr(how)]).encode()).hexdigest()
+
+
+def _why_nothing(decoded: Decoded) -> str:
+    """What most of the camera's lit pixels were rejected for."""
+    counts = decoded.counts()
+    counts.pop(Rejection.DARK, None)
+    if not counts:
+        return "no camera pixel could be decoded: the panel's light is nowhere seen; is it in the picture?"
+    most = max(counts, key=lambda reason: counts[reason])
+    finer = " (stripes finer than a camera pixel? the code gray-fringes has wider ones)"
+    hint = finer if most == Rejection.UNSURE_BIT else ""
+    return f"no camera pixel could be decoded; most were rejected because {most.sentence}{hint}."
+
+
+def _arrays(decoded: Decoded, samples: DecodedSamples) -> dict[str, NDArray[Any]]:
+    step = max(1, decoded.rejection.shape[1] // _THUMBNAIL_PX)
+    accepted = decoded.pixel[decoded.accepted].astype(np.float64)
+    return {
+        "camera_pixel": samples.camera_pixel,
+        "panel_pixel": samples.panel_pixel,
+        "sigma_px": samples.sigma_px,
+        "scale": samples.scale,
+        "counts": np.bincount(decoded.rejection.ravel(), minlength=len(Rejection)),
+        "fates": decoded.rejection[::step, ::step],
+        "extent": np.stack([accepted.min(axis=0), accepted.max(axis=0)]),
+    }

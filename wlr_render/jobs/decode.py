@@ -1,0 +1,327 @@
+"""Decode photographs of a panel or projector that shows a code, and assess the result."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
+from wlr_render.captures.importers.procam_graycode import read_procam_graycode
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_strengths
+from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photographs import photographs_in, read_each, read_photograph
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.code_quality import (
+    TOLERANCE_PX,
+    Lenses,
+    PlaneSurvey,
+    distance_to_planes,
+    find_planes,
+    fit_planes,
+)
+from wlr_render.evaluation.opencv_decoder import MISSING, OpencvCodes, has_opencv_decoder, opencv_codes
+from wlr_render.files import output_folder, write_arrays, write_figure
+from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.targets import Code
+from wlr_render.mappings import Panel
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
+from wlr_render.report.save import save_report
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COMPARED = 100_000  # camera pixels that OpenCV's decoder is asked for; it takes them one by one
+_ON_SURFACE_PX = 1.5  # wide enough for whole panel pixels
+_ACCEPTED, _DARK = "#e4ebdd", "#202020"
+_BLOCK_PX = 4  # camera pixels that one point of the residual picture averages
+_RANGE_PX = 0.75  # panel pixels at the ends of its colour scale
+_OWN = OnlyWith("source", ("own",))
+
+
+@dataclass(frozen=True)
+class DecodeVerbOptions(Options):
+    """Options of `decode`."""
+
+    folder: Annotated[Path, described("Folder of photographs, one for each picture shown, in the order of showing.")]
+    _: KW_ONLY
+    panel: Annotated[
+        tuple[int, int] | None, described_size("Pixels of the panel or projector, e.g. 1920x1080.", optional=True), _OWN
+    ] = None
+    pattern: Annotated[Code, described("Code that was shown."), _OWN] = "gray-fringes"
+    bits: Annotated[int, described("Bits of the camera."), Range(8, 16), _OWN] = 8
+    source: Annotated[
+        Literal["own", "procam-graycode"],
+        described(
+            "Data set: own photographs, or a published capture whose projector and lenses are known.", name="--from"
+        ),
+    ] = "own"
+    out: Annotated[Path, described("Output folder.")] = Path("out/decode")
+
+
+@dataclass(frozen=True, eq=False)
+class CodePhotographs:
+    """Photographs of one pattern, in the order of showing, and the lenses that are known."""
+
+    name: str
+    photographs: tuple[Path, ...]
+    pattern: Pattern
+    lenses: Lenses = field(default_factory=Lenses)
+
+
+def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Decode and assess; writes decoded.npz, pictures and the report into `options.out`.
+
+    Raises:
+        BadInputError: photographs are missing or do not decode (see `Pattern.decode`).
+    """
+    codes = _photographs(options)
+    progress.say("decoding")
+    full_scale = int(np.iinfo(read_photograph(codes.photographs[0]).dtype).max)
+    believed = DecodeOptions(2**options.bits - 1 if options.source == "own" else full_scale)
+    decoded = codes.pattern.decode(read_each(codes.photographs), believed)
+    folder = output_folder(options.out)
+    names = ("pixel", "sigma_px", "confidence", "rejection")
+    arrays = write_arrays(folder / "decoded.npz", {name: getattr(decoded, name) for name in names})
+    progress.say("fitting flat surfaces")
+    camera_only = Lenses(codes.lenses.camera)
+    label = find_planes(decoded, camera_only)
+    surveys = {_lens_names(lenses): fit_planes(decoded, label, lenses) for lenses in _variants(codes.lenses)}
+    survey = surveys[_lens_names(camera_only)]
+    strengths = bit_strengths(read_each(codes.photographs), codes.pattern, believed)
+    heading = f"Residual of flat surfaces, distortion corrected: {_lens_names(camera_only)}"
+    pictures = [
+        Picture("Decoded positions", _draw_positions(folder / "positions.png", decoded), "Panel position u and v."),
+        Picture("Rejections", _draw_rejections(folder / "rejections.png", decoded), "Reason for each camera pixel."),
+        Picture(heading, _draw_residuals(folder / "residuals.png", survey), "Decoded minus predicted, in u and v."),
+    ]
+    blocks: list[Block] = [
+        _rejection_table(decoded),
+        _strength_table(strengths),
+        _flatness_table(surveys),
+        _opencv_comparison(codes, decoded, survey),
+        *pictures,
+    ]
+    weak = [bit.name for bit in strengths if bit.weak]
+    report = Report(
+        f"Decoded photographs of {codes.name}",
+        verdict=f"{np.mean(decoded.accepted):.1%} of the camera's pixels show a panel position.",
+        warnings=[f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else (),
+        blocks=blocks,
+        inputs=codes.photographs,
+        files=[arrays, *(picture.path for picture in pictures)],
+        record=options,
+    )
+    return save_report(report, folder, "report")
+
+
+def _photographs(options: DecodeVerbOptions) -> CodePhotographs:
+    folder = options.folder
+    if options.source == "procam-graycode":
+        capture = read_procam_graycode(folder)
+        lenses = Lenses(capture.camera, capture.projector)
+        return CodePhotographs(folder.name, capture.photographs, GrayCode(capture.panel), lenses)
+    if options.panel is None:
+        raise BadInputError("--panel is missing: how many pixels has the panel, e.g. 1920x1080?")
+    return CodePhotographs(
+        folder.name, tuple(photographs_in(folder)), make_pattern(options.pattern, Panel(*options.panel))
+    )
+
+
+def _opencv_comparison(codes: CodePhotographs, decoded: Decoded, survey: PlaneSurvey) -> ReportTable:
+    if not isinstance(codes.pattern, GrayCode) or read_photograph(codes.photographs[0]).dtype != np.uint8:
+        return _no_opencv_table("OpenCV decodes plain Gray code in photographs of 8 bits only.")
+    if not has_opencv_decoder():
+        return _no_opencv_table(MISSING)
+    height, width = decoded.rejection.shape
+    place = np.random.default_rng(0).choice(height * width, min(_COMPARED, height * width), replace=False)
+    pixel = np.stack([place % width, place // width], axis=-1)
+    theirs = opencv_codes(read_each(codes.photographs), codes.pattern.panel, pixel)
+    return _opencv_table(decoded, theirs, place, survey, Lenses(codes.lenses.camera))
+
+
+def _variants(known: Lenses) -> list[Lenses]:
+    """Which lenses to take away: none, then one after the other of those that are known."""
+    variants = [Lenses()]
+    if known.camera is not None:
+        variants.append(Lenses(known.camera))
+    if known.projector is not None:
+        variants.append(known)
+    return variants
+
+
+def _lens_names(lenses: Lenses) -> str:
+    names = [name for name in ("camera", "projector") if getattr(lenses, name) is not None]
+    return " and ".join(names) or "none"
+
+
+def _rejection_table(decoded: Decoded) -> ReportTable:
+    """How many camera pixels have which fate."""
+    rows: list[list[Cell]] = [
+        [reason.sentence, count, 100.0 * count / decoded.rejection.size] for reason, count in decoded.counts().items()
+    ]
+    return ReportTable("Camera pixels", ("fate", "pixels", "share (%)"), rows)
+
+
+def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
+    """Strength of each bit over the lit pixels, and which are weak."""
+    rows = [
+        [bit.name, bit.median, bit.percentile_5, bit.percentile_1, 100.0 * bit.unsure_share, "weak" if bit.weak else ""]
+        for bit in strengths
+    ]
+    columns = ("bit", "median", "5 %", "1 %", "unsure (%)", "verdict")
+    notes = (
+        "Strength is |picture - inverse| / (white - black) over the well-lit camera pixels; a bit is weak if its "
+        f"median is below {WEAK}. Pixels that see a stripe's border are faint in any case.",
+    )
+    return ReportTable("Strength of the bits", columns, rows, notes)
+
+
+def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
+    """What homographies of the flat surfaces leave, with the distortions taken away that the keys of `surveys` name."""
+    rows: list[list[Cell]] = [
+        [
+            number + 1,
+            100.0 * plane.share,
+            distortion,
+            plane.rms_per_axis,
+            plane.residual.median,
+            plane.residual.p95,
+            plane.smooth_per_axis,
+            plane.scatter_per_axis,
+        ]
+        for number in range(max(len(survey.planes) for survey in surveys.values()))
+        for distortion, survey in surveys.items()
+        for plane in survey.planes[number : number + 1]
+    ]
+    columns = (
+        "surface",
+        "of accepted (%)",
+        "distortion taken away",
+        "rms per axis (px)",
+        "median (px)",
+        "95 % (px)",
+        "smooth part (px)",
+        "scatter (px)",
+    )
+    notes = (
+        f"Panel pixels between decoded and predicted; members of a surface lie within {TOLERANCE_PX} px of it.",
+        "Smooth part: rms per axis of means over 16 x 16 camera pixels, which lenses and bent surfaces leave; scatter: "
+        "about these means. Whole panel pixels would scatter by 0.29 px.",
+    )
+    return ReportTable("Homographies of flat surfaces", columns, rows, notes)
+
+
+def _opencv_table(
+    decoded: Decoded, theirs: OpencvCodes, place: NDArray[np.int64], survey: PlaneSurvey, lenses: Lenses
+) -> ReportTable:
+    """Our decoder and OpenCV's at the same camera pixels, of flat index `place` (n,), judged by flat surfaces."""
+    width = decoded.rejection.shape[1]
+    seen = np.stack([place % width, place // width], axis=-1) + 0.5
+    ours, accepted = decoded.pixel.reshape(-1, 2)[place], decoded.accepted.ravel()[place]
+    distance = [distance_to_planes(survey.planes, seen, shown, lenses) for shown in (ours, theirs.code + 0.5)]
+    equal = np.all(np.floor(ours) == theirs.code, axis=1)
+    groups = {
+        "accepted by both, same code": accepted & theirs.accepted & equal,
+        "accepted by both, another code": accepted & theirs.accepted & ~equal,
+        "accepted by us only": accepted & ~theirs.accepted,
+        "accepted by OpenCV only": ~accepted & theirs.accepted,
+        "accepted by neither": ~accepted & ~theirs.accepted,
+    }
+    rows: list[list[Cell]] = []
+    for name, group in groups.items():
+        of_each = [off[group & own] for off, own in zip(distance, (accepted, theirs.accepted), strict=True)]
+        within = [int(np.sum(off < _ON_SURFACE_PX)) if off.size else None for off in of_each]
+        median = [float(np.median(off)) if off.size else None for off in of_each]
+        rows.append([name, int(group.sum()), *within, *median])
+    columns = (
+        "camera pixels",
+        "count",
+        "ours on a surface",
+        "OpenCV's on a surface",
+        "ours off by, median (px)",
+        "OpenCV's off by, median (px)",
+    )
+    note = (
+        f"{len(place)} camera pixels by chance; on a surface: within {_ON_SURFACE_PX} px of a homography's prediction. "
+        "OpenCV's positions are whole panel pixels."
+    )
+    return ReportTable("Beside OpenCV's decoder", columns, rows, (note,))
+
+
+def _no_opencv_table(reason: str) -> ReportTable:
+    """In place of the comparison, why there is none."""
+    return ReportTable("Beside OpenCV's decoder", ("camera pixels",), (), (reason,))
+
+
+def _draw_positions(path: Path, decoded: Decoded) -> Path:
+    """Decoded u and v, side by side."""
+    figure, places = _side_by_side(decoded.rejection.shape)
+    for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
+        drawn = place.imshow(decoded.pixel[..., axis], cmap="turbo", interpolation="nearest")
+        figure.colorbar(drawn, ax=place, label=f"{name} (panel px)", shrink=0.8)
+    return write_figure(path, figure, 100)
+
+
+def _draw_rejections(path: Path, decoded: Decoded) -> Path:
+    """The fate of each camera pixel."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    colours = rejection_colours()
+    height, width = decoded.rejection.shape
+    figure = Figure(figsize=(9, 9 * height / width + 1.6), layout="constrained")
+    place = figure.add_subplot()
+    place.imshow(colours[decoded.rejection], interpolation="nearest")
+    place.set(xticks=[], yticks=[])
+    shares = ((reason, count / decoded.rejection.size) for reason, count in decoded.counts().items())
+    marks = [Patch(color=colours[reason], label=f"{share:.1%} {reason.sentence}") for reason, share in shares]
+    figure.legend(handles=marks, loc="outside lower center", ncols=1, fontsize=8)
+    return write_figure(path, figure, 100)
+
+
+def rejection_colours() -> NDArray[np.float64]:
+    """Red, green and blue of each `Rejection`, (number of reasons, 3)."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_rgb
+
+    faults = [colormaps["tab10"](number)[:3] for number in range(len(Rejection) - 2)]
+    return np.array([to_rgb(_ACCEPTED), to_rgb(_DARK), *faults])
+
+
+def _draw_residuals(path: Path, survey: PlaneSurvey) -> Path:
+    """Decoded minus predicted by the surfaces' homographies, in u and v, averaged over small blocks."""
+    figure, places = _side_by_side(survey.label.shape)
+    means = _block_means(survey.residual)
+    for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
+        drawn = place.imshow(means[..., axis], cmap="RdBu", vmin=-_RANGE_PX, vmax=_RANGE_PX, interpolation="nearest")
+        place.set_title(f"{name}: decoded - predicted, mean of {_BLOCK_PX} x {_BLOCK_PX} camera pixels", fontsize=9)
+        place.set_facecolor("0.75")
+    figure.colorbar(drawn, ax=places, label="panel px", extend="both", shrink=0.8)
+    return write_figure(path, figure, 100)
+
+
+def _side_by_side(shape: tuple[int, ...]) -> tuple["Figure", list["Axes"]]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14, 6.5 * shape[0] / shape[1] + 0.8), layout="constrained")
+    places = list(figure.subplots(1, 2))
+    for place in places:
+        place.set(xticks=[], yticks=[])
+    return figure, places
+
+
+def _block_means(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Means (h / block, w / block, 2) of what is not NaN; a rest at the right and the bottom is left out."""
+    rows, columns = (size // _BLOCK_PX for size in values.shape[:2])
+    blocks = values[: rows * _BLOCK_PX, : columns * _BLOCK_PX].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX, 2)
+    valid = np.isfinite(blocks)
+    count = valid.sum(axis=(1, 3))
+    sums = np.where(valid, blocks, 0.0).sum(axis=(1, 3))
+    return np.where(count > 0, sums / np.maximum(count, 1), np.nan).astype(np.float32)

@@ -1,1 +1,0 @@
-"""`decode`: read photographs of a panel or projector that shows a code."""

@@ -1,1 +1,0 @@
-"""`simulate`: write a session of photographs as a lab would deliver it."""

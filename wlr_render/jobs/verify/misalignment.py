@@ -1,0 +1,224 @@
+"""Pairs of photographs, display off and on: how far their dots differ, as tables and pictures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.photographs import Photograph, read_photograph
+from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.targets.find_board import find_board
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
+from wlr_render.files import output_folder, write_figure
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.jobs.options import Options
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, cell_text
+from wlr_render.report.save import save_report
+
+_CLOSE_UP_PX = 260  # side of the detail
+_COLUMNS = ("dots", "median (arcmin)", "rms (arcmin)", "p95 (arcmin)", "max (arcmin)", "sigma per dot (arcmin)")
+
+
+@dataclass(frozen=True)
+class PairPosition:
+    """From where a pair was photographed.
+
+    Attributes:
+        name: in words.
+        depth_m: of the target, where it is known.
+        viewpoint: number of the camera's place, where it is known.
+    """
+
+    name: str
+    depth_m: float | None = None
+    viewpoint: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One place and way of drawing.
+
+    Attributes:
+        position: from where.
+        method: how the picture was drawn that the display showed.
+        off, on: the photographs.
+        misalignment: of their dots; None where one of them shows too little.
+        complaint: why not, else empty.
+    """
+
+    position: PairPosition
+    method: str
+    off: Path
+    on: Path
+    misalignment: PairMisalignment | None
+    complaint: str = ""
+
+
+def judge_pair(
+    position: PairPosition,
+    method: str,
+    photographs: tuple[Path, Path],
+    board: DotBoard,
+    camera: LensCamera,
+    shown: NDArray[np.bool_] | None = None,
+) -> Judged:
+    """Match the dots of two photographs.
+
+    Args:
+        position: from where they were taken.
+        method: of drawing.
+        photographs: with the display off, and on.
+        board: the target.
+        camera: that took them.
+        shown: (rows, columns) which dots the panel can show whole; None for all.
+    """
+    off, on = photographs
+    try:
+        real, virtual = (find_board(read_photograph(path), board, path.name) for path in photographs)
+    except BadInputError as error:
+        return Judged(position, method, off, on, None, str(error))
+    if shown is not None:
+        virtual = virtual.only(shown[virtual.index[:, 1], virtual.index[:, 0]])
+    return Judged(position, method, off, on, pair_misalignment(real, virtual, camera))
+
+
+def misalignment_report(
+    judged: Sequence[Judged], name: str, folder: Path, inputs: Sequence[Path], record: Options
+) -> Report:
+    """Write tables and pictures of judged pairs; `name` is that of the models or of the photographs."""
+    into = output_folder(folder)
+    overall, each = _tables(judged, name)
+    arrows, close_up = (
+        _draw_misalignment(into / "misalignment.png", judged),
+        _draw_close_up(into / "close_up.png", judged),
+    )
+    sentences = [
+        f"{method}: drawn dots lie {cell_text(median)} arcmin (median) from the real ones."
+        for method, _, median, *_ in overall.rows
+    ]
+    blocks: list[Block] = [
+        overall,
+        each,
+        Picture("Misalignment", arrows, "From each real dot to the drawn one, enlarged."),
+        Picture("Close-up", close_up, "The middle of the first position's photographs."),
+    ]
+    report = Report(
+        f"Verification of {name}",
+        verdict=" ".join(sentences),
+        warnings=[f"{one.position.name}, {one.method}: {one.complaint}" for one in judged if one.complaint],
+        blocks=blocks,
+        inputs=inputs,
+        files=[arrows, close_up],
+        record=record,
+    )
+    return save_report(report, into, "report")
+
+
+def _tables(judged: Sequence[Judged], models: str) -> tuple[ReportTable, ReportTable]:
+    """Over everything, by method; and one row for each place (target distance and viewpoint) and method."""
+    methods = list(dict.fromkeys(one.method for one in judged))
+    overall = [[method, *_figures([one for one in judged if one.method == method])] for method in methods]
+    known = all(one.position.depth_m is not None for one in judged)
+    head = ("target (m)", "viewpoint") if known else ("photographs",)
+    each = [[*_where(one, known), one.method, *_figures([one]), one.complaint or None] for one in judged]
+    notes = (
+        "Angle at the camera between a dot of the real target and the same dot as drawn, from two photographs.",
+        "Sigma per dot: standard deviation per axis that the noise of both photographs alone makes.",
+    )
+    return (
+        ReportTable(f"Misalignment from photographs, {models}", ("method", *_COLUMNS), overall, notes),
+        ReportTable("By target distance and viewpoint", (*head, "method", *_COLUMNS, "complaint"), each),
+    )
+
+
+def _where(one: Judged, known: bool) -> list[Cell]:
+    return [one.position.depth_m, one.position.viewpoint] if known else [one.position.name]
+
+
+def _figures(judged: Sequence[Judged]) -> list[Cell]:
+    found = [one.misalignment for one in judged if one.misalignment is not None]
+    angle = np.concatenate([one.arcmin for one in found]) if found else np.empty(0)
+    noise = np.concatenate([one.sigma_arcmin for one in found]) if found else np.empty(0)
+    figures = summary(angle)
+    return [
+        len(angle),
+        figures.median,
+        figures.rms,
+        figures.p95,
+        figures.maximum,
+        float(np.median(noise)) if len(noise) else None,
+    ]
+
+
+def _draw_misalignment(path: Path, judged: Sequence[Judged]) -> Path:
+    """Every photograph with an arrow from each real dot towards the drawn one, much enlarged; rows are methods."""
+    from matplotlib.figure import Figure
+
+    places = list(dict.fromkeys(one.position for one in judged))
+    methods = list(dict.fromkeys(one.method for one in judged))
+    figure = Figure(figsize=(3.2 * len(places), 3.4 * len(methods)), layout="constrained")
+    axes = figure.subplots(len(methods), len(places), squeeze=False)
+    for one in judged:
+        drawn = axes[methods.index(one.method), places.index(one.position)]
+        photograph = read_photograph(one.off)
+        drawn.imshow(photograph, cmap="gray", vmax=2.0 * float(photograph.max()), extent=_extent(photograph))
+        drawn.set_xticks([])
+        drawn.set_yticks([])
+        if one.misalignment is None:
+            drawn.set_title("not found", fontsize=8)
+            continue
+        start, step = one.misalignment.real_px, one.misalignment.virtual_px - one.misalignment.real_px
+        arrows = drawn.quiver(
+            *start.T, *step.T, one.misalignment.arcmin, angles="xy", scale_units="xy", scale=0.02, cmap="viridis"
+        )
+        arrows.set_clim(0, 1)
+        median = float(np.median(one.misalignment.arcmin))
+        drawn.set_title(f"{one.position.name}: {median:.2f}'", fontsize=8)
+    for row, method in zip(axes, methods, strict=True):
+        row[0].set_ylabel(method)
+    figure.suptitle("From each real dot to the drawn one, 50 times enlarged; yellow is 1' and more", fontsize=9)
+    return write_figure(path, figure, 110)
+
+
+def _draw_close_up(path: Path, judged: Sequence[Judged]) -> Path:
+    """The middle of the first place's photographs: display off, display on, and one over the other."""
+    from matplotlib.figure import Figure
+
+    first = [one for one in judged if one.position == judged[0].position]
+    figure = Figure(figsize=(9.6, 3.4 * len(first)), layout="constrained")
+    axes = figure.subplots(len(first), 3, squeeze=False)
+    for row, one in zip(axes, first, strict=True):
+        off, on = read_photograph(one.off), read_photograph(one.on)
+        centre = np.median(one.misalignment.real_px, axis=0) if one.misalignment else np.array(off.shape[::-1]) / 2
+        real, virtual = _detail(off, centre), _detail(on, centre)
+        both = np.stack([real, virtual, virtual], axis=-1)
+        for drawn, picture, title in zip(
+            row, (real, virtual, both), ("display off", "display on", "both"), strict=True
+        ):
+            drawn.imshow(picture, cmap="gray", vmin=0, vmax=1)
+            drawn.set_title(f"{one.method}: {title}", fontsize=8)
+            drawn.set_axis_off()
+    figure.suptitle("Red and cyan are where only one of the two is bright: real dots beside drawn ones", fontsize=9)
+    return write_figure(path, figure, 110)
+
+
+def _detail(photograph: Photograph, centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A square around a place, 0 to 1 from its darkest to its brightest."""
+    height, width = photograph.shape
+    left, top = (
+        int(np.clip(place - _CLOSE_UP_PX / 2, 0, side - _CLOSE_UP_PX))
+        for place, side in zip(centre, (width, height), strict=True)
+    )
+    part = photograph[top : top + _CLOSE_UP_PX, left : left + _CLOSE_UP_PX].astype(np.float64)
+    low, high = np.percentile(part, [1, 99])
+    return np.asarray(np.clip((part - low) / max(high - low, 1.0), 0.0, 1.0))
+
+
+def _extent(photograph: Photograph) -> tuple[float, float, float, float]:
+    """For matplotlib: pixels from the outer corner of the top-left one, v down."""
+    height, width = photograph.shape
+    return 0.0, float(width), float(height), 0.0

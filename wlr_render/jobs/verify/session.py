@@ -1,0 +1,233 @@
+"""Verify a calibration on the simulated bench of its session, as on a real one.
+
+The target is drawn where it was seen to stand and photographed with the display off and on. It is drawn by the fitted
+models, for the camera position that the stage reports and the target pose that the tracking camera sees; photographs
+show the truth, of which nothing goes into the judgement.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.calibration.board_poses import BoardView, poses_of
+from wlr_render.calibration.station_file import SavedStation, load_station
+from wlr_render.captures.photographs import read_photograph
+from wlr_render.captures.targets.find_board import find_board
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.jobs.options import Backend, Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report
+from wlr_render.jobs.verify.target_scene import target_scene, wholly_shown
+from wlr_render.mappings import EyeMappings
+from wlr_render.models.model_file import load_eye_model
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.processes import as_finished
+from wlr_render.progress import SILENT, Progress
+from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.report.blocks import Report
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
+from wlr_render.simulation.photographs.recipe import load_recipe
+from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
+from wlr_render.simulation.viewpoints import random_in_eye_box
+
+METHODS = ("raster + warp", "ray traced")
+_SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not be jagged
+
+
+@dataclass(frozen=True)
+class VerifySessionOptions(Options):
+    """Options of `verify session`."""
+
+    session: Annotated[Path, described("Folder of a simulated session, whose bench is used again.")]
+    _: KW_ONLY
+    calibration: Annotated[Path, described("Output folder of `calibrate photos`.")] = Path("out/calibrate")
+    viewpoints: Annotated[int, described("Number of camera positions in the eye box."), Range(at_least=1)] = 5
+    depths_m: Annotated[tuple[float, ...], described("Distances of the target in m."), Range(at_least=0)] = (0.5, 0.8)
+    seed: Seed = 1
+    backend: Backend = "auto"
+    workers: Workers = None
+    out: Annotated[Path, described("Output folder.")] = Path("out/verify")
+
+
+def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Draw, photograph and match; writes photographs, pictures and the report into `options.out`.
+
+    Raises:
+        BadInputError: the session is not a simulated one, the calibration is missing or of another session, or the
+            target is not seen where it stands.
+    """
+    bench = load_recipe(options.session).build()
+    if not (options.calibration / "model.json").is_file():
+        raise BadInputError(
+            f"{options.calibration}: holds no model.json; run `wlr-render calibrate photos {options.session} --out "
+            f"{options.calibration}` first, or name its folder with --calibration."
+        )
+    model = load_eye_model(options.calibration / "model.json", bench.eye)
+    models, station = model.mappings, load_station(options.calibration / f"station-{bench.eye}.json")
+    _refuse_another(options, (model.device, models.eye), station.eyeball_camera, bench)
+    folder = output_folder(options.out)
+    photographs = folder / "photographs"
+    box = bench.optics.eye_box
+    rng = np.random.default_rng([options.seed, 2])
+    others = random_in_eye_box(box, options.viewpoints, rng)[1:] - box.centre
+    stage = np.round(np.concatenate([np.zeros((1, 3)), others]), 6)
+    viewpoints = np.stack([station.device_from_camera(reading)[:3, 3] for reading in stage])
+    targets = _track_targets(bench, station, options.depths_m, photographs)
+    total = len(targets) * len(stage)
+    drawn = progress(
+        (frames for pose in targets for frames in _draw(models, bench, pose, viewpoints, options.backend)),
+        total,
+        "frames",
+    )
+    flat = list(drawn)
+    frames = [flat[len(stage) * k : len(stage) * (k + 1)] for k in range(len(targets))]
+    _photograph(bench, stage, options.depths_m, frames, photographs, options.seed, progress, options.workers)
+    judged = [
+        one
+        for depth, target in zip(options.depths_m, targets, strict=True)
+        for number, viewpoint in enumerate(viewpoints)
+        for one in _judge(
+            bench,
+            station.eyeball_camera,
+            depth,
+            number,
+            wholly_shown(models, bench.board, target, viewpoint),
+            photographs,
+        )
+    ]
+    inputs = [options.session, options.calibration / "model.json"]
+    return misalignment_report(judged, models.name, folder, inputs, options)
+
+
+def _refuse_another(
+    options: VerifySessionOptions, calibrated: tuple[str, str], camera: LensCamera, bench: PhotoBench
+) -> None:
+    if calibrated != (bench.device.name, bench.eye) or camera.size_px != bench.eyeball.camera.size_px:
+        raise BadInputError(
+            f"{options.calibration}: is a calibration of {calibrated[0]}, {calibrated[1]} eye, with a camera of "
+            f"{camera.size_px[0]} x {camera.size_px[1]} pixels, and not of {options.session}; name the folder of what "
+            "`wlr-render calibrate photos` made of that session."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """What the panel shows, as `take_photographs.Pictures`."""
+
+    shown: tuple[str, ...]
+    images: tuple[NDArray[np.uint8], ...]
+
+    def names(self) -> tuple[str, ...]:
+        return self.shown
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self.images[index]
+
+
+def _track_targets(
+    bench: PhotoBench, station: SavedStation, depths_m: Sequence[float], folder: Path
+) -> list[FloatArray]:
+    """Where the tracking camera sees the target at each distance: device_from_target (4, 4) each.
+
+    Raises:
+        BadInputError: it does not see it.
+    """
+    shots = tuple(BoardShot(folder / f"tracking_{_name(depth)}.png", target_at(bench, depth)) for depth in depths_m)
+    _retake(CameraPose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.board, shots))
+    poses = []
+    for shot in shots:
+        observation = find_board(read_photograph(shot.path), bench.board, shot.path.name)
+        seen = poses_of(station.tracking_camera, [BoardView.of_observation(shot.path.name, observation, bench.board)])
+        if not len(seen):
+            raise BadInputError(f"{shot.path}: {seen.rejected[shot.path.name]}")
+        poses.append(station.device_from_tracking @ seen.camera_from_board[0])
+    return poses
+
+
+def _draw(
+    models: EyeMappings, bench: PhotoBench, target: FloatArray, viewpoints: FloatArray, backend: str
+) -> Iterator[dict[str, NDArray[np.uint8]]]:
+    """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method."""
+    scene = target_scene(bench.board, target)
+    painters: dict[str, Painter] = {
+        METHODS[0]: WarpedPainter(models, open_raster_backend(scene, backend), 2.0),
+        METHODS[1]: TracedPainter(models, RayRenderer(scene), _SUPERSAMPLE),
+    }
+    for viewpoint in viewpoints:
+        yield {method: painter.paint(viewpoint, np.eye(4)).colour[..., 1] for method, painter in painters.items()}
+
+
+def _photograph(
+    bench: PhotoBench,
+    stage: FloatArray,
+    depths_m: Sequence[float],
+    frames: Sequence[Sequence[dict[str, NDArray[np.uint8]]]],
+    folder: Path,
+    seed: int,
+    progress: Progress,
+    workers: int | None,
+) -> None:
+    """Take the photographs at stage readings (n, 3), with the display off and showing `frames[depth][viewpoint]`."""
+    places = []
+    for number, reading in enumerate(stage):
+        boards = [BoardShot(_off_path(folder, depth, number), target_at(bench, depth)) for depth in depths_m]
+        panels = [
+            PanelShots(
+                _on_folder(folder, depth, number), _Frames(METHODS, tuple(drawn[number][method] for method in METHODS))
+            )
+            for depth, drawn in zip(depths_m, frames, strict=True)
+        ]
+        places.append(
+            CameraPose(
+                bench.eyeball,
+                bench.eyeball_sensor,
+                bench.camera_at(reading),
+                bench.optics,
+                bench.board,
+                boards,
+                panels,
+                seed,
+                bench.eye,
+            )
+        )
+    for _ in progress(as_finished(_retake, places, workers), len(places), "viewpoints"):
+        pass
+
+
+def _retake(pose: CameraPose) -> int:
+    """Take all photographs, also those that are there: they may be of other models."""
+    for path in pose.paths():
+        path.unlink(missing_ok=True)
+    return take(pose)
+
+
+def _judge(
+    bench: PhotoBench, camera: LensCamera, depth_m: float, viewpoint: int, shown: NDArray[np.bool_], folder: Path
+) -> Iterator[Judged]:
+    """Match the dots of one place's photographs, of those that the panel can show whole: `shown` (rows, columns)."""
+    place = PairPosition(f"{depth_m:g} m, viewpoint {viewpoint}", depth_m, viewpoint)
+    off = _off_path(folder, depth_m, viewpoint)
+    shots = PanelShots(_on_folder(folder, depth_m, viewpoint), _Frames(METHODS, ()))
+    for method, on in zip(METHODS, shots.paths(), strict=True):
+        yield judge_pair(place, method, (off, on), bench.board, camera, shown)
+
+
+def _off_path(folder: Path, depth_m: float, viewpoint: int) -> Path:
+    """Of the photograph with the display off."""
+    return folder / f"{_name(depth_m)}_view{viewpoint:02d}_off.png"
+
+
+def _on_folder(folder: Path, depth_m: float, viewpoint: int) -> Path:
+    """Of the photographs with the display on, one a method."""
+    return folder / f"{_name(depth_m)}_view{viewpoint:02d}_on"
+
+
+def _name(depth_m: float) -> str:
+    return f"{1e3 * depth_m:.0f}mm"
