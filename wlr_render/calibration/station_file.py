@@ -1,4 +1,4 @@
-"""Read and write station.json, the calibrated station.
+"""Read and write station-EYE.json, the calibrated station.
 
 Device frame (OpenXR), metres; cameras have OpenCV's axes and pixels count from the outer corner of the top-left pixel.
 """
@@ -24,7 +24,7 @@ VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class SavedStation:
-    """Contents of station.json.
+    """Contents of station-EYE.json.
 
     Attributes:
         eyeball_camera, tracking_camera: the lenses.
@@ -62,7 +62,7 @@ def save_station(
     tracking: LensCamera,
     device_from_tracking: FloatArray,
 ) -> Path:
-    """Write station.json, with the uncertainty of every pose."""
+    """Write station-EYE.json, with the uncertainty of every pose."""
     axes: list[Any] = [None] * 3
     for number, column in zip(station.stage.moved_axes, station.stage_axes_in_device.T, strict=True):
         axes[int(number)] = column.tolist()
@@ -94,7 +94,7 @@ def save_station(
 
 
 def load_station(path: str | Path) -> SavedStation:
-    """Read station.json.
+    """Read station-EYE.json.
 
     Raises:
         BadInputError: there is none, or it is of another kind.

@@ -49,12 +49,6 @@ class ReportTable:
         """Cells as text, numbers with three significant digits."""
         return [[cell_text(cell) for cell in row] for row in self.rows]
 
-    def markdown(self) -> str:
-        """TRANSITION: goes when every job returns a report."""
-        from wlr_render.report.save import markdown_table
-
-        return markdown_table(self)
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -134,11 +128,3 @@ def cell_text(cell: Cell) -> str:
     if cell != 0 and abs(cell) < 1e-4:
         return f"{cell:.1e}"
     return f"{cell:.0f}" if abs(cell) >= 1000 else f"{cell:.3g}"
-
-
-def tables_as_json(tables: Sequence[ReportTable], **context: object) -> str:
-    """TRANSITION: goes when every job returns a report."""
-    from wlr_render.report.records import json_text
-    from wlr_render.report.save import table_record
-
-    return json_text({**context, "tables": [table_record(table) for table in tables]})

@@ -3,11 +3,14 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.photographs.recipe import difference, load_recipe, save_recipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
+from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, take
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -93,3 +96,21 @@ def test_what_is_not_known_is_refused_before_anything_is_written(photo_session, 
         with pytest.raises(BadInputError, match=complaint):
             simulate_photo_session(tmp_path / "new", recipe)
     assert not (tmp_path / "new" / "simulation.toml").exists()
+
+
+def photographed(bench, folder, eye):
+    """A photograph of the board without the headset, which differs between eyes in its noise only."""
+    shot = BoardShot(folder / "bare" / "board.png", bench.device_from_target[0])
+    lens, sensor, at = bench.eyeball, bench.eyeball_sensor, bench.camera_at(np.zeros(3))
+    assert take(CameraPose(lens, sensor, at, None, bench.board, [shot], eye=eye)) == 1
+    return read_photograph(shot.path).astype(int)
+
+
+def test_both_eyes_of_one_seed_have_noise_of_their_own(photo_session, tmp_path):
+    bench = photo_session.bench
+    right, again, left = (
+        photographed(bench, tmp_path / str(k), eye) for k, eye in enumerate(("right", "right", "left"))
+    )
+    assert np.array_equal(right, again)
+    assert np.mean(right != left) > 0.2
+    assert np.abs(right - left).mean() < 5

@@ -46,16 +46,16 @@ def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
 
 
 def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
-    given = ["--calibration", str(photo_session.out), "--out", str(tmp_path / "out")]
+    given = ["--calibration", str(photo_session.out), "--out", str(tmp_path / "verified")]
     assert main(["verify", "pairs", str(pairs), *given]) == 2
     assert "board" in capsys.readouterr().err
     board = str(photo_session.folder / "board.toml")
     assert main(["verify", "pairs", str(pairs), board, *given, "--eye", "left"]) == 2
     assert "station-left.json" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    assert not (tmp_path / "verified").exists()
     assert main(["verify", "pairs", str(pairs), board, *given]) == 0
     assert "drawn dots lie" in capsys.readouterr().out
-    record = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    record = json.loads((tmp_path / "verified" / "report.json").read_text(encoding="utf-8"))
     assert record["record"]["photographs"] == str(pairs)
 
 
