@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.evaluation.mapping_error import display_error, sightings_of_pixels
+from wlr_render.evaluation.mapping_error import display_error, observations_of_pixels
 from wlr_render.evaluation.metrics import summary
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.optics.device_file import load_device
@@ -28,5 +28,5 @@ path = save_eye_models(Path("birdbath28.model.json"), [fit.model()])
 model = load_eye_model(path).mappings
 anywhere = viewpoints.random_in_eye_box(truth.eye_box, 50, rng)[:, None]
 pixels = rng.uniform(0, truth.display.panel.size_px, (50, 40, 2))
-error = display_error(model.display, sightings_of_pixels(truth.display, anywhere, pixels))
+error = display_error(model.display, observations_of_pixels(truth.display, anywhere, pixels))
 print(f"error against the exact optics, over the eye box: {summary(error.forward_arcmin).rms:.3f} arcmin rms")

@@ -1,12 +1,12 @@
-"""The one exception that says "your input is wrong"."""
+"""Exceptions for bad input."""
 
 
 class BadInputError(ValueError):
-    """A fault in what the user gave: one sentence naming the file, the key or the value, and the remedy.
+    """Bad input: one sentence with the file, the key or value, and the remedy.
 
     The command line prints the sentence and ends with status 2; a library caller catches it as a ValueError.
     """
 
 
 class MissingGlError(BadInputError):
-    """OpenGL was asked for and none could be opened; the sentence says what to install or which backend to use."""
+    """OpenGL is required and cannot be opened; the sentence says what to install or which backend to use."""

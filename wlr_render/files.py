@@ -1,7 +1,7 @@
 """Paths of shipped files, atomic writing of every output, and reading and writing of TOML.
 
-Every output is encoded in memory, goes to a temporary name in the same folder, is flushed to the disk, and is renamed
-only then: a reader never meets half a file, and a full disk or a failed run leaves the old file in place.
+Every output is encoded in memory, goes to a temporary name in the same folder, is flushed to the disk, and is then
+renamed: readers never find a partial file, and a full disk or a failed run leaves the old file in place.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def _umask() -> int:
-    """The umask of the process; it can only be read by setting it, which must not happen beside other threads."""
+    """Umask of the process. Reading it requires setting it, which is not safe with other threads."""
     umask = os.umask(0)
     os.umask(umask)
     return umask
@@ -41,7 +41,7 @@ _FILE_MODE = 0o666 & ~_umask()
 def resource(folder: str, name: str = "") -> Path:
     """Path of a shipped file: `folder` is "devices", "docs", "scenes" or "shaders".
 
-    In a wheel these folders lie inside the package, in a checkout beside it.
+    These folders are inside the package in a wheel, and beside it in a checkout.
     """
     for root in (_PACKAGE, _PACKAGE.parent):
         path = root / folder / name
@@ -56,10 +56,10 @@ def shipped_names(folder: str, suffix: str) -> list[str]:
 
 
 def named_or_path(folder: str, spec: str | Path, suffix: str = ".toml") -> Path:
-    """A shipped file by its bare name, or any file by its path.
+    """Path of a shipped file by its name, or of any file by its path.
 
     Raises:
-        BadInputError: there is neither; the sentence lists the shipped names.
+        BadInputError: there is no such file; the sentence lists the shipped names.
     """
     path = Path(spec)
     if path.suffix == suffix or len(path.parts) > 1:
@@ -75,7 +75,7 @@ def named_or_path(folder: str, spec: str | Path, suffix: str = ".toml") -> Path:
 
 
 def output_folder(path: str | Path) -> Path:
-    """Make a folder for outputs, or say in one sentence why it cannot be written."""
+    """Create an output folder if necessary, and check that it can be written."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,10 +89,9 @@ def output_folder(path: str | Path) -> Path:
 
 @contextlib.contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path with the same suffix; flush it and rename it to `path` if the block ends without an error.
+    """Context manager for a temporary path, which is renamed to `path` if the block ends without an error.
 
-    For encoders that must have a path, such as those of videos, and that are checked by the block; everything else is
-    written by `write_bytes`.
+    For encoders that need a path, such as video encoders. `write_bytes` writes everything else.
 
     Raises:
         BadInputError: the folder cannot be written, or the file cannot be flushed.
@@ -116,7 +115,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _disk_errors(path: str | Path) -> Iterator[None]:
-    """Say in one sentence why `path` cannot be written."""
+    """Convert errors of the disk to a `BadInputError` that says why `path` cannot be written."""
     try:
         yield
     except OSError as error:
@@ -125,7 +124,7 @@ def _disk_errors(path: str | Path) -> Iterator[None]:
 
 
 def write_bytes(path: str | Path, content: bytes | memoryview) -> Path:
-    """Write a file atomically: it appears under its name with all of `content`, or not at all.
+    """Write a file atomically.
 
     Raises:
         BadInputError: the disk is full, or the folder cannot be written.
@@ -141,7 +140,7 @@ def write_text(path: str | Path, text: str) -> Path:
 
 
 def write_image(path: str | Path, image: NDArray[np.generic], parameters: Sequence[int] = ()) -> Path:
-    """Write an array as OpenCV encodes it (colours in BGR order) in the format of the path's suffix.
+    """Write an image (colours in BGR order) in the format of the path's suffix.
 
     Args:
         path: where.
@@ -177,10 +176,10 @@ def write_arrays(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> Path:
 
 
 class Table:
-    """One table of a TOML file, read key by key; `finish` refuses the keys that nobody read.
+    """One table of a TOML file, read key by key; `finish` refuses keys that were not read.
 
-    Each reader names the file, the table and the key in its complaint. Keys carry their unit as a suffix
-    (`_mm`, `_deg`, `_m`, `_px`, `_s`), so that a number without its unit is an unknown key.
+    Errors name the file, the table and the key. Keys have their unit as a suffix
+    (`_mm`, `_deg`, `_m`, `_px`, `_s`), so a number without its unit is an unknown key.
     """
 
     def __init__(self, content: dict[str, Any], where: str) -> None:
@@ -190,7 +189,7 @@ class Table:
         self.where = where
 
     def fail(self, sentence: str) -> BadInputError:
-        """The exception for a fault in this table; the caller raises it."""
+        """Exception for an error in this table; the caller raises it."""
         return BadInputError(f"{self.where}: {sentence}")
 
     def has(self, key: str) -> bool:
@@ -218,7 +217,7 @@ class Table:
         return value
 
     def file_stem(self, key: str) -> str:
-        """A string that may begin the name of an output file: no folder, no hidden file, nothing a shell reads."""
+        """A string that is safe in names of output files: no folder, hidden file or special character."""
         value = self.text(key)
         if not re.fullmatch(r"\w[\w.-]*", value):
             raise self.fail(
@@ -304,7 +303,7 @@ class Table:
         return list(self._content)
 
     def check_head(self, format_name: str, version: int, kind: str) -> None:
-        """Refuse a file of another format, version or unit of length: `format`, `version` and `unit = "mm"`."""
+        """Check the format, version and unit of length of a file: `format`, `version` and `unit = "mm"`."""
         self.text("format", choices=[format_name])
         found, unit = self.number("version"), self.text("unit")
         if found != version:
@@ -313,7 +312,7 @@ class Table:
             raise self.fail(f"'unit' is '{unit}'; {kind} is in millimetres: convert its lengths, write unit = \"mm\".")
 
     def finish(self) -> None:
-        """Refuse keys that nobody asked for: a typing mistake must not be silently ignored."""
+        """Refuse keys that were not read, so that a typing error is not silently ignored."""
         for key in self._content:
             if key not in self._read:
                 close = difflib.get_close_matches(key, sorted(self._read | self._asked_for), 1)
@@ -337,7 +336,7 @@ def read_toml(path: str | Path) -> Table:
 
 
 def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") -> Path:
-    """Write a TOML file whole or not at all, so that `read_toml` gives the same values back to the last bit.
+    """Write a TOML file atomically; `read_toml` reads back exactly the same values.
 
     Args:
         path: where; its folder is made.
@@ -345,7 +344,7 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
         comment: put at the head of the file, one `#` a line.
 
     Raises:
-        ValueError: a value is not finite or of no kind that TOML has; the sentence names the key.
+        ValueError: a value is not finite or has no TOML type; the sentence names the key.
     """
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     content = tomli_w.dumps({key: _toml_value(value, key) for key, value in table.items()})
@@ -359,7 +358,7 @@ def _on_one_line(numbers: re.Match[str]) -> str:
 
 
 def _toml_value(value: Any, where: str) -> Any:
-    """A value as `tomli_w` takes it: no arrays, and nothing that a `Table` would refuse."""
+    """Convert a value for `tomli_w`; refuses what a `Table` would refuse."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

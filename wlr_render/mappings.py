@@ -1,7 +1,7 @@
 """The two protocols all models implement, and the result of every query.
 
-Traced truth, bundle fit and all baselines honour `DisplayMapping` and `SeeThroughMapping`; rendering, evaluation
-and diagnosis never ask which one they hold. All arrays are in the device frame (OpenXR: x right, y up, looking
+Exact optics, planar models and all baselines implement `DisplayMapping` and `SeeThroughMapping`; rendering, evaluation
+and diagnosis do not know which one they use. All arrays are in the device frame (OpenXR: x right, y up, looking
 along -z), metres, and have any leading axes; `pixel`, `viewpoint`, `view_dir` and `point` broadcast against
 each other.
 """
@@ -27,7 +27,7 @@ EYE_BOX_MARGIN = 0.5e-3
 
 
 class Status(IntEnum):
-    """What became of a query; anything but OK and OUTSIDE_FIT has NaN for its value."""
+    """Outcome of a query; only OK and OUTSIDE_FIT have a value, all others have NaN."""
 
     OK = 0
     OUTSIDE_FIT = 1
@@ -61,7 +61,7 @@ def worst_status(*statuses: StatusArray) -> StatusArray:
 
 
 def count_unsolved(statuses: Iterable[StatusArray]) -> dict[str, int]:
-    """How often each status but OK occurs in some status arrays, by its name in words: {"not converged": 12}."""
+    """Count each status except OK in some status arrays, by name: {"not converged": 12}."""
     counts = np.zeros(len(Status), dtype=np.int64)
     for status in statuses:
         counts += np.bincount(status.reshape(-1), minlength=len(Status))
@@ -84,18 +84,18 @@ class QueryResult:
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Where there is a value inside the fit, (...) bool."""
+        """Mask of the elements with a value inside the fit, (...) bool."""
         return np.asarray(self.status == Status.OK)
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Where there is a value at all, inside the fit or extrapolated, (...) bool."""
+        """Mask of the elements with a value, inside the fit or extrapolated, (...) bool."""
         return np.asarray(self.status <= Status.OUTSIDE_FIT)
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A display panel as its pixels: (0, 0) is the outer corner of the top-left pixel, u right, v down."""
+    """The pixels of a display panel: (0, 0) is the outer corner of the top-left pixel, u runs right, v down."""
 
     width_px: int
     height_px: int
@@ -119,7 +119,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class EyeBox:
-    """Where the pupil may be: an axis-aligned box in the device frame.
+    """Box of valid viewpoints, axis-aligned in the device frame.
 
     Attributes:
         centre: (3,) metres, the nominal viewpoint.
@@ -160,7 +160,7 @@ class FieldOfView:
         return f"{left:g} to {right:+g} x {down:g} to {up:+g} degrees"
 
     def contains(self, view_dir: FloatArray) -> NDArray[np.bool_]:
-        """Whether directions (..., 3) lie in the field, (...) bool."""
+        """Whether directions (..., 3) lie in the field of view, (...) bool."""
         tangents = tangents_of_dir(view_dir)
         return np.asarray(np.all((tangents >= self.low) & (tangents <= self.high), axis=-1))
 
@@ -171,7 +171,7 @@ class FieldOfView:
 
 
 class DisplayMapping(Protocol):
-    """The panel as the eye sees it, reflected in the combiner (paper: f_display)."""
+    """Protocol of the display mapping: the panel as the eye sees it (paper: f_display)."""
 
     @property
     def panel(self) -> Panel:
@@ -180,7 +180,7 @@ class DisplayMapping(Protocol):
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Forward: in which direction the eye sees a pixel.
+        """Forward query: the view direction of a pixel.
 
         Args:
             pixel: (..., 2) panel pixels.
@@ -194,16 +194,16 @@ class DisplayMapping(Protocol):
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Backward: which pixel the eye sees in a direction; `value` (..., 2)."""
+        """Backward query: the pixel in a view direction; `value` (..., 2)."""
 
 
 class SeeThroughMapping(Protocol):
-    """The world as the eye sees it through the combiner (paper: f_seethru)."""
+    """Protocol of the see-through mapping: the world through the combiner (paper: f_seethru)."""
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Forward: the ray in the world beyond the optics that the eye sees in a direction.
+        """Forward query: the world ray behind the optics of a view direction.
 
         Returns:
             `value` (..., 6): a point of the ray (metres), then its unit direction, away from the eye. The point
@@ -213,20 +213,20 @@ class SeeThroughMapping(Protocol):
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Backward: in which direction the eye sees a real point (..., 3); `value` (..., 3) unit `view_dir`."""
+        """Backward query: the view direction of a real point (..., 3); `value` (..., 3) unit `view_dir`."""
 
 
 @dataclass(frozen=True)
 class EyeMappings:
-    """All that rendering needs to know of one eye of a headset.
+    """Both mappings of one eye of a headset, with its eye box and nominal field of view.
 
     Attributes:
         name: device name, and how the mappings were made, e.g. "northstar (planar N=5)".
         eye: "left" or "right".
         display: the panel's mapping.
         see_through: the world's mapping.
-        eye_box: where the pupil may be; its centre is the nominal viewpoint.
-        field: the nominal field, in which the device's errors are stated; None for all that the panel shows.
+        eye_box: box of valid viewpoints; its centre is the nominal viewpoint.
+        field: the nominal field of view, over which errors are stated; None for the whole panel.
     """
 
     name: str
@@ -238,12 +238,12 @@ class EyeMappings:
 
 
 EyeChannels = tuple[EyeMappings, ...]
-"""One pair of mappings for all colours of an eye, or one each for red, green and blue."""
+"""One pair of mappings for all colours of an eye, or three for red, green and blue."""
 
 
 @runtime_checkable
 class PlanarDisplay(Protocol):
-    """A display mapping whose formula can be solved elsewhere than in numpy: the pixel's tangents on a base plane.
+    """Protocol of display mappings that a shader can solve: tangents of a pixel on a base plane.
 
     A viewpoint sees a pixel under the tangents t(pixel, p~) with p~ = base_plane.carry(viewpoint, t).
     """
@@ -267,7 +267,7 @@ class PlanarDisplay(Protocol):
 
 @runtime_checkable
 class PlanarSeeThrough(Protocol):
-    """A see-through mapping whose formula can be evaluated elsewhere: the deviation from the straight ray.
+    """Protocol of see-through mappings that a shader can evaluate: deviation from the straight ray.
 
     Through p~ = base_plane.carry(viewpoint, t) the ray in the world passes p~ + B with tangents t + A.
     """
@@ -286,10 +286,10 @@ class PlanarSeeThrough(Protocol):
 
 
 def require_planar(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
-    """The two formulas of an eye with planar models.
+    """Both planar models of an eye.
 
     Raises:
-        BadInputError: the mappings are of another kind.
+        BadInputError: the mappings are not planar models.
     """
     display, see_through = mappings.display, mappings.see_through
     if isinstance(display, PlanarDisplay) and isinstance(see_through, PlanarSeeThrough):

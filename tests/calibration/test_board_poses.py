@@ -77,7 +77,7 @@ def test_a_fragment_of_the_board_may_be_taken_two_ways_and_the_right_one_is_foun
     assert error @ np.linalg.solve(found.covariance, error) < 40
 
 
-def test_a_sighting_becomes_a_view_of_the_printed_places():
+def test_an_observation_becomes_a_view_with_board_points():
     index = np.array([[0, 0], [23, 17]])
     view = BoardView.of_observation("a.png", BoardObservation(index, np.zeros((2, 2)), np.ones(2)), BOARD)
     np.testing.assert_allclose(view.point, [[-0.1725, -0.1275, 0], [0.1725, 0.1275, 0]])

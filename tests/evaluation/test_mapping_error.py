@@ -42,30 +42,30 @@ class Static:
 
 
 @pytest.fixture(params=SHAPES, ids=str)
-def display_sightings(request, flat_image_headset):
+def display_observations(request, flat_image_headset):
     rng = np.random.default_rng(5)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (*request.param, 3)))
     pixel = rng.uniform(0, 1, (*request.param, 2)) * [140, 100]
-    return mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, pixel)
+    return mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, pixel)
 
 
 @pytest.fixture(params=SHAPES, ids=str)
-def see_through_sightings(request, flat_image_headset):
+def see_through_observations(request, flat_image_headset):
     rng = np.random.default_rng(6)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (*request.param, 3)))
     pixel = rng.uniform(0, 1, (*request.param, 2)) * [140, 100]
     view_dir = flat_image_headset.display.view_dir_of_pixel(pixel, viewpoint).value
     depth = rng.uniform(0.3, 5.0, request.param)
-    return mapping_error.see_through_sightings(flat_image_headset.see_through, viewpoint, view_dir, depth)
+    return mapping_error.see_through_observations(flat_image_headset.see_through, viewpoint, view_dir, depth)
 
 
-def test_truth_against_itself_is_zero(flat_image_headset, display_sightings, see_through_sightings):
-    display = mapping_error.display_error(flat_image_headset.display, display_sightings)
-    assert display.forward_arcmin.shape == display.backward_px.shape == (len(display_sightings.pixel),)
-    assert len(display_sightings.pixel) >= 1
+def test_truth_against_itself_is_zero(flat_image_headset, display_observations, see_through_observations):
+    display = mapping_error.display_error(flat_image_headset.display, display_observations)
+    assert display.forward_arcmin.shape == display.backward_px.shape == (len(display_observations.pixel),)
+    assert len(display_observations.pixel) >= 1
     np.testing.assert_allclose(display.forward_arcmin, 0.0, atol=1e-9)
     np.testing.assert_allclose(display.backward_px, 0.0, atol=1e-9)
-    world = mapping_error.see_through_error(flat_image_headset.see_through, see_through_sightings)
+    world = mapping_error.see_through_error(flat_image_headset.see_through, see_through_observations)
     np.testing.assert_allclose(world.backward_arcmin, 0.0, atol=1e-9)
     np.testing.assert_allclose(world.forward_arcmin, 0.0, atol=1e-9)
     np.testing.assert_allclose(world.forward_miss_m, 0.0, atol=1e-12)
@@ -74,42 +74,42 @@ def test_truth_against_itself_is_zero(flat_image_headset, display_sightings, see
 def test_pixels_broadcast_against_viewpoints(flat_image_headset):
     viewpoint = flat_image_headset.eye_box.at(np.random.default_rng(1).uniform(-1, 1, (4, 1, 3)))
     pixel = flat_image_headset.display.panel.grid(3, 2).reshape(-1, 2)
-    sightings = mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, pixel)
-    assert sightings.viewpoint.shape == (24, 3)
-    np.testing.assert_array_equal(sightings.viewpoint[::6], viewpoint[:, 0])
-    np.testing.assert_array_equal(sightings.pixel[:6], pixel)
+    observations = mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, pixel)
+    assert observations.viewpoint.shape == (24, 3)
+    np.testing.assert_array_equal(observations.viewpoint[::6], viewpoint[:, 0])
+    np.testing.assert_array_equal(observations.pixel[:6], pixel)
 
 
-def test_sightings_of_directions_are_those_of_the_pixels_seen(flat_image_headset, display_sightings):
-    again = mapping_error.sightings_of_dirs(
-        flat_image_headset.display, display_sightings.viewpoint, display_sightings.view_dir
+def test_observations_of_directions_are_those_of_the_pixels_seen(flat_image_headset, display_observations):
+    again = mapping_error.observations_of_dirs(
+        flat_image_headset.display, display_observations.viewpoint, display_observations.view_dir
     )
-    np.testing.assert_allclose(again.pixel, display_sightings.pixel, atol=1e-9)
-    np.testing.assert_array_equal(again.viewpoint, display_sightings.viewpoint)
+    np.testing.assert_allclose(again.pixel, display_observations.pixel, atol=1e-9)
+    np.testing.assert_array_equal(again.viewpoint, display_observations.viewpoint)
 
 
 def test_what_the_truth_does_not_see_is_left_out(flat_image_headset):
     backwards = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     viewpoint, see_through = flat_image_headset.eye_box.centre, flat_image_headset.see_through
-    sightings = mapping_error.see_through_sightings(see_through, viewpoint, backwards, np.array(1.0))
-    assert len(sightings.point) == 1
+    observations = mapping_error.see_through_observations(see_through, viewpoint, backwards, np.array(1.0))
+    assert len(observations.point) == 1
 
 
-def test_an_injected_rotation_is_measured(flat_image_headset, display_sightings):
+def test_an_injected_rotation_is_measured(flat_image_headset, display_observations):
     angle = 3.0 * ARCMIN
     turned = Turned(flat_image_headset.display, transforms.rotation_about("y", angle))
-    error = mapping_error.display_error(turned, display_sightings)
+    error = mapping_error.display_error(turned, display_observations)
     # A direction at height y moves on a circle of radius sqrt(1 - y^2) about the axis.
-    radius = np.sqrt(1.0 - display_sightings.view_dir[:, 1] ** 2)
+    radius = np.sqrt(1.0 - display_observations.view_dir[:, 1] ** 2)
     np.testing.assert_allclose(error.forward_arcmin, 3.0 * radius, rtol=1e-6)
     per_px = 1.4 / 140 / 2.01 / ARCMIN
     assert np.all((error.backward_px > 0.95 * 3.0 / per_px) & (error.backward_px < 1.3 * 3.0 / per_px))
 
 
-def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_through_sightings):
+def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_through_observations):
     shifted = replace(flat_image_headset.see_through, prism=0.004)
-    error = mapping_error.see_through_error(shifted, see_through_sightings)
-    depth = (see_through_sightings.viewpoint - see_through_sightings.point)[:, 2]
+    error = mapping_error.see_through_error(shifted, see_through_observations)
+    depth = (see_through_observations.viewpoint - see_through_observations.point)[:, 2]
     # A prism of 0.001 displaces the point by a thousandth of its depth, less the slant of the ray.
     assert np.all((error.forward_miss_m > 0.8e-3 * depth) & (error.forward_miss_m <= 1e-3 * depth))
     prism_arcmin = 1e-3 / ARCMIN
@@ -117,18 +117,18 @@ def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_
         assert np.all((angle > 0.8 * prism_arcmin) & (angle < 1.01 * prism_arcmin))
 
 
-def test_straight_error_is_what_the_optics_bend(flat_image_headset, see_through_sightings):
+def test_straight_error_is_what_the_optics_bend(flat_image_headset, see_through_observations):
     straight = replace(flat_image_headset.see_through, offset_m=0.0, prism=0.0)
-    expected = mapping_error.see_through_error(straight, see_through_sightings).backward_arcmin
-    np.testing.assert_allclose(mapping_error.straight_error(see_through_sightings), expected, rtol=1e-9)
+    expected = mapping_error.see_through_error(straight, see_through_observations).backward_arcmin
+    np.testing.assert_allclose(mapping_error.straight_error(see_through_observations), expected, rtol=1e-9)
 
 
-def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset, display_sightings):
-    back = mapping_error.moved_back(display_sightings, 0.010)
+def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset, display_observations):
+    back = mapping_error.moved_back(display_observations, 0.010)
     error = mapping_error.display_error(flat_image_headset.display, back)
     np.testing.assert_allclose(error.forward_arcmin, 0.0, atol=1e-9)
     inconsistency = mapping_error.self_inconsistency_arcmin(
-        flat_image_headset.display, display_sightings.viewpoint, display_sightings.pixel, np.array(0.003)
+        flat_image_headset.display, display_observations.viewpoint, display_observations.pixel, np.array(0.003)
     )
     np.testing.assert_allclose(inconsistency, 0.0, atol=1e-9)
 
@@ -138,14 +138,14 @@ def test_a_static_display_errs_by_the_parallax_and_never_contradicts_itself(flat
     viewpoint = flat_image_headset.eye_box.centre + [0.005, 0.0, 0.0]
     inconsistency = mapping_error.self_inconsistency_arcmin(static, viewpoint, np.array([70.0, 50.0]), np.array(0.003))
     assert inconsistency == 0.0
-    true = mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, np.array([70.0, 50.0]))
+    true = mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, np.array([70.0, 50.0]))
     shown = static.view_dir_of_pixel(true.pixel, true.viewpoint).value
     parallax = np.arccos(np.clip(np.sum(shown * true.view_dir), -1, 1)) / ARCMIN
     np.testing.assert_allclose(parallax, 0.005 / 2.01 / ARCMIN, rtol=1e-3)
 
 
-def test_an_eye_tracking_error_costs_its_parallax(flat_image_headset, display_sightings):
-    wrong = mapping_error.displaced(display_sightings, np.array([1e-4, 0.0, 0.0]))
+def test_an_eye_tracking_error_costs_its_parallax(flat_image_headset, display_observations):
+    wrong = mapping_error.displaced(display_observations, np.array([1e-4, 0.0, 0.0]))
     error = mapping_error.display_error(flat_image_headset.display, wrong)
     parallax = 1e-4 / 2.01 / ARCMIN
     assert np.all((error.forward_arcmin > 0.8 * parallax) & (error.forward_arcmin < 1.01 * parallax))

@@ -257,9 +257,9 @@ def _places(truth: EyeMappings, model: EyeMappings) -> tuple[FloatArray, FloatAr
     """Viewpoints (n, 3) in the eye box and real points (n, 3) that the panel covers, none outside the model's fit."""
     rng = np.random.default_rng(0)
     eyes = random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None, None]
-    shown = mapping_error.sightings_of_pixels(truth.display, eyes, truth.display.panel.grid(*_PIXELS)[None])
+    shown = mapping_error.observations_of_pixels(truth.display, eyes, truth.display.panel.grid(*_PIXELS)[None])
     depth = rng.choice(DISTANCES_M, len(shown.pixel))
-    seen = mapping_error.see_through_sightings(truth.see_through, shown.viewpoint, shown.view_dir, depth)
+    seen = mapping_error.see_through_observations(truth.see_through, shown.viewpoint, shown.view_dir, depth)
     kept = model.display.pixel_of_view_dir(seen.view_dir, seen.viewpoint).ok
     kept &= model.see_through.view_dir_of_real_point(seen.point, seen.viewpoint).ok
     return seen.viewpoint[kept], seen.point[kept]

@@ -1,7 +1,7 @@
 """Mapping against mapping: how far a candidate's answers lie from true ones, in arcminutes and panel pixels.
 
-True answers are asked once, as *sightings*, and any number of candidates is judged by them: exact tracing costs far
-more than a fitted model. Sightings with another `viewpoint` are experiments: `displaced` for errors of eye tracking,
+True answers are asked once, as *observations*, and any number of candidates is judged by them: exact tracing costs far
+more than a fitted model. Observations with another `viewpoint` are experiments: `displaced` for errors of eye tracking,
 `moved_back` for viewpoints that see the same rays from farther away.
 """
 
@@ -16,7 +16,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class DisplaySightings:
+class DisplayObservations:
     """Panel pixels as truly seen.
 
     Attributes:
@@ -32,7 +32,7 @@ class DisplaySightings:
 
 @dataclass(frozen=True)
 class DisplayError:
-    """Errors of a display mapping, one per sighting; NaN where it has no answer.
+    """Errors of a display mapping, one per observation; NaN where it has no answer.
 
     Attributes:
         forward_arcmin: (n,) between the directions of the pixel.
@@ -44,7 +44,7 @@ class DisplayError:
 
 
 @dataclass(frozen=True)
-class SeeThroughSightings:
+class SeeThroughObservations:
     """Real points as truly seen.
 
     Attributes:
@@ -62,7 +62,7 @@ class SeeThroughSightings:
 
 @dataclass(frozen=True)
 class SeeThroughError:
-    """Errors of a see-through mapping, one per sighting; NaN where it has no answer.
+    """Errors of a see-through mapping, one per observation; NaN where it has no answer.
 
     Attributes:
         backward_arcmin: (n,) between the directions in which the point is seen.
@@ -75,33 +75,33 @@ class SeeThroughError:
     forward_miss_m: FloatArray
 
 
-def sightings_of_pixels(truth: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray) -> DisplaySightings:
+def observations_of_pixels(truth: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray) -> DisplayObservations:
     """Ask the truth where pixels (..., 2) are seen from viewpoints (..., 3); what it does not see is left out."""
     seen = truth.view_dir_of_pixel(pixel, viewpoint)
     kept = seen.usable
-    return DisplaySightings(_rows(viewpoint, kept, 3), _rows(pixel, kept, 2), seen.value[kept])
+    return DisplayObservations(_rows(viewpoint, kept, 3), _rows(pixel, kept, 2), seen.value[kept])
 
 
-def sightings_of_dirs(truth: DisplayMapping, viewpoint: FloatArray, view_dir: FloatArray) -> DisplaySightings:
+def observations_of_dirs(truth: DisplayMapping, viewpoint: FloatArray, view_dir: FloatArray) -> DisplayObservations:
     """Ask the truth which pixels are seen in directions (..., 3) from viewpoints (..., 3); none seen, none kept."""
     shown = truth.pixel_of_view_dir(view_dir, viewpoint)
     kept = shown.usable
-    return DisplaySightings(_rows(viewpoint, kept, 3), shown.value[kept], _rows(view_dir, kept, 3))
+    return DisplayObservations(_rows(viewpoint, kept, 3), shown.value[kept], _rows(view_dir, kept, 3))
 
 
-def display_error(candidate: DisplayMapping, sightings: DisplaySightings) -> DisplayError:
-    """Judge a display mapping by true sightings, both ways."""
-    shown = candidate.view_dir_of_pixel(sightings.pixel, sightings.viewpoint)
-    pixel = candidate.pixel_of_view_dir(sightings.view_dir, sightings.viewpoint)
+def display_error(candidate: DisplayMapping, observations: DisplayObservations) -> DisplayError:
+    """Judge a display mapping by true observations, both ways."""
+    shown = candidate.view_dir_of_pixel(observations.pixel, observations.viewpoint)
+    pixel = candidate.pixel_of_view_dir(observations.view_dir, observations.viewpoint)
     return DisplayError(
-        directions.arcmin_between(shown.value, sightings.view_dir),
-        np.linalg.norm(pixel.value - sightings.pixel, axis=-1),
+        directions.arcmin_between(shown.value, observations.view_dir),
+        np.linalg.norm(pixel.value - observations.pixel, axis=-1),
     )
 
 
-def see_through_sightings(
+def see_through_observations(
     truth: SeeThroughMapping, viewpoint: FloatArray, view_dir: FloatArray, depth_m: FloatArray
-) -> SeeThroughSightings:
+) -> SeeThroughObservations:
     """Follow directions (..., 3) from viewpoints (..., 3) to points at `depth_m` (...) in front of the viewpoints.
 
     What the truth does not see is left out. Points must lie beyond the optics.
@@ -112,34 +112,34 @@ def see_through_sightings(
     ray = seen.value[kept]
     depth = np.broadcast_to(depth_m, kept.shape)[kept]
     point = rays.split(rays.at_z(ray, viewpoints[:, 2] - depth))[0]
-    return SeeThroughSightings(viewpoints, _rows(view_dir, kept, 3), ray, point)
+    return SeeThroughObservations(viewpoints, _rows(view_dir, kept, 3), ray, point)
 
 
-def see_through_error(candidate: SeeThroughMapping, sightings: SeeThroughSightings) -> SeeThroughError:
-    """Judge a see-through mapping by true sightings, both ways."""
-    seen = candidate.view_dir_of_real_point(sightings.point, sightings.viewpoint)
-    ray = candidate.real_ray_of_view_dir(sightings.view_dir, sightings.viewpoint).value
+def see_through_error(candidate: SeeThroughMapping, observations: SeeThroughObservations) -> SeeThroughError:
+    """Judge a see-through mapping by true observations, both ways."""
+    seen = candidate.view_dir_of_real_point(observations.point, observations.viewpoint)
+    ray = candidate.real_ray_of_view_dir(observations.view_dir, observations.viewpoint).value
     return SeeThroughError(
-        directions.arcmin_between(seen.value, sightings.view_dir),
-        directions.arcmin_between(rays.split(ray)[1], rays.split(sightings.real_ray)[1]),
-        rays.distance_to_point(ray, sightings.point),
+        directions.arcmin_between(seen.value, observations.view_dir),
+        directions.arcmin_between(rays.split(ray)[1], rays.split(observations.real_ray)[1]),
+        rays.distance_to_point(ray, observations.point),
     )
 
 
-def straight_error(sightings: SeeThroughSightings) -> FloatArray:
+def straight_error(observations: SeeThroughObservations) -> FloatArray:
     """(n,) arcminutes by which a world without optics differs: what an uncalibrated device is wrong by."""
-    straight = directions.normalised(sightings.point - sightings.viewpoint)
-    return directions.arcmin_between(straight, sightings.view_dir)
+    straight = directions.normalised(observations.point - observations.viewpoint)
+    return directions.arcmin_between(straight, observations.view_dir)
 
 
-def displaced(sightings: DisplaySightings, offset: FloatArray) -> DisplaySightings:
-    """The same sightings, asked at viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
-    return replace(sightings, viewpoint=sightings.viewpoint + offset)
+def displaced(observations: DisplayObservations, offset: FloatArray) -> DisplayObservations:
+    """The same observations, asked at viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
+    return replace(observations, viewpoint=observations.viewpoint + offset)
 
 
-def moved_back(sightings: DisplaySightings, distance_m: float | FloatArray) -> DisplaySightings:
+def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
     """The same rays, seen from viewpoints farther back by one distance or (n,); the space before the optics is free."""
-    return displaced(sightings, -np.asarray(distance_m)[..., None] * sightings.view_dir)
+    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
 
 
 def self_inconsistency_arcmin(

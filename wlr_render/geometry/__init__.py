@@ -1,1 +1,1 @@
-"""Transforms, rays, planes, directions, the pinhole camera: layer 0, knows no optics."""
+"""Transforms, rays, planes, directions and cameras, without domain knowledge."""

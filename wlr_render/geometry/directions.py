@@ -14,7 +14,7 @@ def normalised(vector: FloatArray) -> FloatArray:
 
 
 def tangents_of_dir(direction: FloatArray) -> FloatArray:
-    """(..., 3) -> (..., 2): (x, y) where the direction meets the plane z = -1.
+    """Convert directions (..., 3) to tangents (..., 2): (x, y) of their intersections with the plane z = -1.
 
     NaN for directions that do not look forward (z >= 0).
     """
@@ -23,14 +23,14 @@ def tangents_of_dir(direction: FloatArray) -> FloatArray:
 
 
 def dir_of_tangents(tangents: FloatArray) -> FloatArray:
-    """(..., 2) -> (..., 3): the unit direction through (tx, ty, -1)."""
+    """Convert tangents (..., 2) to unit directions (..., 3) through (tx, ty, -1)."""
     tx, ty = tangents[..., 0], tangents[..., 1]
     scale = 1.0 / np.sqrt(tx * tx + ty * ty + 1.0)
     return np.stack([tx * scale, ty * scale, -scale], axis=-1)
 
 
 def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angle in radians between unit directions (..., 3); exact for small angles, where arccos is not."""
+    """Angle in radians between unit directions (..., 3); accurate for small angles, unlike arccos."""
     chord = np.linalg.norm(first - second, axis=-1)
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 

@@ -1,7 +1,7 @@
 """A camera with lens distortion: a pinhole in OpenCV's axes (x right, y down, z forward) behind Brown's distortion.
 
-Pixels have (0, 0) at the outer corner of the top-left pixel; OpenCV, which counts from its middle, sees this camera by
-`opencv_matrix` and `OPENCV_PIXEL_SHIFT`.
+Pixels have (0, 0) at the outer corner of the top-left pixel. OpenCV counts from that pixel's centre;
+`opencv_matrix` and `OPENCV_PIXEL_SHIFT` convert.
 """
 
 from dataclasses import dataclass, field
@@ -13,23 +13,23 @@ from wlr_render.geometry.directions import normalised
 from wlr_render.numerics.arrays import FloatArray
 
 OPENCV_PIXEL_SHIFT = -0.5
-"""OpenCV's pixel = ours + this."""
+"""OpenCV's pixel position minus ours."""
 
 _TOLERANCE = 1e-12  # of distorted tangents
 _STEPS = 8  # of Newton's method; five reach rounding error for lenses of 90 degrees
-_REACH = 1.5  # how far beyond the tangents of the image edges, as a straight line would have them, is still looked
+_REACH = 1.5  # largest true tangent searched, relative to the undistorted tangents of the image edges
 
 
 @dataclass(frozen=True, eq=False)
 class LensCamera:
-    """A camera as calibration finds it.
+    """A camera with Brown's lens distortion.
 
     Attributes:
         size_px: width and height.
         focal_px: (2,) pixels per unit tangent in u and v.
-        centre_px: (2,) where the optical axis meets the image.
+        centre_px: (2,) principal point.
         distortion: (5,) k1, k2, p1, p2, k3 of D. C. Brown, "Close-range camera calibration", Photogrammetric
-            Engineering 37 (1971) 855, in OpenCV's order and sense: seen tangents as a polynomial of true ones.
+            Engineering 37 (1971) 855, in OpenCV's order: distorted tangents as a polynomial of true tangents.
     """
 
     size_px: tuple[int, int]
@@ -39,21 +39,21 @@ class LensCamera:
 
     @property
     def opencv_matrix(self) -> FloatArray:
-        """(3, 3) as OpenCV takes it, for its pixels."""
+        """Camera matrix (3, 3) for OpenCV's pixel positions."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px + OPENCV_PIXEL_SHIFT
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
-        """(..., 2) tangents (x / z, y / z) of directions in the camera's frame -> (..., 2) pixels."""
+        """Project tangents (..., 2), (x / z, y / z) in the camera frame, to pixels (..., 2)."""
         return np.asarray(self._distorted(np.asarray(tangents)) * self.focal_px + self.centre_px)
 
     def pixel_of_point(self, point_in_camera: FloatArray) -> FloatArray:
-        """(..., 3) -> (..., 2) pixels; NaN for points that are not in front of the camera."""
+        """Project points (..., 3) to pixels (..., 2); NaN for points not in front of the camera."""
         depth = np.where(point_in_camera[..., 2:] > 0, point_in_camera[..., 2:], np.nan)
         return self.pixel_of_tangents(point_in_camera[..., :2] / depth)
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """(..., 2) pixels -> (..., 2) tangents; NaN where the distortion has no inverse near the image."""
+        """Undistorted tangents (..., 2) of pixels (..., 2); NaN where the distortion has no inverse near the image."""
         seen = ((np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px).reshape(-1, 2)
         if not np.any(self.distortion):
             return seen.reshape(np.shape(pixel))
@@ -70,7 +70,7 @@ class LensCamera:
         return np.where(sound[:, None], true, np.nan).reshape(np.shape(pixel))
 
     def dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """(..., 2) pixels -> (..., 3) unit directions in the camera's frame."""
+        """Unit directions (..., 3) of pixels (..., 2) in the camera frame."""
         tangents = self.tangents_of_pixel(pixel)
         return normalised(np.concatenate([tangents, np.ones((*tangents.shape[:-1], 1))], axis=-1))
 
@@ -88,7 +88,7 @@ class LensCamera:
         )
 
     def _slope(self, tangents: FloatArray) -> FloatArray:
-        """(..., 2, 2) derivative of `_distorted`."""
+        """Jacobian (..., 2, 2) of `_distorted`."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = tangents[..., 0], tangents[..., 1]
         r2 = x * x + y * y
@@ -104,9 +104,9 @@ class LensCamera:
         )
 
 
-@np.errstate(divide="ignore", invalid="ignore", over="ignore")  # what has no solution becomes NaN or far off
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")  # singular systems become NaN or very large
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The x (n, 2) of matrix (n, 2, 2) x = right (n, 2)."""
+    """Solve matrix (n, 2, 2) @ x = right (n, 2) for x."""
     (a, b), (c, d) = np.moveaxis(matrix, 0, -1)
     first, second = right.T
     return np.asarray(np.stack([d * first - b * second, a * second - c * first], axis=-1) / (a * d - b * c)[:, None])

@@ -9,7 +9,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Pinhole:
-    """An off-centre pinhole whose axes are the device's, so that a pixel is affine in the two tangents.
+    """An off-axis pinhole camera with the axes of the device frame: pixels are affine in the tangents.
 
     Attributes:
         width_px, height_px: image size.
@@ -24,7 +24,7 @@ class Pinhole:
 
     @classmethod
     def covering(cls, tangents: FloatArray, pixels_per_tangent: float, margin_px: int = 2) -> "Pinhole":
-        """The smallest camera that holds all finite `tangents` (..., 2) at a given resolution."""
+        """The smallest camera that contains all finite `tangents` (..., 2) at a given resolution."""
         flat = tangents.reshape(-1, 2)
         flat = flat[np.isfinite(flat).all(axis=1)]
         low, high = flat.min(axis=0), flat.max(axis=0)
@@ -40,16 +40,16 @@ class Pinhole:
 
     @property
     def centre_px(self) -> FloatArray:
-        """(2,) pixel that looks straight ahead (tangents 0, 0); may lie outside the image."""
+        """(2,) principal point (tangents 0, 0), in pixels; may lie outside the image."""
         focal = self.focal_px
         return np.array([-self.tangent_min[0] * focal[0], self.tangent_max[1] * focal[1]])
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
-        """(..., 2) -> (..., 2) pixels; v runs down, ty up."""
+        """Pixels (..., 2) of tangents (..., 2); v runs down, ty up."""
         return np.asarray(tangents * (self.focal_px * [1, -1]) + self.centre_px)
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """(..., 2) -> (..., 2), the inverse of `pixel_of_tangents`."""
+        """Tangents (..., 2) of pixels (..., 2); the inverse of `pixel_of_tangents`."""
         return np.asarray((pixel - self.centre_px) / (self.focal_px * [1, -1]))
 
     def pixel_centre_tangents(self) -> FloatArray:

@@ -9,18 +9,17 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True)
 class BasePlane:
-    """The plane z = `z` (metres, device frame), on which intermediate models are fitted.
+    """The plane z = `z` (metres, device frame), on which planar models are fitted.
 
-    It is perpendicular to the looking axis -z, so that a direction is carried by its two tangents and the
-    projection along a ray is linear in them.
+    It is perpendicular to the axis -z, so the projection along a ray is linear in the tangents of the ray.
     """
 
     z: float
 
     def carry(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
-        """Where rays through `point` (..., 3) with `tangents` (..., 2) meet the plane: (x, y), (..., 2).
+        """Project `point` (..., 3) onto the plane along rays with `tangents` (..., 2); returns (x, y), (..., 2).
 
-        Closed-form projection of the paper (section 3.2); the ray may be followed forwards or backwards.
+        Closed-form projection of the paper (section 3.2); the plane may lie in front of the point or behind it.
         """
         return np.asarray(point[..., :2] + (point[..., 2:] - self.z) * tangents)
 
@@ -29,6 +28,6 @@ class BasePlane:
         return np.asarray(self.z - point[..., 2])
 
     def lift(self, point_in_plane: FloatArray) -> FloatArray:
-        """(..., 2) plane coordinates -> (..., 3) device frame."""
+        """Points (..., 3) in the device frame of plane coordinates (..., 2)."""
         z = np.full((*point_in_plane.shape[:-1], 1), self.z)
         return np.concatenate([point_in_plane, z], axis=-1)

@@ -6,25 +6,25 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 def pack(origin: FloatArray, direction: FloatArray) -> FloatArray:
-    """(..., 3) and (..., 3) -> (..., 6)."""
+    """Pack origins (..., 3) and directions (..., 3) into rays (..., 6)."""
     origin, direction = np.broadcast_arrays(origin, direction)
     return np.concatenate([origin, direction], axis=-1)
 
 
 def split(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(..., 6) -> origin (..., 3), direction (..., 3)."""
+    """Origins (..., 3) and directions (..., 3) of rays (..., 6)."""
     return ray[..., :3], ray[..., 3:]
 
 
 def at_z(ray: FloatArray, z: float | FloatArray) -> FloatArray:
-    """Slide each ray's point along its line to the plane z: (..., 6) -> (..., 6). Directions must not lie in it."""
+    """Move the origin of each ray (..., 6) along its line to the plane z; no ray may be parallel to the plane."""
     origin, direction = split(ray)
     along = (z - origin[..., 2]) / direction[..., 2]
     return pack(origin + along[..., None] * direction, direction)
 
 
 def distance_to_point(ray: FloatArray, point: FloatArray) -> FloatArray:
-    """Distance between the ray's line and a point (..., 3): (...)."""
+    """Distance (...) between the lines of rays (..., 6) and points (..., 3)."""
     origin, direction = split(ray)
     offset = point - origin
     along = np.sum(offset * direction, axis=-1, keepdims=True)
@@ -32,7 +32,7 @@ def distance_to_point(ray: FloatArray, point: FloatArray) -> FloatArray:
 
 
 def transformed(b_from_a: FloatArray, ray_in_a: FloatArray) -> FloatArray:
-    """Carry rays (..., 6) by one rigid transform (4, 4)."""
+    """Transform rays (..., 6) by one rigid transform (4, 4)."""
     origin, direction = split(ray_in_a)
     rotation = b_from_a[:3, :3]
     return pack(origin @ rotation.T + b_from_a[:3, 3], direction @ rotation.T)

@@ -1,6 +1,6 @@
 """Rigid transforms as 4x4 matrices and rotations as quaternions xyzw.
 
-A transform is named by what it does: `point_in_world = apply(world_from_device, point_in_device)`.
+A transform is named by its frames: `point_in_world = apply(world_from_device, point_in_device)`.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ OPENXR_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """(..., 4, 4) from rotation (..., 3, 3) and translation (..., 3)."""
+    """Rigid transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     rotation, translation = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     matrix = np.zeros((*shape, 4, 4))
@@ -24,18 +24,18 @@ def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 
 
 def inverse(b_from_a: FloatArray) -> FloatArray:
-    """a_from_b of a rigid b_from_a, (..., 4, 4)."""
+    """Inverse (..., 4, 4) of rigid transforms."""
     a_from_b_rotation = np.swapaxes(b_from_a[..., :3, :3], -1, -2)
     return rigid(a_from_b_rotation, -np.einsum("...ij,...j->...i", a_from_b_rotation, b_from_a[..., :3, 3]))
 
 
 def apply(b_from_a: FloatArray, point_in_a: FloatArray) -> FloatArray:
-    """Carry points (..., 3) by one transform (4, 4)."""
+    """Transform points (..., 3) by one transform (4, 4)."""
     return np.asarray(point_in_a @ b_from_a[:3, :3].T + b_from_a[:3, 3])
 
 
 def rotate(b_from_a: FloatArray, direction_in_a: FloatArray) -> FloatArray:
-    """Carry directions (..., 3) by the rotation of one transform (4, 4) or (3, 3)."""
+    """Rotate directions (..., 3) by the rotation of one transform (4, 4) or (3, 3)."""
     return np.asarray(direction_in_a @ b_from_a[:3, :3].T)
 
 
@@ -51,21 +51,21 @@ def rotation_about(axis: str, angle: float) -> FloatArray:
 
 
 def rotations_of_vectors(vector: FloatArray) -> FloatArray:
-    """Right-handed rotations (..., 3, 3) about the directions of vectors (..., 3), by their lengths in radians."""
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians."""
     vector = np.asarray(vector, dtype=np.float64)
     return _matrices(Rotation.from_rotvec(vector.reshape(-1, 3)), vector.shape[:-1])
 
 
 def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
-    """(..., 4) quaternion xyzw -> (..., 3, 3)."""
+    """Rotation matrices (..., 3, 3) of quaternions xyzw (..., 4)."""
     xyzw = np.asarray(xyzw, dtype=np.float64)
     return _matrices(Rotation.from_quat(xyzw.reshape(-1, 4)), xyzw.shape[:-1])
 
 
 def between(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Rigid transforms (n, 4, 4) on the way from one (4, 4) to another, at `fraction` (n,) of it.
+    """Interpolate rigid transforms (n, 4, 4) between one (4, 4) and another, at `fraction` (n,).
 
-    Rotated at a constant rate about one axis, the short way, and moved along a straight line.
+    Spherical linear interpolation of the rotation, linear interpolation of the translation.
     """
     vector = Rotation.from_matrix(first[:3, :3].T @ last[:3, :3]).as_rotvec()
     rotated = first[:3, :3] @ rotations_of_vectors(fraction[:, None] * vector)

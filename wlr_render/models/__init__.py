@@ -1,1 +1,1 @@
-"""Fitted maps: planar bundles and the baselines, behind the two protocols, and their file."""
+"""Fitted mappings: planar models and baselines that implement the two protocols, and their file."""

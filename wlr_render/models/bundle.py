@@ -1,9 +1,9 @@
-"""The planar bundle models of the display and of see-through: polynomials over points on a base plane and tangents.
+"""Planar (bundle) models of display and see-through: polynomials in the position on a base plane and the direction.
 
 A viewpoint elsewhere is projected onto the base plane along its ray. Where the view direction is given (display
 backward, see-through forward) the projection is `BasePlane.carry`, a closed form. Otherwise it is a 2 x 2 root-find,
 for the point on the base plane (display forward) or for the view tangents (see-through backward). It takes about four
-Newton steps from cold and fewer from the last frame's solution (paper: section 3.2).
+Newton steps from a cold start and fewer from the last frame's solution (paper: section 3.2).
 
 See-through: at the base-plane point p~ and the view tangents t, the ray in the world passes through p~ + B(p~, t) in
 the base plane and has tangents t + A(p~, t); no optics is A = B = 0. In terms of the paper's two planes P_real+ and
@@ -31,7 +31,7 @@ TOLERANCE = 1e-12
 def solve_display(
     tangents_of: Polynomial, plane: BasePlane, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Root:
-    """Where the ray by which a pixel reaches a viewpoint meets the base plane.
+    """Solve for the point on the base plane of the ray from a pixel to a viewpoint.
 
     Solves p~ = viewpoint_xy + (viewpoint_z - plane_z) t(pixel, p~). Cold start: the viewpoint's x and y.
 
@@ -58,7 +58,7 @@ def solve_display(
 def solve_see_through(
     deviation: Polynomial, plane: BasePlane, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Root:
-    """In which direction a viewpoint sees a real point.
+    """Solve for the view direction of a real point.
 
     Unknown are the view tangents t at the viewpoint, so the solve does not degenerate for a viewpoint in the plane.
     With p~ = carry(viewpoint, t), the real ray leaves p~ + B with tangents t + A and misses the point laterally by
@@ -112,13 +112,13 @@ def _solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: Fl
 class BundleDisplay(FittedDisplay):
     """`DisplayMapping` fitted on viewpoints in a plane and projected to all others.
 
-    Two viewpoints on one ray of a pixel see it in one direction, by construction.
+    Viewpoints on the same ray of a pixel see it in the same direction, by construction.
 
-    The forward query is a solve, whose warm start is p~, (..., 2); the backward one is a closed form.
+    The forward query is iterative, and p~ (..., 2) is its warm start; the backward query is in closed form.
 
     Attributes:
         panel: the panel.
-        eye_box: where the pupil may be.
+        eye_box: box of valid viewpoints.
         base_plane: the plane of the fit.
         forward: (u px, v px, x m, y m) -> (tx, ty).
         backward: (x m, y m, tx, ty) -> (u px, v px).
@@ -141,7 +141,7 @@ class BundleDisplay(FittedDisplay):
         in_plane = self.base_plane.carry(viewpoint, tangents)
         inputs = joined(in_plane, tangents)
         pixel = self.backward(inputs)
-        # The box of directions holds corners that no fitted pixel is seen in.
+        # The box of directions has corners in which no fitted pixel is visible.
         inside = self.backward.box.contains(inputs) & self.forward.box.contains(joined(pixel, in_plane))
         return Answer(pixel, inside)
 
@@ -150,11 +150,11 @@ class BundleDisplay(FittedDisplay):
 class BundleSeeThrough(FittedSeeThrough):
     """`SeeThroughMapping` fitted on viewpoints in a plane and projected to all others.
 
-    The forward query is a closed form, and its ray's point lies in the base plane; the backward one is a solve, whose
-    warm start is the view tangents, (..., 2).
+    The forward query is in closed form, and its ray's point lies in the base plane. The backward query is iterative,
+    and the view tangents (..., 2) are its warm start.
 
     Attributes:
-        eye_box: where the pupil may be.
+        eye_box: box of valid viewpoints.
         base_plane: the plane of the fit.
         deviation: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m).
     """

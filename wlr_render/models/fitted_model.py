@@ -1,4 +1,4 @@
-"""The base of all fitted models: queries in chunks over any leading axes, by a forward and a backward formula.
+"""Base classes of fitted models: queries in chunks over any leading axes, by a forward and a backward formula.
 
 The formulas take and return tangents; only this module converts them from and to the protocols' unit directions.
 """
@@ -21,7 +21,7 @@ _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis
 
 @dataclass(frozen=True)
 class Answer:
-    """What a model says about one chunk of m elements.
+    """A model's answer for one chunk of m elements.
 
     Attributes:
         value: (m, k).
@@ -47,10 +47,10 @@ def answer_in_chunks(
     eye_box: EyeBox,
     warm_start: FloatArray | None = None,
 ) -> QueryResult:
-    """Broadcast `subject` (..., j) against `viewpoint` (..., 3), ask chunk by chunk, and give each element its status.
+    """Broadcast `subject` (..., j) against `viewpoint` (..., 3), query in chunks, and set the status of each element.
 
-    A subject that is not finite (a direction that looks backwards, a point behind the eye) is a MISS; a solve that
-    did not converge, or an extrapolation that overflowed, is NOT_CONVERGED; a viewpoint outside the eye box or
+    Subjects that are not finite (directions that look backwards, points behind the eye) are MISS. Solves that did not
+    converge and extrapolations that overflowed are NOT_CONVERGED. Viewpoints outside the eye box and
     inputs outside the fitted box are OUTSIDE_FIT and keep their value.
 
     Raises:
@@ -63,7 +63,7 @@ def answer_in_chunks(
     subject, viewpoint = _flat(subject, lead), _flat(viewpoint, lead)
     start = None if warm_start is None else _flat(warm_start, lead)
     parts = []
-    # Wild extrapolations may overflow on their way to being reported as such.
+    # Extrapolations may overflow; their status reports it.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for first in range(0, max(len(subject), 1), _CHUNK):
             rows = slice(first, first + _CHUNK)
@@ -105,7 +105,7 @@ def _all_finite(rows: FloatArray) -> BoolArray:
 
 
 def joined(*columns: FloatArray) -> FloatArray:
-    """Polynomial inputs side by side: several (m, k) -> (m, sum of k)."""
+    """Concatenate polynomial inputs (m, k) to (m, sum of k)."""
     return np.concatenate(columns, axis=-1)
 
 
@@ -114,10 +114,10 @@ Forms = dict[str, tuple[int, int]]
 
 
 def require_forms(model: object, forms: Forms) -> None:
-    """Check that a model's polynomials are of the forms that it needs.
+    """Check the numbers of variables, outputs and terms of a model's polynomials.
 
     Raises:
-        BadInputError: other numbers of variables, outputs or terms, or coefficients that are not finite.
+        BadInputError: wrong numbers of variables, outputs or terms, or coefficients that are not finite.
     """
     for name, (variables, outputs) in forms.items():
         polynomial: Polynomial = getattr(model, name)
@@ -132,11 +132,11 @@ def require_forms(model: object, forms: Forms) -> None:
 
 
 class FittedModel(ABC):
-    """A model made of polynomials; a subclass is a frozen dataclass and gives the two formulas.
+    """Base of models made of polynomials; a subclass is a frozen dataclass and implements the two formulas.
 
     Attributes:
         FORMS: variables and outputs of each polynomial, by attribute name.
-        eye_box: where the pupil may be; a viewpoint outside it is OUTSIDE_FIT.
+        eye_box: box of valid viewpoints; a viewpoint outside is OUTSIDE_FIT.
     """
 
     FORMS: ClassVar[Forms]
@@ -155,7 +155,7 @@ class FittedModel(ABC):
 
 
 class FittedDisplay(FittedModel):
-    """`DisplayMapping` by a forward and a backward formula."""
+    """Base of display models with a forward and a backward formula."""
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
@@ -172,7 +172,7 @@ class FittedDisplay(FittedModel):
 
 
 class FittedSeeThrough(FittedModel):
-    """`SeeThroughMapping` by a forward and a backward formula."""
+    """Base of see-through models with a forward and a backward formula."""
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
@@ -190,13 +190,13 @@ class FittedSeeThrough(FittedModel):
 
 
 def _as_directions(result: QueryResult) -> QueryResult:
-    """Replace the last two columns of the values, tangents, by the three of a unit direction."""
+    """Replace tangents, the last two columns of the values, by unit directions, three columns."""
     point, tangents = result.value[..., :-2], result.value[..., -2:]
     with np.errstate(over="ignore", invalid="ignore"):
         return replace(result, value=joined(point, dir_of_tangents(tangents)))
 
 
 def _points_in_front(point: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Real points (..., 3), NaN where they are not in front of the viewpoint (..., 3)."""
+    """Real points (..., 3); NaN for points that are not in front of the viewpoint (..., 3)."""
     point, viewpoint = np.broadcast_arrays(np.asarray(point, dtype=np.float64), viewpoint)
     return np.where(point[..., 2:] < viewpoint[..., 2:], point, np.nan)

@@ -8,14 +8,14 @@
         eye_box        {centre_m, size_m}
         display        {kind, panel {width_px, height_px}, base_plane {z_m} (planar only), and its polynomials}
         see_through    {kind, base_plane {z_m} (planar only), and its polynomials}
-        report         what the calibration said about its errors, in free form
+        report         residuals that the calibration reported, in free form
 
-Version 1, which is still read, has the keys of its only eye beside those of the header.
+Version 1, which is still read, has the keys of its single eye in the header.
 
 Kinds and the inputs and outputs of their polynomials are those of the classes in this package. A polynomial is
 {degree, low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
 terms of `values` (one per output) times the product over inputs of Chebyshev T_k, with k from `orders`. Numbers are
-written so that they read back bit for bit.
+written so that they are read back exactly.
 """
 
 import json
@@ -42,7 +42,7 @@ FORMAT = "wlr-eye-model"
 VERSION = 2
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
-# A new model needs a line here and nothing else: its fields and FORMS say how it is written.
+# A new model only needs a line here: its fields and FORMS define its form in the file.
 DISPLAYS: dict[str, type[Any]] = {
     "planar": BundleDisplay,
     "volumetric": VolumetricDisplay,
@@ -58,12 +58,12 @@ SEE_THROUGHS: dict[str, type[Any]] = {
 
 @dataclass(frozen=True)
 class EyeModel:
-    """Fitted mappings of one eye with what is known about them.
+    """Fitted mappings of one eye, with the device name and the report of the fit.
 
     Attributes:
         mappings: display and see-through, each one of this package's models.
         device: device name.
-        report: JSON-ready figures of the fit; carried, never interpreted.
+        report: JSON-ready figures of the fit; stored, never interpreted.
     """
 
     mappings: EyeMappings
@@ -72,7 +72,7 @@ class EyeModel:
 
 
 def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
-    """Write a model file whole or not at all.
+    """Write a model file atomically.
 
     Raises:
         BadInputError: two models of one eye or of two devices, a mapping that is not one of this package's models, or a
@@ -95,7 +95,7 @@ def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
 
 
 def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, ...]:
-    """Write models into a file, in which models of other eyes of the same device stay; returns the eyes that stayed.
+    """Add models to a file and keep its models of other eyes of the same device; returns the eyes that were kept.
 
     Raises:
         BadInputError: as `save_eye_models`.
@@ -111,10 +111,10 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
 
 
 def load_eye_model(path: str | Path, eye: str | None = None) -> EyeModel:
-    """Read one eye of a model file: the one asked for, or the only one.
+    """Read one eye of a model file: the requested eye, or the only one.
 
     Raises:
-        BadInputError: as `load_eye_models`, or the file lacks that eye, or holds both and none was asked for.
+        BadInputError: as `load_eye_models`, or the file lacks that eye, or has both eyes and none was requested.
     """
     models = load_eye_models(path)
     if eye is None and len(models) > 1:
@@ -132,7 +132,7 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
     """Read a model file; returns its models by eye.
 
     Raises:
-        BadInputError: the file cannot be read, is cut short, is something else or of another version, or lacks a key.
+        BadInputError: the file cannot be read, is truncated, has another format or version, or lacks a key.
     """
     table = Table(_read_json(path), str(path))
     version = _check_header(table)
@@ -186,7 +186,7 @@ def _read_json(path: str | Path) -> dict[str, Any]:
 
 
 def _check_header(table: Table) -> int:
-    """Refuse what is no model file; returns the version."""
+    """Check that a file is a model file; returns its version."""
     if table.text("format", default="missing") != FORMAT:
         raise table.fail(f"is not a model file: its format is not '{FORMAT}'.")
     if (version := table.number("version")) not in (1, VERSION):

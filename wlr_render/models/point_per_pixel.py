@@ -1,7 +1,7 @@
-"""The baseline of one point in space per pixel: the virtual image as a surface, seen in perspective.
+"""Baseline with one 3-D point per pixel: the virtual image is a surface in space.
 
-A point is held as its tangents a and inverse depth w at the nominal viewpoint c: the image may lie behind the eye or
-at infinity, where w crosses zero and a depth would not. From the viewpoint v = c + d it is seen with tangents
+A point is stored as tangents a and inverse depth w at the nominal viewpoint c, because the image may cross infinity,
+where w is zero. From the viewpoint v = c + d it is seen with tangents
 t = (a - w d_xy) / (1 + w d_z), that is a - w q with q = d_xy + d_z t: where the ray meets the plane of c.
 """
 
@@ -23,12 +23,12 @@ _TOLERANCE = 1e-12  # tangents
 class PointPerPixelDisplay(FittedDisplay):
     """`DisplayMapping` with one virtual point per pixel.
 
-    The forward query is a closed form; the backward one is a solve from the panel's centre, whose warm start is the
-    pixel, (..., 2).
+    The forward query is in closed form. The backward query is iterative, starts from the panel's centre, and has the
+    pixel (..., 2) as its warm start.
 
     Attributes:
         panel: the panel.
-        eye_box: where the pupil may be; its centre is the nominal viewpoint c.
+        eye_box: box of valid viewpoints; its centre is the nominal viewpoint c.
         point: (u px, v px) -> (ax, ay, w 1/m).
     """
 

@@ -1,8 +1,8 @@
-"""The baseline that ignores the viewpoint: one map, fitted at the nominal viewpoint and used at every other.
+"""Baseline that ignores the viewpoint: one map, fitted at the nominal viewpoint and used at every viewpoint.
 
-The display is a fixed picture at infinity; the see-through deviation depends on the direction alone. The real ray still
-passes by the actual viewpoint: a static map knows how the combiner bends rays at its nominal viewpoint, and the world
-is drawn from where the eye is.
+The display is a fixed image at infinity; the see-through deviation depends on the direction only. The real ray
+is still computed for the actual viewpoint: the deviation is that of the nominal viewpoint, and the world
+is drawn from the actual one.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class StaticDisplay(FittedDisplay):
 
     Attributes:
         panel: the panel.
-        eye_box: where the pupil may be; only the status knows it.
+        eye_box: box of valid viewpoints; it affects the status only.
         forward: (u px, v px) -> (tx, ty).
         backward: (tx, ty) -> (u px, v px).
     """
@@ -50,7 +50,7 @@ class StaticSeeThrough(FittedSeeThrough):
     The ray's point has the viewpoint's z.
 
     Attributes:
-        eye_box: where the pupil may be; only the status knows it.
+        eye_box: box of valid viewpoints; it affects the status only.
         forward: (tx, ty) -> (Ax, Ay, Bx m, By m), as in `VolumetricSeeThrough`.
         backward: (sx, sy) -> (ax, ay, bx m, by m), as in `VolumetricSeeThrough`.
     """
@@ -70,7 +70,7 @@ class StaticSeeThrough(FittedSeeThrough):
 
 
 def undeviated(eye_box: EyeBox) -> StaticSeeThrough:
-    """See-through of no optics at all: straight rays, for the baseline that ignores the combiner."""
+    """See-through mapping without optics: straight rays, for the baseline that ignores the combiner."""
     everywhere = Box(np.full(2, -10.0), np.full(2, 10.0))
     nothing = Polynomial(0, everywhere, np.zeros((1, 4)))
     return StaticSeeThrough(eye_box, nothing, nothing)

@@ -1,6 +1,6 @@
-"""The baseline of volumetric sampling: all four maps fitted directly over viewpoints in a volume; all closed forms.
+"""Baseline of volumetric sampling: four maps fitted directly over viewpoints in a volume, all in closed form.
 
-Two viewpoints on one ray of a pixel may be told different directions: nothing in the model forbids it.
+The model does not enforce that viewpoints on the same ray of a pixel see it in the same direction.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class VolumetricDisplay(FittedDisplay):
 
     Attributes:
         panel: the panel.
-        eye_box: where the pupil may be.
+        eye_box: box of valid viewpoints.
         forward: (u px, v px, x m, y m, z m) -> (tx, ty).
         backward: (x m, y m, z m, tx, ty) -> (u px, v px).
     """
@@ -47,10 +47,10 @@ class VolumetricSeeThrough(FittedSeeThrough):
 
     Forward, the ray in the world passes through viewpoint_xy + B at the viewpoint's own z and has tangents t + A.
     Backward, a point at depth D in front of the viewpoint, straight tangents s, is seen at t = s + a + b / D: linear in
-    inverse depth, so that two target depths determine it (what is left out is the product of two deviations).
+    inverse depth, so that two target depths determine it (the product of two deviations is neglected).
 
     Attributes:
-        eye_box: where the pupil may be.
+        eye_box: box of valid viewpoints.
         forward: (x m, y m, z m, tx, ty) -> (Ax, Ay, Bx m, By m).
         backward: (x m, y m, z m, sx, sy) -> (ax, ay, bx m, by m).
     """

@@ -1,1 +1,1 @@
-"""Array types, polynomials, least squares, Newton, Chebyshev interpolation: layer 0, knows no geometry."""
+"""Array types, polynomials, least squares, Newton's method and Chebyshev interpolation."""

@@ -1,4 +1,4 @@
-"""Names of numpy's array types, for annotations."""
+"""Aliases of numpy array types, for annotations."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Tensor-product Chebyshev interpolation: a smooth field from few nodes to every pixel by two matrix products."""
+"""Tensor-product Chebyshev interpolation: from a few nodes to every pixel by two matrix products."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 def nodes(count: int, low: float, high: float) -> FloatArray:
-    """`count` Chebyshev points of the first kind in low..high, ascending; they never touch the ends."""
+    """`count` Chebyshev points of the first kind in low..high, ascending, ends excluded."""
     x = -np.cos((np.arange(count) + 0.5) * np.pi / count)
     return np.asarray(low + 0.5 * (x + 1.0) * (high - low))
 
 
 def interpolation_matrix(count: int, low: float, high: float, at: FloatArray) -> FloatArray:
-    """(len(at), count): values at the nodes -> values at `at`, by barycentric weights (Berrut & Trefethen 2004)."""
+    """Matrix (len(at), count) that interpolates from the nodes to `at`; barycentric (Berrut & Trefethen 2004)."""
     x = nodes(count, low, high)
     k = np.arange(count)
     weight = (-1.0) ** k * np.sin((k + 0.5) * np.pi / count)

@@ -43,8 +43,8 @@ def solve(
         tolerance: singular values below this fraction of the largest count as zero.
 
     Raises:
-        RankDeficientError: fewer independent rows than columns. A minimum-norm answer is never returned: it would
-            look like a fit and predict nonsense between the samples.
+        RankDeficientError: fewer independent rows than columns. A minimum-norm solution is never returned, because
+            it would be wrong between the samples.
     """
     rows, columns = design.shape
     if rows < columns:

@@ -1,4 +1,4 @@
-"""Batched 2 x 2 Newton root-finding with an honest status."""
+"""Batched Newton's method for two equations in two unknowns, with convergence status."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ class Root:
 
 
 def solve_2x2(residual: Residual, start: FloatArray, tolerance: float, max_iterations: int = 30) -> Root:
-    """Find unknown with residual(unknown) = 0 for each of n independent problems.
+    """Solve residual(unknown) = 0 for n independent problems.
 
-    Steps are halved (up to six times) where they do not shrink the residual, so a poor start cannot fly off without
-    being noticed. An element is converged when its residual's norm is at most `tolerance`, in the residual's units.
+    Steps that do not reduce the residual are halved, up to six times, so that divergence is detected. An element
+    is converged when the norm of its residual is at most `tolerance`, in the units of the residual.
 
     Args:
-        residual: gives residual and Jacobian for the elements named by an index array.
+        residual: returns residual and Jacobian of the elements in an index array.
         start: (n, 2) first guess; rows with NaN never converge.
         tolerance: on the residual's norm.
         max_iterations: Newton steps at most.
@@ -69,7 +69,7 @@ def _step(jacobian: FloatArray, value: FloatArray) -> FloatArray:
 def _damped(
     residual: Residual, unknown: FloatArray, step: FloatArray, index: NDArray[np.int64], size: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Try the full step; where the residual does not shrink, try shorter ones and keep the last tried."""
+    """Take the full step; where the residual does not decrease, halve it and keep the last step tried."""
     trial = unknown - step
     value, jacobian = residual(trial, index)
     new_size = np.linalg.norm(value, axis=1)

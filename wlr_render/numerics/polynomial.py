@@ -1,7 +1,7 @@
 """Polynomials of total degree N in scaled variables, with their Jacobian.
 
 The basis is products of Chebyshev polynomials T_k of the variables scaled to -1..1: it spans the same space as the
-monomials and stays well conditioned at degree 7 and above, so that a rank check means something.
+monomials and is well conditioned at degree 7 and above, so that rank checks are reliable.
 """
 
 import itertools
@@ -22,7 +22,7 @@ _CHUNK = 2_048  # rows per block: keeps the basis (rows x terms) in the processo
 
 
 def term_count(variables: int, degree: int) -> int:
-    """Number of terms of total degree <= `degree`: C(variables + degree, degree)."""
+    """Number of terms of total degree up to `degree`: C(variables + degree, degree)."""
     return comb(variables + degree, degree)
 
 
@@ -42,7 +42,7 @@ def exponents(variables: int, degree: int) -> IntArray:
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box of inputs; it scales variables to -1..1 and knows what lies outside.
+    """An axis-aligned box of inputs, which are scaled to -1..1 inside.
 
     Attributes:
         low, high: (variables,) in the inputs' own units.
@@ -53,13 +53,13 @@ class Box:
 
     @classmethod
     def around(cls, inputs: FloatArray) -> "Box":
-        """The bounding box of samples (n, variables); an axis of no extent gets a width of one unit."""
+        """Bounding box of samples (n, variables); an axis without extent gets a width of one unit."""
         low, high = inputs.min(axis=0), inputs.max(axis=0)
         flat = high - low <= 1e-12 * np.maximum(1.0, np.abs(high))
         return cls(np.where(flat, low - 0.5, low), np.where(flat, high + 0.5, high))
 
     def scaled(self, inputs: FloatArray) -> FloatArray:
-        """(..., variables) -> (..., variables) in -1..1 inside the box."""
+        """Scale inputs (..., variables) to -1..1 inside the box."""
         return np.asarray((2.0 * inputs - self.low - self.high) / (self.high - self.low))
 
     def contains(self, inputs: FloatArray, slack: float = BOX_SLACK) -> NDArray[np.bool_]:
@@ -68,7 +68,7 @@ class Box:
 
 
 def _chebyshev_tables(scaled: FloatArray, degree: int, derivative: bool) -> tuple[FloatArray, FloatArray | None]:
-    """T_k and dT_k/dx for k = 0..degree: each (degree + 1, variables, n)."""
+    """T_k and dT_k/dx for k = 0..degree, (degree + 1, variables, n) each."""
     x = np.ascontiguousarray(scaled.T)
     t = np.empty((degree + 1, *x.shape))
     t[0] = 1.0
@@ -102,7 +102,7 @@ class Polynomial:
 
     Attributes:
         degree: total degree N.
-        box: where it was fitted; it also scales the variables.
+        box: bounds of the fit; it also scales the variables.
         coefficients: (terms, outputs), rows in the order of `exponents`.
     """
 
@@ -111,7 +111,7 @@ class Polynomial:
     coefficients: FloatArray
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """(..., variables) -> (..., outputs)."""
+        """Values (..., outputs) at inputs (..., variables)."""
         flat = inputs.reshape(-1, inputs.shape[-1])
         result = np.empty((flat.shape[0], self.coefficients.shape[1]))
         for start in range(0, flat.shape[0], _CHUNK):

@@ -53,8 +53,8 @@ def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(f
     rng = np.random.default_rng(8)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (20, 1, 3)))
     pixel = rng.uniform(0, 1, (20, 5, 2)) * [140, 100]
-    seen = mapping_error.sightings_of_pixels(flat_image_headset.display, viewpoint, pixel)
-    world = mapping_error.see_through_sightings(
+    seen = mapping_error.observations_of_pixels(flat_image_headset.display, viewpoint, pixel)
+    world = mapping_error.see_through_observations(
         flat_image_headset.see_through, seen.viewpoint, seen.view_dir, rng.uniform(0.3, 5.0, 100)
     )
     if kind == "planar":
@@ -207,7 +207,7 @@ def display_error(model):
     truth = traced_eye(load_device("northstar"))
     viewpoint = truth.eye_box.at(np.random.default_rng(3).uniform(-0.4, 0.4, (20, 1, 3)) * [1, 1, 0])
     middle = FieldOfView(np.full(2, -0.08), np.full(2, 0.08)).directions(5, 5)
-    seen = mapping_error.sightings_of_dirs(truth.display, viewpoint, middle)
+    seen = mapping_error.observations_of_dirs(truth.display, viewpoint, middle)
     return np.sqrt(np.mean(mapping_error.display_error(model.display, seen).forward_arcmin ** 2))
 
 

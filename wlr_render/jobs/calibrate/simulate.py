@@ -97,11 +97,11 @@ def truth_errors(model: EyeMappings, truth: EyeMappings, seed: int) -> dict[str,
     count, each = _TESTS
     viewpoint = viewpoints.random_in_eye_box(truth.eye_box, count, rng)[:, None]
     pixel = rng.uniform(0.0, 1.0, (count, each, 2)) * truth.display.panel.size_px
-    seen = mapping_error.sightings_of_pixels(truth.display, viewpoint, pixel)
+    seen = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
     display = mapping_error.display_error(model.display, seen)
     near, far = _TEST_DEPTHS_M
     depth = 1.0 / rng.uniform(1.0 / far, 1.0 / near, len(seen.pixel))
-    points = mapping_error.see_through_sightings(truth.see_through, seen.viewpoint, seen.view_dir, depth)
+    points = mapping_error.see_through_observations(truth.see_through, seen.viewpoint, seen.view_dir, depth)
     world = mapping_error.see_through_error(model.see_through, points)
     return {
         "direction of a pixel (arcmin)": summary(display.forward_arcmin),

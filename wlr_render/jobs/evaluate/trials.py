@@ -102,24 +102,24 @@ def exact_see_through(at: EvaluatedEye, kind: str, count: int) -> SeeThroughCapt
 
 
 @lru_cache
-def display_sightings(at: EvaluatedEye, seed: int) -> mapping_error.DisplaySightings:
+def display_observations(at: EvaluatedEye, seed: int) -> mapping_error.DisplayObservations:
     """Directions in the field, or pixels of the whole panel, from random viewpoints, most off the base plane."""
     setup = capture_setup(at)
     rng = np.random.default_rng(seed)
     viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, TEST_VIEWPOINTS, rng)[:, None]
     if setup.truth.field is None:
         pixel = rng.uniform(0.0, 1.0, (TEST_VIEWPOINTS, TEST_RAYS, 2)) * setup.truth.display.panel.size_px
-        return mapping_error.sightings_of_pixels(setup.truth.display, viewpoint, pixel)
+        return mapping_error.observations_of_pixels(setup.truth.display, viewpoint, pixel)
     view_dir = setup.camera_dirs()[rng.integers(0, len(setup.camera_dirs()), (TEST_VIEWPOINTS, TEST_RAYS))]
-    return mapping_error.sightings_of_dirs(setup.truth.display, viewpoint, view_dir)
+    return mapping_error.observations_of_dirs(setup.truth.display, viewpoint, view_dir)
 
 
 @lru_cache
-def see_through_sightings(at: EvaluatedEye, seed: int) -> mapping_error.SeeThroughSightings:
+def see_through_observations(at: EvaluatedEye, seed: int) -> mapping_error.SeeThroughObservations:
     """Real points in those directions, at depths uniform in dioptres."""
-    seen = display_sightings(at, seed)
+    seen = display_observations(at, seed)
     dioptres = np.random.default_rng(seed + 1).uniform(1.0 / FARTHEST_M, 1.0 / NEAREST_M, len(seen.pixel))
-    return mapping_error.see_through_sightings(truth(at).see_through, seen.viewpoint, seen.view_dir, 1.0 / dioptres)
+    return mapping_error.see_through_observations(truth(at).see_through, seen.viewpoint, seen.view_dir, 1.0 / dioptres)
 
 
 class Measure(StrEnum):
@@ -242,24 +242,26 @@ class DisplayTrial(Trial):
         return Outcome(self._errors(model, rng, seed))
 
     def _errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[Measure, Summary]:
-        sightings = display_sightings(self.at, seed)
-        offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, sightings.viewpoint.shape)
-        error = mapping_error.display_error(model, mapping_error.displaced(sightings, offset))
-        back = mapping_error.moved_back(sightings, BACK_M)
+        observations = display_observations(self.at, seed)
+        offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, observations.viewpoint.shape)
+        error = mapping_error.display_error(model, mapping_error.displaced(observations, offset))
+        back = mapping_error.moved_back(observations, BACK_M)
         shown_back = model.view_dir_of_pixel(back.pixel, back.viewpoint).value
         return {
             Measure.FORWARD: summary(error.forward_arcmin),
             Measure.BACKWARD: summary(error.backward_px),
             Measure.MOVED_BACK: summary(arcmin_between(shown_back, back.view_dir)),
-            Measure.ALONG_RAY: summary(_along_ray(model, sightings, 1e-3 * self.eye_box_mm[2])),
+            Measure.ALONG_RAY: summary(_along_ray(model, observations, 1e-3 * self.eye_box_mm[2])),
         }
 
 
-def _along_ray(model: DisplayMapping, sightings: mapping_error.DisplaySightings, depth_m: float) -> NDArray[np.float64]:
+def _along_ray(
+    model: DisplayMapping, observations: mapping_error.DisplayObservations, depth_m: float
+) -> NDArray[np.float64]:
     """Self-contradiction from half a depth before each viewpoint to half behind it, arcminutes (n,)."""
-    through = depth_m / -sightings.view_dir[:, 2]
-    front = mapping_error.moved_back(sightings, -0.5 * through).viewpoint
-    return mapping_error.self_inconsistency_arcmin(model, front, sightings.pixel, through)
+    through = depth_m / -observations.view_dir[:, 2]
+    front = mapping_error.moved_back(observations, -0.5 * through).viewpoint
+    return mapping_error.self_inconsistency_arcmin(model, front, observations.pixel, through)
 
 
 @dataclass(frozen=True)
@@ -273,7 +275,7 @@ class SeeThroughTrial(Trial):
             model, _ = fit_see_through(captures, self.kind, self.degree)
         except BadInputError as fault:
             return self.refusal(fault)
-        error = mapping_error.see_through_error(model, see_through_sightings(self.at, seed))
+        error = mapping_error.see_through_error(model, see_through_observations(self.at, seed))
         return Outcome(
             {
                 Measure.REAL_POINT: summary(error.backward_arcmin),
@@ -291,8 +293,8 @@ class NoModelTrial:
 
     def run(self, seed: int) -> Outcome:
         """Angle between the straight line to a real point and the direction in which it is seen."""
-        sightings = see_through_sightings(self.at, seed)
-        return Outcome({Measure.REAL_POINT: summary(mapping_error.straight_error(sightings))})
+        observations = see_through_observations(self.at, seed)
+        return Outcome({Measure.REAL_POINT: summary(mapping_error.straight_error(observations))})
 
 
 AnyTrial = DisplayTrial | SeeThroughTrial | NoModelTrial
