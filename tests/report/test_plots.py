@@ -3,7 +3,7 @@ import pytest
 from browser import needs_browser, open_page
 
 from wlr_render.report.blocks import Report
-from wlr_render.report.plots import MAX_CELLS, block_maxima, curves, heat_map
+from wlr_render.report.plots import MAX_CELLS, arrow_map, bars, block_maxima, curves, heat_map
 from wlr_render.report.save import save_report
 
 
@@ -48,3 +48,34 @@ def test_plots_open_in_a_browser(tmp_path):
     surface = heat_map("Map", np.array([[0.1, np.nan], [2.0, np.inf]]), "arcmin", log=True, limits=(0.1, 10))
     page = open_page(save_report(Report("Plots", blocks=[line, surface]), tmp_path, "report").files[0], tmp_path)
     assert (page.console, page.plots) == ([], 2)
+
+
+def test_arrow_maps_have_one_scale_for_all_groups_and_a_reference_arrow():
+    place = np.array([[0.0, 0.0], [100.0, 50.0], [20.0, 10.0]])
+    small, large = np.array([[0.0, 1.0], [0.0, 1.0], [np.nan, 0.0]]), np.array([[4.0, 0.0], [0.0, 4.0], [0.0, 0.0]])
+    plot = arrow_map(
+        "Residual", {"a": (place, small), "b": (place, large)}, "arcmin", ("u (px)", "v (px)"), y_down=True
+    )
+    shaft_a, tip_a, shaft_b, tip_b, reference = plot.data
+    assert [trace.get("visible", True) for trace in plot.data] == [True, True, False, False, True]
+    length = np.ptp(reference["x"]) / float(reference["text"][1].split()[0])  # axis units per arcminute
+    assert len(tip_a["x"]) == 2  # without the arrow that is not known
+    # Up is towards smaller v; a group's own arrows are drawn in the common scale.
+    np.testing.assert_allclose(tip_a["y"], [0.0 - length, 50.0 - length], rtol=1e-2)
+    np.testing.assert_allclose(tip_b["x"], [4 * length, 100.0, 20.0], rtol=1e-2)
+    np.testing.assert_allclose(shaft_b["x"][:2], [0.0, 4 * length], rtol=1e-2)
+    assert np.isnan(shaft_a["x"][2])
+    shown = [button["args"][0]["visible"] for button in plot.layout["updatemenus"][0]["buttons"]]
+    assert shown == [[True, True, False, False, True], [False, False, True, True, True]]
+
+
+@needs_browser
+def test_bars_and_arrow_maps_are_drawn(tmp_path):
+    place = np.random.default_rng(1).uniform(0, 100, (30, 2))
+    arrows = {name: (place, np.ones((30, 2))) for name in "ab"}
+    plots = [bars("Sigma", ["one", "two"], {"x": [1.0, np.nan], "y": [2.0, 3.0]}, "mm")]
+    plots.append(arrow_map("Residual", arrows, "px", ("u", "v")))
+    save_report(Report("Plots", blocks=plots), tmp_path, "report")
+    page = open_page(tmp_path / "report.html", tmp_path)
+    assert page.console == []
+    assert page.plots == 2

@@ -30,7 +30,7 @@ from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, 
 from wlr_render.jobs.targets import Code
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Text
 from wlr_render.report.save import save_report
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
         verdict=f"{np.mean(decoded.accepted):.1%} of the camera's pixels show a panel position.",
         warnings=[f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else (),
         blocks=blocks,
-        inputs=codes.photographs,
+        inputs=[options.folder],
         files=[arrays, *(picture.path for picture in pictures)],
         record=options,
     )
@@ -134,11 +134,11 @@ def _photographs(options: DecodeVerbOptions) -> CodePhotographs:
     )
 
 
-def _opencv_comparison(codes: CodePhotographs, decoded: Decoded, survey: PlaneSurvey) -> ReportTable:
+def _opencv_comparison(codes: CodePhotographs, decoded: Decoded, survey: PlaneSurvey) -> Block:
     if not isinstance(codes.pattern, GrayCode) or read_photograph(codes.photographs[0]).dtype != np.uint8:
-        return _no_opencv_table("OpenCV decodes plain Gray code in photographs of 8 bits only.")
+        return Text("Not compared with OpenCV's decoder: it decodes plain Gray code in photographs of 8 bits only.")
     if not has_opencv_decoder():
-        return _no_opencv_table(MISSING)
+        return Text(MISSING)
     height, width = decoded.rejection.shape
     place = np.random.default_rng(0).choice(height * width, min(_COMPARED, height * width), replace=False)
     pixel = np.stack([place % width, place // width], axis=-1)
@@ -162,11 +162,11 @@ def _lens_names(lenses: Lenses) -> str:
 
 
 def _rejection_table(decoded: Decoded) -> ReportTable:
-    """How many camera pixels have which fate."""
+    """Number of camera pixels by the result of decoding."""
     rows: list[list[Cell]] = [
         [reason.sentence, count, 100.0 * count / decoded.rejection.size] for reason, count in decoded.counts().items()
     ]
-    return ReportTable("Camera pixels", ("fate", "pixels", "share (%)"), rows)
+    return ReportTable("Camera pixels", ("result", "pixels", "share (%)"), rows)
 
 
 def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
@@ -184,7 +184,7 @@ def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
 
 
 def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
-    """What homographies of the flat surfaces leave, with the distortions taken away that the keys of `surveys` name."""
+    """Residuals of homographies of flat surfaces, with the distortions corrected that the keys of `surveys` name."""
     rows: list[list[Cell]] = [
         [
             number + 1,
@@ -203,7 +203,7 @@ def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
     columns = (
         "surface",
         "of accepted (%)",
-        "distortion taken away",
+        "distortion corrected",
         "rms per axis (px)",
         "median (px)",
         "95 % (px)",
@@ -212,7 +212,7 @@ def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
     )
     notes = (
         f"Panel pixels between decoded and predicted; members of a surface lie within {TOLERANCE_PX} px of it.",
-        "Smooth part: rms per axis of means over 16 x 16 camera pixels, which lenses and bent surfaces leave; scatter: "
+        "Smooth part: rms per axis of means over 16 x 16 camera pixels, the effect of lenses and bent surfaces; scatter: "
         "about these means. Whole panel pixels would scatter by 0.29 px.",
     )
     return ReportTable("Homographies of flat surfaces", columns, rows, notes)
@@ -252,12 +252,7 @@ def _opencv_table(
         f"{len(place)} camera pixels by chance; on a surface: within {_ON_SURFACE_PX} px of a homography's prediction. "
         "OpenCV's positions are whole panel pixels."
     )
-    return ReportTable("Beside OpenCV's decoder", columns, rows, (note,))
-
-
-def _no_opencv_table(reason: str) -> ReportTable:
-    """In place of the comparison, why there is none."""
-    return ReportTable("Beside OpenCV's decoder", ("camera pixels",), (), (reason,))
+    return ReportTable("Comparison with OpenCV's decoder", columns, rows, (note,))
 
 
 def _draw_positions(path: Path, decoded: Decoded) -> Path:
@@ -270,7 +265,7 @@ def _draw_positions(path: Path, decoded: Decoded) -> Path:
 
 
 def _draw_rejections(path: Path, decoded: Decoded) -> Path:
-    """The fate of each camera pixel."""
+    """The result of decoding for each camera pixel."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 

@@ -131,7 +131,7 @@ def _tables(judged: Sequence[Judged], models: str) -> tuple[ReportTable, ReportT
     )
     return (
         ReportTable(f"Misalignment from photographs, {models}", ("method", *_COLUMNS), overall, notes),
-        ReportTable("By target distance and viewpoint", (*head, "method", *_COLUMNS, "complaint"), each),
+        ReportTable("By target distance and viewpoint", (*head, "method", *_COLUMNS, "error"), each),
     )
 
 
