@@ -19,11 +19,11 @@ from wlr_render.jobs.options import (
     Backend,
     Eyes,
     Options,
-    PixelSize,
     ProgressArgument,
     Range,
     Seed,
     described,
+    described_size,
     eyes_of,
 )
 from wlr_render.mappings import EyeMappings
@@ -50,7 +50,11 @@ class SoakOptions(Options):
     eye: Annotated[Eyes, described("Eyes to draw.")] = "right"
     frames: Annotated[int, described("Number of frames; the first one warms up."), Range(at_least=2)] = 1000
     frames_per_second: Annotated[float, described("Frames per second.", name="--fps"), Range(above=0)] = 90.0
-    size: Annotated[PixelSize, described("Width and height of each eye's image (default: the panel's).")] = None
+    size: Annotated[
+        tuple[int, int] | None,
+        described_size("Width and height of each eye's image (default: the panel's).", optional=True),
+        Range(at_least=1),
+    ] = None
     late_ms: Annotated[
         float,
         described("Late-warp latency: compose for a head pose this many ms newer than the rendered one."),

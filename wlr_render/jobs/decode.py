@@ -52,7 +52,10 @@ class DecodeVerbOptions(Options):
     folder: Annotated[Path, described("Folder of photographs, one for each picture shown, in the order of showing.")]
     _: KW_ONLY
     panel: Annotated[
-        tuple[int, int] | None, described_size("Pixels of the panel or projector, e.g. 1920x1080.", optional=True), _OWN
+        tuple[int, int] | None,
+        described_size("Pixels of the panel or projector, e.g. 1920x1080.", optional=True),
+        _OWN,
+        Range(at_least=1),
     ] = None
     pattern: Annotated[Code, described("Code that was shown."), _OWN] = "gray-fringes"
     bits: Annotated[int, described("Bits of the camera."), Range(8, 16), _OWN] = 8
@@ -212,7 +215,7 @@ def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
     )
     notes = (
         f"Panel pixels between decoded and predicted; members of a surface lie within {TOLERANCE_PX} px of it.",
-        "Smooth part: rms per axis of means over 16 x 16 camera pixels, the effect of lenses and bent surfaces; scatter: "
+        "Smooth part: rms per axis of means over 16 x 16 camera pixels, from lenses and bent surfaces; scatter: "
         "about these means. Whole panel pixels would scatter by 0.29 px.",
     )
     return ReportTable("Homographies of flat surfaces", columns, rows, notes)

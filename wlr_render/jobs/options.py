@@ -171,19 +171,6 @@ BoxSize = Annotated[
     Range(above=0),
 ]
 """Edge lengths of an eye box in millimetres; None for the device's own eye box."""
-PixelSize = Annotated[
-    tuple[int, int] | None,
-    Parameter(converter=_pixel_size, n_tokens=1, accepts_keys=False, metavar="WxH"),
-    Range(at_least=1),
-]
-"""Width and height of an image; None for a default that the option's help states."""
-
-
-def _pixel_size(_: object, tokens: Sequence[Token]) -> tuple[int, int]:
-    width, _, height = tokens[0].value.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise BadInputError(f"'{tokens[0].value}' is no size; give width and height in pixels, e.g. 1920x1080.")
-    return int(width), int(height)
 
 
 def described_size(text: str, *, optional: bool = False) -> Parameter:

@@ -23,7 +23,10 @@ class SimulateOptions(Options):
     eye: Annotated[Eye, described("Eye to photograph: a session is of one eye.")] = "right"
     viewpoints: Annotated[int, described("Number of camera positions."), Range(at_least=1)] = 25
     pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
-    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera.")] = (1280, 1024)
+    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), Range(at_least=1)] = (
+        1280,
+        1024,
+    )
     bits: Annotated[Literal[8, 10, 12], described("Bits of the eyeball camera.")] = 8
     pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm."), Range(at_least=0)] = 0.5
     focus_m: Annotated[float, described("Distance at which it is focused, in m."), Range(at_least=0)] = 1.0

@@ -49,7 +49,7 @@ class PatternOptions(Options):
     """Options of `pattern`."""
 
     _: KW_ONLY
-    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080.")]
+    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), Range(at_least=1)]
     pattern: Annotated[Code, described("Code to show.")] = "gray-fringes"
     out: Annotated[Path, described("Output folder.")] = Path("out/pattern")
 
