@@ -1,1 +1,1 @@
-"""Errors in arcminutes: mapping against mapping, image against truth."""
+"""Errors in arcminutes: mapping against mapping, image against exact optics."""

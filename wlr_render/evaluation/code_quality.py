@@ -1,7 +1,7 @@
-"""How well decoded panel positions agree with flat surfaces: a plane maps camera to panel pixels by a homography.
+"""Deviation of decoded panel positions from flat surfaces: a plane maps camera to panel pixels by a homography.
 
-What a homography leaves is the error of decoding, of both lenses, and of the surface's flatness. Whole codes without
-sub-pixel refinement leave 1 / sqrt(12) = 0.29 panel pixels per axis at the least, if errors are uniform.
+The residual of a homography is the error of decoding, of both lenses, and of the surface's flatness. Codes without
+sub-pixel refinement have at least 1 / sqrt(12) = 0.29 panel pixels per axis, if errors are uniform.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ PixelArray = NDArray[np.floating[Any]]
 TOLERANCE_PX = 0.75
 """Panel pixels from a plane's homography within which a camera pixel belongs to the plane."""
 
-_FEWEST_SHARE = 0.02  # of accepted pixels, for a plane
+_FEWEST_SHARE = 0.02  # smallest share of the accepted pixels that makes a plane
 _MOST_PLANES = 8
 _SAMPLE = 20_000  # rows that a homography is fitted to
 _ROUNDS = 5  # of fitting and choosing members again
@@ -32,7 +32,7 @@ _FEWEST_IN_CELL = _CELL_PX**2 // 4
 
 @dataclass(frozen=True)
 class Lenses:
-    """Lenses whose distortion is taken away before a homography is asked for; None leaves pixels as they are."""
+    """Lenses, to undistort pixels before a homography is fitted; None leaves pixels unchanged."""
 
     camera: LensCamera | None = None
     projector: LensCamera | None = None
@@ -47,10 +47,10 @@ class PlaneFit:
 
     Attributes:
         homography: (3, 3) from undistorted camera pixels to undistorted panel pixels.
-        share: of the accepted pixels that belong to it.
-        residual: of the distance between decoded and predicted position, panel pixels.
+        share: of the accepted pixels that belong to the plane.
+        residual: summary of the distances between decoded and predicted positions, panel pixels.
         rms_per_axis: of the residual, panel pixels.
-        smooth_per_axis: rms of the mean residual of cells of 16 x 16 camera pixels: lenses, and what is not flat.
+        smooth_per_axis: rms of the mean residual of cells of 16 x 16 camera pixels: lens errors and surface shape.
         scatter_per_axis: rms about those means: the decoder's noise.
     """
 
@@ -64,7 +64,7 @@ class PlaneFit:
 
 @dataclass(frozen=True, eq=False)
 class PlaneSurvey:
-    """Flat surfaces in a decoded picture, in the order in which they were found.
+    """Flat surfaces found in a decoded picture, in the order of detection.
 
     Attributes:
         planes: one fit each.
@@ -78,7 +78,7 @@ class PlaneSurvey:
 
 
 def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8]:
-    """Label (h, w) the accepted pixels by flat surfaces, found one after the other by RANSAC; -1 where none fits."""
+    """Label the accepted pixels (h, w) by flat surfaces, found in turn by RANSAC; -1 where none fits."""
     seen, shown = _undistorted(decoded, lenses)
     label = np.full(len(seen), -1, dtype=np.int8)
     for number in range(_MOST_PLANES):
@@ -95,7 +95,7 @@ def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8
 
 
 def fit_planes(decoded: Decoded, label: NDArray[np.int8], lenses: Lenses = NO_LENSES) -> PlaneSurvey:
-    """Fit a homography to each of the labelled surfaces (h, w) by least squares, whatever it leaves."""
+    """Fit a homography to each of the labelled surfaces (h, w) by least squares."""
     seen, shown = _undistorted(decoded, lenses)
     own = label[decoded.accepted]
     residual = np.full((*label.shape, 2), np.nan, dtype=np.float32)
@@ -122,14 +122,14 @@ def _judged(homography: FloatArray, share: float, residual: NDArray[np.float32])
 def distance_to_planes(
     planes: Sequence[PlaneFit], camera_pixel: PixelArray, panel_pixel: PixelArray, lenses: Lenses = NO_LENSES
 ) -> FloatArray:
-    """Panel pixels (n,) between shown positions (n, 2) and what the nearest of the planes predicts there."""
+    """Distances (n,) in panel pixels of decoded positions (n, 2) from the prediction of the nearest plane."""
     seen, shown = _straightened(lenses.camera, camera_pixel), _straightened(lenses.projector, panel_pixel)
     distances = [np.linalg.norm(shown - _mapped(plane.homography, seen), axis=1) for plane in planes]
     return np.asarray(np.min(distances, axis=0, initial=np.inf))
 
 
 def _undistorted(decoded: Decoded, lenses: Lenses) -> tuple[FloatArray, FloatArray]:
-    """Camera and panel pixels (n, 2) of the accepted pixels as lenses without distortion would show them."""
+    """Undistorted camera and panel pixels (n, 2) of the accepted pixels."""
     row, column = np.nonzero(decoded.accepted)
     seen = np.stack([column, row], axis=-1) + 0.5
     return _straightened(lenses.camera, seen), _straightened(lenses.projector, decoded.pixel[decoded.accepted])
@@ -146,7 +146,7 @@ def _straightened(lens: LensCamera | None, pixel: PixelArray) -> FloatArray:
 
 
 def _members(seen: FloatArray, shown: FloatArray, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The free rows (n,) that belong to the homography which most of them agree on."""
+    """Mask (n,) of the free rows that agree with the homography of the largest consensus."""
     rows = _thinned(np.flatnonzero(free))
     homography, _ = cv2.findHomography(seen[rows][:, None], shown[rows][:, None], cv2.RANSAC, TOLERANCE_PX)
     members = free
@@ -160,13 +160,13 @@ def _members(seen: FloatArray, shown: FloatArray, free: NDArray[np.bool_]) -> ND
 
 
 def _homography(seen: FloatArray, shown: FloatArray) -> FloatArray:
-    """(3, 3) by least squares on the distance in the panel."""
+    """Homography (3, 3) by least squares on the distance in the panel."""
     rows = _thinned(np.arange(len(seen)))
     return np.asarray(cv2.findHomography(seen[rows][:, None], shown[rows][:, None])[0])
 
 
 def _thinned(rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """At most `_SAMPLE` of them, by chance but always the same."""
+    """A random but reproducible subset of at most `_SAMPLE` rows."""
     return np.random.default_rng(0).choice(rows, _SAMPLE, replace=False) if len(rows) > _SAMPLE else rows
 
 
@@ -175,7 +175,7 @@ def _mapped(homography: FloatArray, pixel: FloatArray) -> FloatArray:
 
 
 def _smooth_and_scatter(residual: NDArray[np.float32]) -> tuple[float, float]:
-    """Rms per axis of the cells' means of a picture (h, w, 2), and of what it holds about them.
+    """Rms per axis of the cell means of a picture (h, w, 2), and of the deviations from them.
 
     Cells that are mostly NaN do not count; NaN if none counts.
     """

@@ -1,4 +1,4 @@
-"""The figures that characterise one eye of a headset, from its mappings alone, traced or fitted."""
+"""Optical figures of one eye of a headset, computed from its mappings, traced or fitted."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ _SEARCH_DEG = np.arange(-85.0, 85.0, 0.05)
 
 @dataclass(frozen=True)
 class Spread:
-    """Summary of angles in arcminutes; NaN where nothing was seen."""
+    """Summary of angles in arcminutes; NaN if none is finite."""
 
     mean: float
     rms: float
@@ -47,20 +47,20 @@ class Extent:
 
 @dataclass(frozen=True)
 class DeviceFigures:
-    """The figures of one eye.
+    """Optical figures of one eye.
 
-    All but the extent are taken over the nominal field, or the whole panel where none is stated, and at the nominal
-    viewpoint unless they speak of the box.
+    All but the extent are over the nominal field, or the whole panel if none is stated, and at the nominal
+    viewpoint unless they mention the box.
 
     Attributes:
         extent: of the display.
         panel_share: share of the judged directions that meet the panel.
-        pixel_arcmin: side of the square that covers as much solid angle as an average pixel.
+        pixel_arcmin: side of a square with the mean solid angle of a pixel.
         swim: change of a pixel's direction when the viewpoint moves 1 mm, half to either side, along x, y and z.
-        ignoring_viewpoint: how wrong a pixel's direction at the nominal viewpoint is for viewpoints all over the box.
-        deviation_far: angle between the direction in which a point at infinity is seen and the one in which it lies.
+        ignoring_viewpoint: error of a pixel's direction at the nominal viewpoint, for viewpoints all over the box.
+        deviation_far: angle between the apparent and the true direction of a point at infinity.
         deviation_near: the same for points 0.3 m away.
-        deviation_change: how much `deviation_far` turns over the eye box with its corners, for the same view direction.
+        deviation_change: change of `deviation_far` over the eye box with its corners, for the same view direction.
         colour: angle between the blue and the red real ray of the same view direction.
     """
 
@@ -85,7 +85,7 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
     """Compute all figures.
 
     Args:
-        mappings: the eye in the colour that most figures are stated for.
+        mappings: the eye in the colour of most figures.
         blue, red: the same eye at the two ends of the spectrum (Fraunhofer's F and C lines, 486.1 and 656.3 nm).
     """
     display, see_through, box = mappings.display, mappings.see_through, mappings.eye_box
@@ -138,7 +138,7 @@ def figures_table(mappings: EyeMappings, figures: DeviceFigures) -> ReportTable:
 
 
 def _judged_pixels(mappings: EyeMappings) -> FloatArray:
-    """Pixels (n, 2) that fill the nominal field evenly in tangents, or the whole panel evenly where there is none."""
+    """Pixels (n, 2) spaced evenly in tangents over the nominal field, or evenly over the panel if there is none."""
     display = mappings.display
     if mappings.field is None:
         return display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)

@@ -1,8 +1,8 @@
-"""What an intermediate image cannot show, however fine it is: found with the scene itself, by rays.
+"""Disoccluded pixels of an intermediate image, found by tracing rays in the scene.
 
-The intermediate image is drawn by a camera at one place, the world is seen along bent rays that pass beside it. A point
-that a bent ray meets and that something hides from the camera is disoccluded: the warp has nothing right to show. The
-paper notes this error; here it is measured.
+The intermediate image is drawn from one position; the eye sees the world along rays that do not pass through that
+position. A point that such a ray hits and that is hidden from the camera is disoccluded: the intermediate image has no
+data for it. The paper notes this error; here it is measured.
 """
 
 import numpy as np
@@ -22,14 +22,14 @@ def disoccluded(
     world_from_device: NDArray[np.float64],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
-    """Which pixels' rays meet what the camera cannot see; for rays that meet nothing, whether it sees the same nothing.
+    """Mask of pixels whose hit points are hidden from the camera; without a hit, whether it sees an object there.
 
     Args:
         tracer: of the scene.
-        camera_in_world: (3,) where the intermediate image was drawn from.
+        camera_in_world: (3,) camera position of the intermediate image.
         field: world rays of a display's pixels.
         world_from_device: (4, 4) head pose.
-        position: (height, width, 3) world points that the rays meet, NaN where nothing.
+        position: (height, width, 3) world hit points of the rays, NaN without a hit.
 
     Returns:
         (height, width).
@@ -44,7 +44,7 @@ def hidden_from(
     direction: NDArray[np.floating],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
-    """As `disoccluded`, of any rays: their world directions (..., 3), and the world points (..., 3) that they meet."""
+    """As `disoccluded`, for any rays: their world directions (..., 3) and hit points (..., 3)."""
     met = np.isfinite(position[..., 0])
     towards = np.array(direction)
     towards[met] = position[met] - camera_in_world

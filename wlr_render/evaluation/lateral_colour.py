@@ -1,4 +1,4 @@
-"""How far apart an eye sees the colours of one headset: what one map for all colours would get wrong."""
+"""Lateral colour of a headset: the error of using one map for all colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
 DEPTH_M = 2.0
-"""At which the world is looked at: about where headsets put their virtual image."""
+"""Distance of the real points: about that of virtual images in headsets."""
 _COLUMNS, _ROWS = 41, 31
 
 
 @dataclass(frozen=True, eq=False)
 class LateralColour:
-    """Angles between one colour and green, (n,) arcminutes, NaN where either is not seen.
+    """Angles between one colour and green, (n,) arcminutes; NaN where either is not visible.
 
     Attributes:
-        display: between the directions in which a pixel is seen.
-        see_through: between the directions in which a real point is seen.
-        world_ray: between the places at `DEPTH_M` that a pixel's rays lead to, as seen from the viewpoint: what one map
-            for both colours would get wrong in the picture.
+        display: between the directions of a pixel.
+        see_through: between the directions of a real point.
+        world_ray: angle at the viewpoint between the points at `DEPTH_M` on a pixel's rays: the image error of one map
+            for both colours.
     """
 
     display: FloatArray
@@ -33,7 +33,7 @@ class LateralColour:
 def lateral_colour(green: EyeMappings, other: EyeMappings, viewpoint: FloatArray, pixel: FloatArray) -> LateralColour:
     """Compare one colour with green at pixels (n, 2) from a viewpoint (3,).
 
-    The real points are those at `DEPTH_M` that the pixels' green rays lead to.
+    The real points are at `DEPTH_M` on the green rays of the pixels.
     """
     seen = [colour.display.view_dir_of_pixel(pixel, viewpoint).value for colour in (green, other)]
     points = [_met(colour, view_dir, viewpoint) for colour, view_dir in zip((green, other), seen, strict=True)]
@@ -43,13 +43,13 @@ def lateral_colour(green: EyeMappings, other: EyeMappings, viewpoint: FloatArray
 
 
 def _met(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Points (n, 3) at `DEPTH_M` before the viewpoint that are seen in directions (n, 3)."""
+    """Points (n, 3) at `DEPTH_M` in front of the viewpoint, visible in directions (n, 3)."""
     real = mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value
     return rays.split(rays.at_z(real, viewpoint[2] - DEPTH_M))[0]
 
 
 def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
-    """For headsets in red, green and blue: rms and largest angles over the field from the eye box's centre."""
+    """Table for headsets in red, green and blue: rms and largest angles over the field, from the eye box's centre."""
     rows: list[list[Cell]] = []
     for red, green, blue in headsets:
         pixel = _judged_pixels(green)
@@ -68,7 +68,7 @@ def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
 
 
 def _judged_pixels(mappings: EyeMappings) -> FloatArray:
-    """Pixels (n, 2) over the nominal field, or over the whole panel where there is none."""
+    """Pixels (n, 2) over the nominal field, or over the whole panel if there is none."""
     if mappings.field is None:
         return mappings.display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
     view_dir = mappings.field.directions(_COLUMNS, _ROWS)

@@ -1,8 +1,8 @@
-"""Mapping against mapping: how far a candidate's answers lie from true ones, in arcminutes and panel pixels.
+"""Errors of a mapping against exact optics, in arcminutes and panel pixels.
 
-True answers are asked once, as *observations*, and any number of candidates is judged by them: exact tracing costs far
-more than a fitted model. Observations with another `viewpoint` are experiments: `displaced` for errors of eye tracking,
-`moved_back` for viewpoints that see the same rays from farther away.
+Exact answers are computed once, as *observations*, and compared with any number of mappings, because exact tracing
+is far slower than a fitted model. Observations with another `viewpoint` are experiments: `displaced` for errors of eye
+tracking, `moved_back` for viewpoints on the same rays but farther away.
 """
 
 from dataclasses import dataclass, replace
@@ -17,12 +17,12 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True)
 class DisplayObservations:
-    """Panel pixels as truly seen.
+    """Exact view directions of panel pixels.
 
     Attributes:
         viewpoint: (n, 3) metres, device frame.
         pixel: (n, 2).
-        view_dir: (n, 3) in which the pixel is seen from the viewpoint.
+        view_dir: (n, 3) direction of the pixel from the viewpoint.
     """
 
     viewpoint: FloatArray
@@ -32,11 +32,11 @@ class DisplayObservations:
 
 @dataclass(frozen=True)
 class DisplayError:
-    """Errors of a display mapping, one per observation; NaN where it has no answer.
+    """Errors of a display mapping, one per observation; NaN where the mapping has no value.
 
     Attributes:
-        forward_arcmin: (n,) between the directions of the pixel.
-        backward_px: (n,) between the pixels of the true direction.
+        forward_arcmin: (n,) angle between the directions of the pixel.
+        backward_px: (n,) distance between the pixels of the exact direction.
     """
 
     forward_arcmin: FloatArray
@@ -45,12 +45,12 @@ class DisplayError:
 
 @dataclass(frozen=True)
 class SeeThroughObservations:
-    """Real points as truly seen.
+    """Exact view directions of real points.
 
     Attributes:
         viewpoint: (n, 3) metres, device frame.
-        view_dir: (n, 3) in which the point is seen from the viewpoint.
-        real_ray: (n, 6) on which the point lies.
+        view_dir: (n, 3) direction of the point from the viewpoint.
+        real_ray: (n, 6) world ray through the point.
         point: (n, 3).
     """
 
@@ -62,12 +62,12 @@ class SeeThroughObservations:
 
 @dataclass(frozen=True)
 class SeeThroughError:
-    """Errors of a see-through mapping, one per observation; NaN where it has no answer.
+    """Errors of a see-through mapping, one per observation; NaN where the mapping has no value.
 
     Attributes:
-        backward_arcmin: (n,) between the directions in which the point is seen.
-        forward_arcmin: (n,) between the real rays' directions.
-        forward_miss_m: (n,) distance by which the candidate's real ray misses the point.
+        backward_arcmin: (n,) angle between the view directions of the point.
+        forward_arcmin: (n,) angle between the directions of the world rays.
+        forward_miss_m: (n,) distance between the mapping's world ray and the point.
     """
 
     backward_arcmin: FloatArray
@@ -76,21 +76,21 @@ class SeeThroughError:
 
 
 def observations_of_pixels(truth: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray) -> DisplayObservations:
-    """Ask the truth where pixels (..., 2) are seen from viewpoints (..., 3); what it does not see is left out."""
+    """Observe pixels (..., 2) from viewpoints (..., 3) with exact optics; pixels that are not visible are omitted."""
     seen = truth.view_dir_of_pixel(pixel, viewpoint)
     kept = seen.usable
     return DisplayObservations(_rows(viewpoint, kept, 3), _rows(pixel, kept, 2), seen.value[kept])
 
 
 def observations_of_dirs(truth: DisplayMapping, viewpoint: FloatArray, view_dir: FloatArray) -> DisplayObservations:
-    """Ask the truth which pixels are seen in directions (..., 3) from viewpoints (..., 3); none seen, none kept."""
+    """Observe the pixels in directions (..., 3) from viewpoints (..., 3) with exact optics, where there are any."""
     shown = truth.pixel_of_view_dir(view_dir, viewpoint)
     kept = shown.usable
     return DisplayObservations(_rows(viewpoint, kept, 3), shown.value[kept], _rows(view_dir, kept, 3))
 
 
 def display_error(candidate: DisplayMapping, observations: DisplayObservations) -> DisplayError:
-    """Judge a display mapping by true observations, both ways."""
+    """Errors of a display mapping, forward and backward."""
     shown = candidate.view_dir_of_pixel(observations.pixel, observations.viewpoint)
     pixel = candidate.pixel_of_view_dir(observations.view_dir, observations.viewpoint)
     return DisplayError(
@@ -102,9 +102,9 @@ def display_error(candidate: DisplayMapping, observations: DisplayObservations) 
 def see_through_observations(
     truth: SeeThroughMapping, viewpoint: FloatArray, view_dir: FloatArray, depth_m: FloatArray
 ) -> SeeThroughObservations:
-    """Follow directions (..., 3) from viewpoints (..., 3) to points at `depth_m` (...) in front of the viewpoints.
+    """Observe real points in directions (..., 3) from viewpoints (..., 3), `depth_m` (...) in front of the viewpoints.
 
-    What the truth does not see is left out. Points must lie beyond the optics.
+    Directions without a world ray are omitted. Points must be behind the optics.
     """
     seen = truth.real_ray_of_view_dir(view_dir, viewpoint)
     kept = seen.usable
@@ -116,7 +116,7 @@ def see_through_observations(
 
 
 def see_through_error(candidate: SeeThroughMapping, observations: SeeThroughObservations) -> SeeThroughError:
-    """Judge a see-through mapping by true observations, both ways."""
+    """Errors of a see-through mapping, forward and backward."""
     seen = candidate.view_dir_of_real_point(observations.point, observations.viewpoint)
     ray = candidate.real_ray_of_view_dir(observations.view_dir, observations.viewpoint).value
     return SeeThroughError(
@@ -127,31 +127,31 @@ def see_through_error(candidate: SeeThroughMapping, observations: SeeThroughObse
 
 
 def straight_error(observations: SeeThroughObservations) -> FloatArray:
-    """(n,) arcminutes by which a world without optics differs: what an uncalibrated device is wrong by."""
+    """Errors (n,) in arcminutes of assuming straight see-through rays, as an uncalibrated device does."""
     straight = directions.normalised(observations.point - observations.viewpoint)
     return directions.arcmin_between(straight, observations.view_dir)
 
 
 def displaced(observations: DisplayObservations, offset: FloatArray) -> DisplayObservations:
-    """The same observations, asked at viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
+    """The same observations with viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
     return replace(observations, viewpoint=observations.viewpoint + offset)
 
 
 def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
-    """The same rays, seen from viewpoints farther back by one distance or (n,); the space before the optics is free."""
+    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
     return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
 
 
 def self_inconsistency_arcmin(
     candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
 ) -> FloatArray:
-    """How much a mapping contradicts itself along its own rays.
+    """Self-inconsistency of a mapping along its own rays.
 
-    The direction that it gives a pixel (..., 2) at a viewpoint (..., 3) is compared with the one that it gives
-    `distance_m` (...) farther back on that very ray, where the direction must be the same.
+    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
+    farther back on the same ray, where it must be the same.
 
     Returns:
-        (...) arcminutes, zero for any true display; NaN where it has no answer.
+        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
     """
     first = candidate.view_dir_of_pixel(pixel, viewpoint).value
     behind = viewpoint - np.asarray(distance_m)[..., None] * first

@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Summary:
-    """What is said of a set of errors; NaN entries are left out and counted.
+    """Summary of a set of errors; NaN entries are omitted and counted.
 
     Attributes:
-        rms, median, p95, maximum: in the errors' own unit; NaN if nothing is left.
-        count: how many errors went in.
-        missing: how many were NaN.
+        rms, median, p95, maximum: in the unit of the errors; NaN if there is no finite error.
+        count: number of finite errors.
+        missing: number of NaN entries.
     """
 
     rms: float

@@ -1,4 +1,4 @@
-"""How far a virtual point appears from the real one that it should lie on, as the eye sees both."""
+"""Misalignment between virtual and real points, as the eye sees them."""
 
 import numpy as np
 
@@ -8,19 +8,19 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 def misalignment_arcmin(truth: EyeMappings, viewpoint: FloatArray, pixel: FloatArray, point: FloatArray) -> FloatArray:
-    """Angle between where the eye sees a panel pixel and where it sees the real point that the pixel shows.
+    """Angle at the viewpoint between a panel pixel and the real point that the pixel shows.
 
-    Both directions come from `truth`: the pixel's by its display, the point's through its combiner. A picture drawn
-    with those very mappings has zero misalignment everywhere.
+    Both directions come from `truth`: the pixel's from its display mapping, the point's from its see-through mapping. A
+    picture drawn with those mappings has zero misalignment.
 
     Args:
         truth: the mappings that the eye looks through.
         viewpoint: (..., 3) device frame; one for all, or one each.
         pixel: (..., 2) panel pixels.
-        point: (..., 3) device frame, the real point that the picture has at that pixel; NaN where it shows nothing.
+        point: (..., 3) device frame, the real point that the picture shows at that pixel; NaN for background.
 
     Returns:
-        (...) arcminutes; NaN where the picture shows nothing or the eye sees one of the two not at all.
+        (...) arcminutes; NaN for background and where the eye cannot see one of the two.
     """
     shown = truth.display.view_dir_of_pixel(pixel, viewpoint)
     real = truth.see_through.view_dir_of_real_point(point, viewpoint)

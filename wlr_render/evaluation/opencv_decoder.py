@@ -1,4 +1,4 @@
-"""OpenCV's own Gray-code decoder (`cv2.structured_light`, in its contrib build only), to hold beside ours."""
+"""OpenCV's Gray-code decoder (`cv2.structured_light`, in its contrib build only), for comparison with ours."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ _WHITE_THRESHOLD = 5  # and of a bit over its inverse
 
 @dataclass(frozen=True, eq=False)
 class OpencvCodes:
-    """What OpenCV decodes.
+    """Codes that OpenCV decodes.
 
     Attributes:
         code: (n, 2) whole panel pixel (column, row).
-        accepted: (n,) whether OpenCV takes the camera pixel as lit and its bits as clear.
+        accepted: (n,) whether OpenCV accepts the camera pixel.
     """
 
     code: IntArray
@@ -42,7 +42,7 @@ def has_opencv_decoder() -> bool:
 def opencv_codes(photographs: Iterable[Photograph], panel: Panel, camera_pixel: IntArray) -> OpencvCodes:
     """Decode 8-bit photographs, white and black first, at camera pixels (n, 2) given as (column, row).
 
-    Only the values at these pixels are kept, as strips one pixel high, since the decoder wants all pictures at once.
+    Only the values at these pixels are kept, as strips one pixel high, because the decoder needs all pictures at once.
     """
     column, row = np.asarray(camera_pixel).T
     strips = [np.ascontiguousarray(photograph[row, column][None]) for photograph in photographs]

@@ -1,4 +1,4 @@
-"""How far drawn dots lie from the real ones that they should cover, from two photographs: display off, and on."""
+"""Misalignment of drawn dots and real dots, from two photographs: display off and display on."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class PairMisalignment:
-    """Dots that both photographs show.
+    """Misalignment of the dots found in both photographs.
 
     Attributes:
         index: (n, 2) column and row on the board.
-        real_px: (n, 2) where the real dot is seen, camera pixels.
-        virtual_px: (n, 2) where the virtual one is.
+        real_px: (n, 2) position of the real dot, camera pixels.
+        virtual_px: (n, 2) position of the virtual dot.
         arcmin: (n,) angle between the two, as seen from the camera.
         sigma_arcmin: (n,) standard deviation of that angle along any one axis, from the noise of both photographs.
     """
@@ -34,11 +34,11 @@ class PairMisalignment:
 
 
 def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera: LensCamera) -> PairMisalignment:
-    """Match the dots of both photographs by what they are on the board; dots seen in one only are left out.
+    """Match the dots of both photographs by their indices on the board; dots found in only one are omitted.
 
     Args:
         real: of the photograph with the display off.
-        virtual: with the display on, from the same place.
+        virtual: with the display on, from the same position.
         camera: that took both.
     """
     place = {tuple(dot): row for row, dot in enumerate(virtual.index.tolist())}

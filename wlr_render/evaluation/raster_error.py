@@ -1,6 +1,6 @@
-"""Where a warped frame puts things, against the ray-traced frame, per display pixel and from geometry.
+"""Registration error of a warped frame against the ray-traced frame, per display pixel, from geometry.
 
-What the warp cannot know is another matter: `disocclusion.py`.
+`disocclusion.py` finds the pixels for which the warp has no data.
 """
 
 from dataclasses import dataclass
@@ -52,16 +52,16 @@ def raster_error(
 def near_silhouettes(
     position: NDArray[np.floating], eye_in_world: NDArray[np.float64], reach_px: int
 ) -> NDArray[np.bool_]:
-    """Where a pixel lies within some pixels of an edge between surfaces that are at different distances.
+    """Mask of pixels near edges between surfaces at different distances.
 
     Args:
         position: (height, width, 3) world points that a frame shows, NaN where nothing.
-        eye_in_world: (3,) from where.
-        reach_px: how far, along rows and columns.
+        eye_in_world: (3,) the viewpoint.
+        reach_px: distance from the edge, along rows and columns.
 
     Returns:
-        (height, width). Neighbours belong to two surfaces if the inverses of their distances differ by more than
-        `EDGE_STEP` of the larger, nothing being at infinity.
+        (height, width). Neighbours belong to different surfaces if their inverse distances differ by more than
+        `EDGE_STEP` of the larger; background is at infinity.
     """
     distance = np.linalg.norm(np.asarray(position, np.float64) - eye_in_world, axis=-1)
     nearness = np.where(np.isfinite(distance), 1.0 / distance, 0.0).astype(np.float32)

@@ -1,1 +1,1 @@
-"""Head trajectories, gaze and the eye model: from sensors to a viewpoint and a pose."""
+"""Head trajectories, gaze and the eye model: viewpoints and head poses from sensor data."""

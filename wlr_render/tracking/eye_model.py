@@ -1,4 +1,4 @@
-"""Where the entrance pupil is, given where the eye looks."""
+"""Position of the entrance pupil for a gaze direction."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ relaxed eye)."""
 
 @dataclass(frozen=True, eq=False)
 class RotatingEye:
-    """An eye that turns about a fixed point and carries its entrance pupil in front of it.
+    """An eye that rotates about a fixed point, with its entrance pupil at a fixed distance in front of that point.
 
     Attributes:
         rotation_centre_in_device: (3,) metres.
@@ -28,9 +28,9 @@ class RotatingEye:
 
     @classmethod
     def looking_ahead_from(cls, viewpoint_in_device: FloatArray) -> "RotatingEye":
-        """The eye whose entrance pupil is at a viewpoint (3,) when it looks straight ahead, along -z."""
+        """Eye with its entrance pupil at a viewpoint (3,) when it looks straight ahead, along -z."""
         return cls(np.asarray(viewpoint_in_device, dtype=np.float64) + [0.0, 0.0, PUPIL_DISTANCE_M])
 
     def viewpoint_of_gaze(self, gaze_dir: FloatArray) -> FloatArray:
-        """Unit gaze directions (..., 3), device frame -> entrance pupils (..., 3), device frame, metres."""
+        """Entrance pupils (..., 3) of unit gaze directions (..., 3), device frame, metres."""
         return np.asarray(self.rotation_centre_in_device + self.pupil_distance_m * np.asarray(gaze_dir))

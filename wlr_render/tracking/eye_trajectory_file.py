@@ -1,4 +1,4 @@
-"""Eye trajectories in text files of our own format. Faults name the file and the line.
+"""Read and write eye trajectories in text files. Errors name the file and the line.
 
     # format: wlr-eye-trajectory 1
     # kind: viewpoint
@@ -27,7 +27,7 @@ EYE_FRAME = "openxr-device"
 
 
 def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
-    """Read the eye-trajectory format of the module's docstring.
+    """Read an eye trajectory.
 
     Raises:
         BadInputError: unreadable or empty file, a missing or unknown header, wrong column count, unknown eye, a value
@@ -78,7 +78,7 @@ class _Header:
         self.text("units", ("s m",))
 
     def text(self, key: str, choices: tuple[str, ...]) -> str:
-        """One of `choices`."""
+        """Value of a header key, one of `choices`."""
         value = self._values.get(key)
         if value not in choices:
             found = "is missing" if value is None else f"is '{value}'"
@@ -86,7 +86,7 @@ class _Header:
         return value
 
     def numbers(self, key: str, count: int) -> list[float]:
-        """`count` finite numbers."""
+        """Value of a header key: `count` finite numbers."""
         try:
             values = [float(item) for item in self._values.get(key, "").split()]
         except ValueError:
@@ -96,7 +96,7 @@ class _Header:
         return values
 
     def eye_model(self, eye: str) -> RotatingEye:
-        """The eye that the header describes."""
+        """Eye model that the header states."""
         centre = np.array(self.numbers(f"rotation_centre_{eye}_m", 3))
         has_distance = "pupil_distance_m" in self._values
         return RotatingEye(centre, self.numbers("pupil_distance_m", 1)[0] if has_distance else PUPIL_DISTANCE_M)
@@ -124,5 +124,5 @@ def write_eye_trajectory(path: str | Path, trajectory: EyeTrajectory) -> Path:
 
 
 def _xyz(track: EyeTrack) -> FloatArray:
-    """What the rows of a track hold, (n, 3)."""
+    """Numbers of a track's rows, (n, 3)."""
     return track.gaze_dir if isinstance(track, GazeTrack) else track.viewpoint_at(track.time_s)

@@ -1,11 +1,11 @@
-"""Head trajectories in text files: TUM and EuRoC are read, TUM is written. Faults name the file and the line.
+"""Read head trajectories in TUM or EuRoC text files, and write TUM. Errors name the file and the line.
 
 TUM has rows `time tx ty tz qx qy qz qw`, separated by blanks, in seconds. EuRoC ground truth has commas, integer
 nanoseconds, position, quaternion wxyz, and possibly nine columns of velocity and biases, which are ignored. A comma in
-the first row tells them apart.
+the first row identifies EuRoC.
 
-The pose must be that of our device frame (OpenXR: x right, y up, looking along -z) in the world of the scene. The pose
-of an OpenCV camera at the same place becomes ours by a half turn about x from the right:
+Poses must be those of the device frame (OpenXR: x right, y up, looking along -z) in the world of the scene. Convert
+the pose of an OpenCV camera at the same place by a half turn about x:
 `world_from_device = world_from_camera @ diag(1, -1, -1, 1)`.
 """
 
@@ -33,13 +33,13 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
 
 
 def _tum_row(row: Row) -> list[float]:
-    """time, position, quaternion xyzw."""
+    """Time, position and quaternion xyzw of a TUM row."""
     row.require_columns((8,), "TUM: time tx ty tz qx qy qz qw")
     return row.numbers(0, 4) + row.unit_vector(4, 4, "quaternion")
 
 
 def _euroc_row(row: Row) -> list[float]:
-    """The same from integer nanoseconds and a quaternion wxyz."""
+    """Time, position and quaternion xyzw of an EuRoC row."""
     row.require_columns((8, 17), "EuRoC: time[ns], p x y z, q w x y z, and possibly velocity and biases")
     row.number(0)
     try:
@@ -51,7 +51,7 @@ def _euroc_row(row: Row) -> list[float]:
 
 
 def write_head_trajectory_tum(path: str | Path, trajectory: HeadTrajectory) -> Path:
-    """Write poses as TUM text; what is read back is equal to the last bit but for the quaternions' normalisation."""
+    """Write poses as TUM text; they are read back exactly, except for the normalisation of the quaternions."""
     lines = ["# time_s tx_m ty_m tz_m qx qy qz qw; world_from_device, OpenXR axes (x right, y up, looking along -z)"]
     content = zip(trajectory.time_s, trajectory.position_in_world, trajectory.world_from_device_xyzw, strict=True)
     lines += [shortest([time, *position, *xyzw]) for time, position, xyzw in content]

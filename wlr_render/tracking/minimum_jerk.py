@@ -1,4 +1,4 @@
-"""The course of a movement from rest to rest."""
+"""Minimum-jerk movement from rest to rest."""
 
 from typing import TypeVar
 
@@ -8,8 +8,8 @@ Number = TypeVar("Number", float, FloatArray)
 
 
 def minimum_jerk(progress: Number) -> Number:
-    """Share of the time 0..1 -> share of the way 0..1, at rest and without acceleration at both ends.
+    """Fraction of the distance (0..1) at a fraction of the time (0..1); velocity and acceleration are zero at the ends.
 
-    Flash & Hogan (1985): the course with the least integral of the squared jerk.
+    Flash & Hogan (1985): it minimises the integral of the squared jerk.
     """
     return progress**3 * (10 - 15 * progress + 6 * progress * progress)

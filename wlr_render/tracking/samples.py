@@ -1,4 +1,4 @@
-"""Sampled time: which two samples a moment lies between."""
+"""Interpolation between samples in time."""
 
 from dataclasses import dataclass
 
@@ -11,32 +11,32 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Bracket:
-    """Moments between samples.
+    """Time stamps between samples.
 
     Attributes:
-        before: (...) index of the sample at or before each moment; the one after it is `before + 1`.
-        fraction: (...) how far each moment is from that sample to the next, 0..1.
+        before: (...) index of the sample at or before each time stamp; the next sample is `before + 1`.
+        fraction: (...) position of each time stamp between that sample and the next, 0..1.
     """
 
     before: NDArray[np.int64]
     fraction: FloatArray
 
     def pair(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Values (n, k) of the two samples around each moment, (..., k) each."""
+        """Values (..., k) of the samples before and after each time stamp, from values (n, k)."""
         return values[self.before], values[self.before + 1]
 
     def linear(self, values: FloatArray) -> FloatArray:
-        """Values (n, k) interpolated linearly, (..., k); exact at the samples."""
+        """Linearly interpolated values (..., k), from values (n, k); exact at the samples."""
         first, second = self.pair(values)
         weight = self.fraction[..., None]
         return np.asarray((1.0 - weight) * first + weight * second)
 
 
 def bracket(sample_time_s: FloatArray, time_s: ArrayLike, what: str) -> Bracket:
-    """Place moments (...) between ascending sample times (n,), n >= 2.
+    """Find the samples around time stamps (...), given ascending sample times (n,), n >= 2.
 
     Raises:
-        BadInputError: a moment outside the samples: a pose is never extrapolated.
+        BadInputError: a time stamp outside the samples: poses are never extrapolated.
     """
     moment = np.asarray(time_s, dtype=np.float64)
     first, last = sample_time_s[0], sample_time_s[-1]
@@ -51,7 +51,7 @@ def bracket(sample_time_s: FloatArray, time_s: ArrayLike, what: str) -> Bracket:
 
 
 def require_ascending(time_s: FloatArray, what: str) -> None:
-    """Refuse fewer than two samples and times that do not ascend strictly, naming the first fault."""
+    """Check that there are at least two samples and that their times ascend strictly."""
     if len(time_s) < 2:
         raise BadInputError(f"{what}: at least two samples are needed to interpolate, not {len(time_s)}.")
     late = np.flatnonzero(~(np.diff(time_s) > 0))

@@ -1,4 +1,4 @@
-"""A made-up wearer: smooth head motion and saccades, the same for the same seed. For demonstrations, not evidence."""
+"""Synthetic wearer: smooth head motion and saccades, reproducible by seed. For demonstrations, not as evidence."""
 
 import numpy as np
 from numpy.random import Generator
@@ -18,7 +18,7 @@ _GAZE_SPREAD_DEG = np.array([9.0, 6.0])
 
 
 def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> HeadTrajectory:
-    """A head swaying around the world's origin by a few centimetres and degrees, at most some 40 deg/s.
+    """Smooth head motion around the world's origin: a few centimetres and degrees, at most about 40 deg/s.
 
     Args:
         seed: of the random phases.
@@ -37,7 +37,7 @@ def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> H
 def eye_motion(
     viewpoints_in_device: dict[str, FloatArray], seed: int, duration_s: float = 10.0, rate_hz: float = 500.0
 ) -> EyeTrajectory:
-    """Fixations on random points between 0.4 m and 3 m ahead, joined by saccades.
+    """Fixations of random points 0.4 m to 3 m ahead, with saccades between them.
 
     A saccade of A degrees lasts 21 ms + 2.2 ms * A (Carpenter 1988) and follows a minimum-jerk course.
 
@@ -63,7 +63,7 @@ def _sample_times(duration_s: float, rate_hz: float) -> FloatArray:
 
 
 def _slow_waves(rng: Generator, time_s: FloatArray) -> FloatArray:
-    """Six sums of three slow sines, (n, 6), each within -1..1."""
+    """Six sums of three slow sine waves, (n, 6), each within -1..1."""
     phase = rng.uniform(0, 2 * np.pi, (6, _FREQUENCY_HZ.size))
     weight = rng.dirichlet(np.ones(_FREQUENCY_HZ.size), 6)
     angle = 2 * np.pi * _FREQUENCY_HZ * time_s[:, None, None] + phase
@@ -71,7 +71,7 @@ def _slow_waves(rng: Generator, time_s: FloatArray) -> FloatArray:
 
 
 def _fixated_point(rng: Generator, time_s: FloatArray) -> FloatArray:
-    """What both eyes look at, (n, 3) device frame: steps between random points, eased over a saccade's duration."""
+    """Point that both eyes fixate, (n, 3) device frame: steps between random points, smoothed over each saccade."""
     count = int(time_s[-1] / _FIXATION_S[0]) + 2
     onset_s = np.cumsum(rng.uniform(*_FIXATION_S, count))
     tangents = np.tan(np.deg2rad(np.clip(rng.normal(size=(count + 1, 2)), -2, 2) * _GAZE_SPREAD_DEG))

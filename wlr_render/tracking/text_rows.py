@@ -1,4 +1,4 @@
-"""Tables of numbers in text files, read so that every complaint can name its line."""
+"""Tables of numbers in text files, with line numbers for error messages."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -29,11 +29,11 @@ class Row:
     fields: tuple[str, ...]
 
     def fail(self, sentence: str) -> BadInputError:
-        """The exception for a fault in this line; the caller raises it."""
+        """Exception for an error in this line; the caller raises it."""
         return BadInputError(f"{self.path} line {self.line}: {sentence}")
 
     def require_columns(self, counts: tuple[int, ...], layout: str) -> None:
-        """Refuse a line with the wrong number of columns."""
+        """Check the number of columns."""
         if len(self.fields) not in counts:
             allowed = " or ".join(str(count) for count in counts)
             raise self.fail(f"{len(self.fields)} columns where {allowed} are expected ({layout}).")
@@ -54,7 +54,7 @@ class Row:
         return [self.number(column) for column in range(start, start + count)]
 
     def unit_vector(self, start: int, count: int, what: str) -> list[float]:
-        """`count` numbers of unit length but for rounding, normalised."""
+        """`count` numbers of unit length up to rounding, normalised."""
         values = self.numbers(start, count)
         length = math.hypot(*values)
         if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -110,7 +110,7 @@ def _split(text: str, comma_separated: bool) -> tuple[str, ...]:
 
 
 def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray) -> None:
-    """Refuse rows whose times (n,) do not ascend strictly; each row's first field is its time."""
+    """Check that the times (n,) ascend strictly; the first field of each row is its time."""
     late = np.flatnonzero(np.diff(time_s) <= 0)
     if late.size:
         row = rows[int(late[0]) + 1]
@@ -118,5 +118,5 @@ def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray) -> None:
 
 
 def shortest(values: Iterable[float]) -> str:
-    """Numbers separated by blanks, in the shortest decimals that read back to the same doubles."""
+    """Numbers separated by blanks, in the shortest decimals that are read back exactly."""
     return " ".join(repr(float(value)) for value in values)

@@ -1,4 +1,4 @@
-"""A viewpoint to draw for, and how it is known."""
+"""Viewpoint for a frame, with the state of eye tracking."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 
 class TrackingState(IntEnum):
-    """How the viewpoint of an update is known; ascending with the time since the last good sample."""
+    """State of eye tracking at an update, in the order of the time since the last good sample."""
 
     TRACKED = 0
     HELD = 1
@@ -31,11 +31,11 @@ _SENTENCES = {
 
 @dataclass(frozen=True, eq=False)
 class TrackedViewpoint:
-    """What to draw a frame for.
+    """Viewpoint for a frame, with its tracking state.
 
     Attributes:
         viewpoint: (3,) entrance pupil, device frame, metres; finite in every state.
-        state: how it is known.
+        state: of eye tracking.
     """
 
     viewpoint: FloatArray
@@ -44,7 +44,7 @@ class TrackedViewpoint:
 
 @dataclass(frozen=True)
 class StreamCounts:
-    """How often each state occurred in a stream.
+    """Number of updates in each state.
 
     Attributes:
         by_state: number of updates, for every state.
@@ -54,7 +54,7 @@ class StreamCounts:
 
     @property
     def total(self) -> int:
-        """All updates."""
+        """Number of all updates."""
         return sum(self.by_state.values())
 
     @property

@@ -1,4 +1,4 @@
-"""Head and eyes over time: sampled, and interpolated at any moment between the first and the last sample."""
+"""Sampled head and eye trajectories, interpolated between the first and the last sample."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ EYES = ("left", "right")
 
 @dataclass(frozen=True, eq=False)
 class HeadTrajectory:
-    """Poses of the headset in the world.
+    """Head trajectory: poses of the headset in the world.
 
     Attributes:
         time_s: (n,) ascending, n >= 2.
@@ -38,10 +38,10 @@ class HeadTrajectory:
         require_ascending(self.time_s, self.name)
 
     def at(self, time_s: ArrayLike) -> FloatArray:
-        """Moments (...) -> `world_from_device` (..., 4, 4): linear in position, slerp in rotation.
+        """Poses `world_from_device` (..., 4, 4) at times (...): linear in position, slerp in rotation.
 
         Raises:
-            BadInputError: a moment outside the trajectory.
+            BadInputError: a time outside the trajectory.
         """
         position = bracket(self.time_s, time_s, self.name).linear(self.position_in_world)
         rotation = self._rotation(np.ravel(np.asarray(time_s, dtype=np.float64))).as_matrix()
@@ -53,19 +53,19 @@ class HeadTrajectory:
 
 
 class EyeTrack(Protocol):
-    """One eye over time."""
+    """Trajectory of one eye."""
 
     @property
     def time_s(self) -> FloatArray:
         """(n,) ascending sample times."""
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
-        """Moments (...) -> entrance pupil (..., 3), device frame, metres."""
+        """Entrance pupils (..., 3) at times (...), device frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewpointTrack:
-    """An eye whose entrance pupil was tracked.
+    """Trajectory of one eye from tracked entrance pupils.
 
     Attributes:
         time_s: (n,) ascending, n >= 2.
@@ -81,13 +81,13 @@ class ViewpointTrack:
         require_ascending(self.time_s, self.name)
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
-        """Moments (...) -> entrance pupil (..., 3), device frame, linear between samples."""
+        """Entrance pupils (..., 3) at times (...), device frame, linear between samples."""
         return bracket(self.time_s, time_s, self.name).linear(self.viewpoint_in_device)
 
 
 @dataclass(frozen=True, eq=False)
 class GazeTrack:
-    """An eye whose gaze was tracked; its entrance pupil follows from the eye model.
+    """Trajectory of one eye from tracked gaze; the eye model gives the entrance pupil.
 
     Attributes:
         time_s: (n,) ascending, n >= 2.
@@ -105,12 +105,12 @@ class GazeTrack:
         require_ascending(self.time_s, self.name)
 
     def gaze_at(self, time_s: ArrayLike) -> FloatArray:
-        """Moments (...) -> unit gaze direction (..., 3), turning at a constant rate between samples."""
+        """Unit gaze directions (..., 3) at times (...), rotating at a constant rate between samples."""
         between = bracket(self.time_s, time_s, self.name)
         return _slerp_directions(*between.pair(self.gaze_dir), between.fraction)
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
-        """Moments (...) -> entrance pupil (..., 3), device frame."""
+        """Entrance pupils (..., 3) at times (...), device frame."""
         return self.eye_model.viewpoint_of_gaze(self.gaze_at(time_s))
 
 
@@ -127,7 +127,7 @@ def _slerp_directions(first: FloatArray, second: FloatArray, fraction: FloatArra
 
 @dataclass(frozen=True, eq=False)
 class EyeTrajectory:
-    """One or both eyes over time.
+    """Trajectories of one or both eyes.
 
     Attributes:
         tracks: by eye, "left" or "right".
@@ -138,10 +138,10 @@ class EyeTrajectory:
     name: str = "eye trajectory"
 
     def viewpoint_at(self, eye: str, time_s: ArrayLike) -> FloatArray:
-        """Moments (...) -> entrance pupil of one eye (..., 3), device frame, metres.
+        """Entrance pupils (..., 3) of one eye at times (...), device frame, metres.
 
         Raises:
-            BadInputError: an eye that was not tracked, or a moment outside its track.
+            BadInputError: an eye that was not tracked, or a time outside its track.
         """
         if eye not in self.tracks:
             raise BadInputError(f"{self.name}: there is no eye '{eye}' in it, only {', '.join(sorted(self.tracks))}.")

@@ -1,25 +1,25 @@
-"""An eye tracker's samples -> a viewpoint for every frame: one eye, sample by sample, causal.
+"""Causal filter from samples of an eye tracker to a viewpoint for every frame, for one eye.
 
-A good sample is used at once and as it is. The map follows every frame, so a saccade needs no smoothing, and a jump is
-no reason to doubt a sample: an eye reaches hundreds of degrees per second.
+A good sample is used unchanged and at once. The map follows every frame, so a saccade needs no smoothing, and a jump is
+not suspicious: an eye reaches hundreds of degrees per second.
 
-A sample that is missing, has too little confidence, or lies where no eye can be is not used:
+A sample that is missing, has low confidence, or has an impossible position is not used:
 
-- A short gap is a fault of the tracker, and the last sample is the best guess: it is held.
-- Before a blink the lid comes down over the pupil, and the centre of what is left of it moves down with the lid. The
+- A short gap is a fault of the tracker. The last sample is the best estimate and is held.
+- Before a blink the lid covers the pupil from above, and the centre of the visible part moves down with the lid. The
   lid passes the visual axis at 17-20 cm/s (Doane 1980), hence a pupil of 4 mm in some 25 ms, and it opens more slowly
   than it closes (Sforza et al. 2008). Blinks read from eyelids are about 60 ms longer than those read from pupils
   (Nyström et al. 2024), which is this time on both sides; the usual remedy is to drop 50 ms on each side (Kret &
   Sjak-Shie 2019). The last *trusted* viewpoint is therefore the median of a short time that ends 50 ms before the gap;
   the viewpoint moves there smoothly. It arrives 100 ms after the last good sample, when most blinks still cover the
   eye (they do for up to 300 ms: Stern, Walrath & Goldstein 1984).
-- After a blink the lid drags the first samples, too. They are drawn nevertheless: their fault is at most the pupil's
-  radius and gone within 50 ms, whereas large gaze shifts come with a blink (97 % of those beyond 33 deg: Evinger et al.
-  1994), so that waiting would show the old place, off by millimetres. But they are never trusted.
+- After a blink the lid also biases the first samples. They are used nevertheless: their error is at most the pupil's
+  radius and lasts less than 50 ms, whereas large gaze shifts come with a blink (97 % of those beyond 33 deg: Evinger et
+  al. 1994), so that waiting would show the old position, wrong by millimetres. But they are never trusted.
 
-A sensor that is frozen and repeats its last reading is not told apart from an eye at rest: it would be held, and the
-viewpoint drawn for would be the same. Whether a viewpoint lies in the box that a model was fitted for is not asked
-here; who draws must clamp or refuse.
+A frozen sensor that repeats its last reading is not distinguished from an eye at rest; holding would give the same
+viewpoint. The filter does not check whether a viewpoint lies in the box that a model was fitted on; the caller must
+clamp or refuse it.
 """
 
 import math
@@ -47,7 +47,7 @@ _Point = tuple[float, float, float]
 
 
 class ViewpointFilter:
-    """One eye's viewpoint, from one update to the next."""
+    """Viewpoint filter of one eye."""
 
     def __init__(
         self,
@@ -57,14 +57,14 @@ class ViewpointFilter:
         reach_m: float = 0.02,
         min_confidence: float = 0.5,
     ) -> None:
-        """Start with an eye that was never seen.
+        """Start without a sample.
 
         Args:
-            nominal_in_device: (3,) metres, where the entrance pupil should be; the viewpoint until a good sample comes.
-            hold_s: how long after the last good sample its viewpoint is held.
-            fade_s: how long the move to the last trusted viewpoint takes then.
+            nominal_in_device: (3,) metres, nominal entrance pupil; the viewpoint until the first good sample.
+            hold_s: time for which the last good sample is held.
+            fade_s: duration of the subsequent move to the last trusted viewpoint.
             reach_m: samples farther than this from the nominal viewpoint are implausible. A pupil 10.5 mm in front of
-                the eye's centre moves 9 mm when the eye turns by 50 deg; the rest is for headsets that sit askew.
+                the eye's centre moves 9 mm when the eye turns by 50 deg; the rest is for headsets that are not aligned.
             min_confidence: samples with less are not used.
 
         Raises:
@@ -90,20 +90,20 @@ class ViewpointFilter:
 
     @property
     def counts(self) -> StreamCounts:
-        """How many updates ended in which state so far."""
+        """Number of updates in each state so far."""
         return StreamCounts(dict(self._counts))
 
     def update(self, time_s: float, viewpoint_in_device: ArrayLike | None, confidence: float = 1.0) -> TrackedViewpoint:
-        """Take the sample of a moment, or the news that there is none, and say what to draw for.
+        """Process one sample, or a missing one, and return the viewpoint for the frame.
 
         Args:
             time_s: not before the last update's.
-            viewpoint_in_device: (3,) metres; None or not finite where the tracker has nothing.
-            confidence: the tracker's own, if it states one.
+            viewpoint_in_device: (3,) metres; None or not finite if the tracker has no sample.
+            confidence: the tracker's confidence, if it states one.
 
         Raises:
-            BadInputError: a time that is not finite or runs backwards, a sample that is not of three numbers; the
-                filter is left as it was.
+            BadInputError: a time that is not finite or decreases, or a sample that is not three numbers; the
+                filter is unchanged.
         """
         if not math.isfinite(time_s):
             raise BadInputError(f"time of an eye sample is {time_s}; give seconds on a clock that only moves forward.")
@@ -146,7 +146,7 @@ class ViewpointFilter:
 
 
 class _TrustedSamples:
-    """The good samples of the last moments, without those that a rising lid may have dragged."""
+    """The latest good samples, without those that a rising lid may have biased."""
 
     def __init__(self) -> None:
         self._recent: deque[tuple[float, _Point]] = deque()
@@ -154,18 +154,18 @@ class _TrustedSamples:
         self._answer: _Point | None = None
 
     def suspend_until(self, time_s: float) -> None:
-        """Trust no sample before this moment."""
+        """Trust no sample before this time."""
         self._suspended_until_s = time_s
 
     def add(self, time_s: float, sample: _Point) -> None:
-        """Take a good sample; forget those too old to be asked for."""
+        """Add a good sample, and drop samples that are too old to be needed."""
         if time_s >= self._suspended_until_s:
             self._recent.append((time_s, sample))
         while self._recent and self._recent[0][0] < time_s - LID_S - MEMORY_S:
             self._recent.popleft()
 
     def before_loss(self, loss_s: float) -> _Point | None:
-        """The median of each coordinate before the lid came down; without a sample there, the answer before."""
+        """Median of each coordinate before the lid closed; without samples there, the previous result."""
         samples = [sample for time_s, sample in self._recent if time_s <= loss_s - LID_S]
         if samples:
             x, y, z = (median(values) for values in zip(*samples, strict=True))
