@@ -11,7 +11,7 @@ from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
 from wlr_render.compositing.backend import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.eye_plan import EyeCamera
+from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray

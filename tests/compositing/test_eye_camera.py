@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.compositing.eye_plan import EyeCamera
+from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole

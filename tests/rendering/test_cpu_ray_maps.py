@@ -20,7 +20,7 @@ def test_one_pixel_each_is_the_exact_field(toy_headset_with_hole):
     viewpoint = toy_headset_with_hole.eye_box.at(np.array([0.4, -0.2, 0.9]))
     solve = CpuPixelSolver(toy_headset_with_hole, WarpGrid.of_pixels(panel), axes)
     exact = ray_map.solve_every_pixel(toy_headset_with_hole, viewpoint, axes)
-    field = solve.solve(viewpoint).read()
+    field = solve.solve(viewpoint)
     np.testing.assert_array_equal(field.slope_offset, exact.slope_offset)
     np.testing.assert_array_equal(field.status, exact.status)
 
@@ -37,12 +37,12 @@ def solve_nodes(eye, warp_grid):
 def test_a_warm_start_changes_nothing(prepare):
     eye = fitted_eye("northstar", 3)
     solve, viewpoint = prepare(eye, small_picture(eye)), eye.eye_box.at(np.array([0.4, -0.2, 0.9]))
-    cold = solve.solve(viewpoint).read()
+    cold = solve.solve(viewpoint)
     solve.solve(viewpoint + [1e-3, 0, 0])
-    warm = solve.solve(viewpoint).read()
+    warm = solve.solve(viewpoint)
     np.testing.assert_allclose(warm.slope_offset, cold.slope_offset, atol=1e-9)
     solve.forget()
-    np.testing.assert_array_equal(solve.solve(viewpoint).read().slope_offset, cold.slope_offset)
+    np.testing.assert_array_equal(solve.solve(viewpoint).slope_offset, cold.slope_offset)
 
 
 def test_a_pixel_whose_solve_fails_says_so(toy_headset):
@@ -53,7 +53,7 @@ def test_a_pixel_whose_solve_fails_says_so(toy_headset):
             return QueryResult(np.full((*pixel.shape[:-1], 3), np.nan), np.full(pixel.shape[:-1], 2, np.uint8))
 
     eye = dataclasses.replace(toy_headset, display=Unsolved())
-    field = CpuPixelSolver(eye, small_picture(eye), np.eye(3)).solve(eye.eye_box.centre).read()
+    field = CpuPixelSolver(eye, small_picture(eye), np.eye(3)).solve(eye.eye_box.centre)
     assert (field.status == Status.NOT_CONVERGED).all()
     assert np.isnan(field.slope_offset).all()
 
@@ -78,7 +78,7 @@ def test_nodes_are_asked_with_the_last_solution_and_give_the_field_of_their_plan
     eye = dataclasses.replace(toy_headset, display=Recorded())
     plan = ray_map.RayMapPlan.onto_grid(small_picture(eye), 7, np.eye(3))
     nodes, viewpoint = CpuNodeSolver(eye, plan), eye.eye_box.centre
-    first = nodes.solve(viewpoint).read()
+    first = nodes.solve(viewpoint)
     nodes.solve(viewpoint)
     nodes.forget()
     nodes.solve(viewpoint)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from glb_writer import save_glb
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering.mesh_file import load_meshes, save_glb
+from wlr_render.rendering.mesh_file import load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_positions
 from wlr_render.rendering.shapes import construction, objects
 from wlr_render.rendering.shapes.construction import turn

@@ -196,7 +196,7 @@ def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headse
     for channel, mappings in enumerate(colours):
         plan = choose_plan(mappings)
         alone = raster_backend.draw_warped(
-            view, [ray_map(mappings, viewpoint, plan)], painter._samples_per_axis, with_geometry=True
+            view, [ray_map(mappings, viewpoint, plan)], painter._plan.samples_per_axis, with_geometry=True
         )
         statuses.append(alone.image.status)
         # The camera frames of red and blue differ from green's by a degree, so that float32 rounds elsewhere.

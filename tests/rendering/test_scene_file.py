@@ -2,11 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from glb_writer import save_glb
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import shipped_names
 from wlr_render.geometry import transforms
-from wlr_render.rendering.mesh_file import save_glb
 from wlr_render.rendering.scene import Instance, LightSource, Scene, world_positions
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.shapes import construction

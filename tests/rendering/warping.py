@@ -4,7 +4,7 @@ import numpy as np
 
 from wlr_render.mappings import Panel
 from wlr_render.rendering.cpu_warp import warp_on_cpu
-from wlr_render.rendering.gl_ray_maps import GpuRayMap
+from wlr_render.rendering.gl_ray_maps import RayTexture
 from wlr_render.rendering.gl_warp import GlWarp
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.warp_grid import WarpGrid
@@ -24,12 +24,12 @@ def uploaded(context, image, camera):
 
 
 def uploaded_field(context, slope_offset, warp_grid=None):
-    """Rays (4, rows, columns) as a `GpuRayMap`; of each pixel of a display if no warp grid is given."""
+    """Rays (4, rows, columns) as a `RayTexture`; of each pixel of a display if no warp grid is given."""
     _, rows, columns = slope_offset.shape
     with context.drawing():
         texture = context.target((columns, rows), 4, "f4")
         texture.write(np.ascontiguousarray(np.moveaxis(slope_offset, 0, -1), np.float32))
-    return GpuRayMap(context, np.zeros(3), np.eye(3), warp_grid or WarpGrid.of_pixels(Panel(columns, rows)), texture)
+    return RayTexture(warp_grid or WarpGrid.of_pixels(Panel(columns, rows)), texture)
 
 
 def warped(backend, request, image, camera, slope_offsets, image_from_ray_map=None, **options):

@@ -2,7 +2,7 @@
 
 from wlr_render.compositing.backend import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.eye_plan import EyeCamera
+from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.rendering.stored_picture import DepthKind, Rows, StoredDepth
 
 __all__ = ["ComposedFrame", "Compositor", "DepthKind", "EyeCamera", "Rows", "StoredDepth"]

@@ -8,11 +8,11 @@ from typing import Any, Generic, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.mappings import require_planar
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.cpu_ray_maps import RayMapSolver, SolvedT
+from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_map import RayMap
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.warp import WarpedImage
@@ -103,7 +103,7 @@ class CachedRayMaps(Generic[SolvedT]):
         return self._solved[1]
 
     def forget(self) -> None:
-        """Solve the next fields cold."""
+        """Solve the next ray maps cold."""
         self._solved = None
         for solve in self._solves:
             solve.forget()

@@ -21,11 +21,12 @@ from wlr_render.compositing.checks import (
     checked_viewpoints,
     nearest_in_reach,
 )
-from wlr_render.compositing.eye_plan import EyeCamera, EyePlan
+from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.view import image_from_ray_map
 
@@ -134,7 +135,7 @@ class Compositor:
         """
         self._check_alive()
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
-        cameras = {eye: plan.eye_camera(viewpoints[eye], pose) for eye, plan in self._plans.items()}
+        cameras = {eye: EyeCamera(eye, plan.view(viewpoints[eye], pose)) for eye, plan in self._plans.items()}
         self._frame = _OpenFrame(pose, viewpoints, cameras)
         return dict(cameras)
 

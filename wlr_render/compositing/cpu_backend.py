@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from wlr_render.compositing.backend import CachedRayMaps
-from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import count_unsolved
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver, RayMapSolver, SolvedRayMap
+from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver, RayMapSolver
 from wlr_render.rendering.cpu_warp import warp_on_cpu
+from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth, picture_of_arrays
 from wlr_render.rendering.view import GeometryImage
@@ -31,7 +31,7 @@ class _Composed:
         return self.image
 
     def unsolved(self) -> dict[str, int]:
-        return count_unsolved(field.status for field in self.ray_maps)
+        return count_unsolved(each.status for each in self.ray_maps)
 
     def read_ray_maps(self) -> list[RayMap]:
         return self.ray_maps
@@ -44,7 +44,7 @@ class CpuEye:
         self._plan, self._background = plan, background
         pixels = WarpGrid.of_pixels(plan.channels[0].display.panel, plan.size_px)
         axes = plan.device_from_camera
-        solves: list[RayMapSolver[SolvedRayMap]] = [
+        solves: list[RayMapSolver[RayMap]] = [
             CpuPixelSolver(mappings, pixels, axes)
             if solve == "pixels"
             else CpuNodeSolver(mappings, RayMapPlan.onto_grid(pixels, choose_plan(mappings).node_count, axes))
@@ -68,16 +68,16 @@ class CpuEye:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor sees to it that every eye is submitted"
         plan = self._plan
-        fields = [field.read() for field in self._ray_maps.at(viewpoint)]
+        ray_maps = self._ray_maps.at(viewpoint)
         image = warp_on_cpu(
             self._picture,
             plan.camera,
-            [f.slope_offset for f in fields],
+            [each.slope_offset for each in ray_maps],
             image_from_ray_map,
             self._background,
             plan.samples_per_axis,
         )
-        return _Composed(image, fields)
+        return _Composed(image, ray_maps)
 
     def forget(self) -> None:
         """See `EyeBackend`."""

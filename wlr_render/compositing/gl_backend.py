@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from wlr_render.compositing.backend import CachedRayMaps
-from wlr_render.compositing.eye_plan import EyePlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
@@ -19,10 +18,11 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.cpu_ray_maps import RayMapSolver
 from wlr_render.rendering.framebuffers import COLOUR, DRAW, FramebufferQueries
-from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, SolvedGpuRayMap
+from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
 from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.picture_import import PictureImport
+from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.warp import WarpedImage
@@ -133,7 +133,7 @@ class GlComposed:
     """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
 
     warped: GpuWarped | None
-    ray_maps: list[SolvedGpuRayMap]
+    ray_maps: list[GpuRayMap]
 
     @property
     def texture(self) -> gl.Texture | None:
@@ -150,11 +150,11 @@ class GlComposed:
 
     def unsolved(self) -> dict[str, int]:
         """See `ComposedEye`."""
-        return count_unsolved(field.read_status() for field in self.ray_maps)
+        return count_unsolved(each.read_status() for each in self.ray_maps)
 
     def read_ray_maps(self) -> list[RayMap]:
         """See `ComposedEye`."""
-        return [field.read() for field in self.ray_maps]
+        return [each.read() for each in self.ray_maps]
 
 
 class GlEye:
@@ -201,14 +201,14 @@ class GlEye:
     ) -> GlComposed:
         """See `EyeBackend`."""
         assert self._picture is not None, "the compositor checks that every eye is submitted"
-        fields = self._ray_maps.at(viewpoint)
-        drawn = (self._picture, fields, image_from_ray_map)
+        ray_maps = self._ray_maps.at(viewpoint)
+        drawn = (self._picture, ray_maps, image_from_ray_map)
         if target is not None:
             with self._framebuffers.draw_buffers_kept(target.framebuffer):
                 self._warp.draw_into(target, *drawn, self._background, self._plan.samples_per_axis)
-            return GlComposed(None, fields)
+            return GlComposed(None, ray_maps)
         warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.samples_per_axis, with_source)
-        return GlComposed(warped, fields)
+        return GlComposed(warped, ray_maps)
 
     def forget(self) -> None:
         """See `EyeBackend`."""
@@ -271,7 +271,7 @@ def _context(context: Any) -> gl.GlContext:
     return gl.adopt_context(context)
 
 
-def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> RayMapSolver[SolvedGpuRayMap]:
+def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> RayMapSolver[GpuRayMap]:
     planar = isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough)
     axes = plan.device_from_camera
     if solve == "pixels" or (solve == "auto" and planar and not context.is_software):

@@ -1,7 +1,7 @@
 """Our own rasteriser as the engine that feeds a compositor."""
 
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.eye_plan import EyeCamera
+from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 from wlr_render.rendering.view import GeometryImage, View

@@ -89,7 +89,7 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
         blue, red: the same eye at the two ends of the spectrum (Fraunhofer's F and C lines, 486.1 and 656.3 nm).
     """
     display, see_through, box = mappings.display, mappings.see_through, mappings.eye_box
-    pixel = _judged_pixels(mappings)
+    pixel = judged_pixels(mappings, _COLUMNS, _ROWS)
     viewpoint = _over_box(box, np.arange(1.0 - _BOX_STEPS, _BOX_STEPS, 2.0) / _BOX_STEPS)
     with_corners = _over_box(box, np.linspace(-1.0, 1.0, _BOX_STEPS))
     seen = display.view_dir_of_pixel(pixel, box.centre).value
@@ -137,12 +137,11 @@ def figures_table(mappings: EyeMappings, figures: DeviceFigures) -> ReportTable:
     return ReportTable(f"{mappings.name}, {mappings.eye} eye", columns, rows, notes)
 
 
-def _judged_pixels(mappings: EyeMappings) -> FloatArray:
+def judged_pixels(mappings: EyeMappings, columns: int, rows: int) -> FloatArray:
     """Pixels (n, 2) spaced evenly in tangents over the nominal field, or evenly over the panel if there is none."""
-    display = mappings.display
     if mappings.field is None:
-        return display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
-    answer = display.pixel_of_view_dir(mappings.field.directions(_COLUMNS, _ROWS), mappings.eye_box.centre)
+        return mappings.display.panel.grid(columns, rows).reshape(-1, 2)
+    answer = mappings.display.pixel_of_view_dir(mappings.field.directions(columns, rows), mappings.eye_box.centre)
     return answer.value[answer.usable]
 
 

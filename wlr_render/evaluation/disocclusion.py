@@ -18,7 +18,7 @@ SAME_POINT = 0.01
 def disoccluded(
     tracer: SceneTracer,
     camera_in_world: NDArray[np.float64],
-    field: RayMap,
+    ray_map: RayMap,
     world_from_device: NDArray[np.float64],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
@@ -27,14 +27,14 @@ def disoccluded(
     Args:
         tracer: of the scene.
         camera_in_world: (3,) camera position of the intermediate image.
-        field: world rays of a display's pixels.
+        ray_map: world rays of a display's pixels.
         world_from_device: (4, 4) head pose.
         position: (height, width, 3) world hit points of the rays, NaN without a hit.
 
     Returns:
         (height, width).
     """
-    _, direction = field.world_rays(world_from_device)
+    _, direction = ray_map.world_rays(world_from_device)
     return hidden_from(tracer, camera_in_world, direction.reshape(position.shape), position)
 
 

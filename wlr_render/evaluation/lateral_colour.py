@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from wlr_render.evaluation.device_figures import judged_pixels
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeChannels, EyeMappings
@@ -52,7 +53,7 @@ def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
     """Table for headsets in red, green and blue: rms and largest angles over the field, from the eye box's centre."""
     rows: list[list[Cell]] = []
     for red, green, blue in headsets:
-        pixel = _judged_pixels(green)
+        pixel = judged_pixels(green, _COLUMNS, _ROWS)
         for name, other in (("red", red), ("blue", blue)):
             found = lateral_colour(green, other, green.eye_box.centre, pixel)
             figures = map(summary, (found.display, found.see_through, found.world_ray))
@@ -65,12 +66,3 @@ def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
         "A device file that gives a medium one constant index has no colour in it, whatever its glass has.",
     )
     return ReportTable("Lateral colour", columns, rows, notes)
-
-
-def _judged_pixels(mappings: EyeMappings) -> FloatArray:
-    """Pixels (n, 2) over the nominal field, or over the whole panel if there is none."""
-    if mappings.field is None:
-        return mappings.display.panel.grid(_COLUMNS, _ROWS).reshape(-1, 2)
-    view_dir = mappings.field.directions(_COLUMNS, _ROWS)
-    shown = mappings.display.pixel_of_view_dir(view_dir, mappings.eye_box.centre)
-    return shown.value[shown.usable]

@@ -1,6 +1,6 @@
 """Choice of the warp grid: the coarsest whose measured interpolation error is within a tolerance.
 
-Between four points the reading of a smooth field errs most at the middle of the cell, by an eighth of the second
+Between four points the reading of a smooth ray map errs most at the middle of the cell, by an eighth of the second
 differences there: with the square of the cell's size. What a GPU's coarse filter weights add (`gl.read_between_texels`)
 is not in the bound.
 """
@@ -62,7 +62,7 @@ def choose_warp_grid(
 
     Args:
         mappings: any pair.
-        device_from_camera: (3, 3) axes in which the field is known.
+        device_from_camera: (3, 3) axes in which rays are known.
         size_px: (width, height) of the picture that covers the panel.
         tolerance_arcmin: as `warp_grid_error_arcmin`.
     """
@@ -118,7 +118,7 @@ def warp_grid_error_arcmin(
 
     Args:
         mappings: any pair.
-        device_from_camera: (3, 3) axes in which the field is read.
+        device_from_camera: (3, 3) axes in which rays are read.
         warp_grid: judged.
         viewpoint: (3,) device frame.
         pixel: (n, 2) panel positions.

@@ -1,6 +1,6 @@
 """Ray maps for one viewpoint after the other on the CPU, in float64, and the protocol that every solver follows."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -11,15 +11,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, ray_map, solve_pixels
 from wlr_render.rendering.warp_grid import WarpGrid
 
-
-class SolvedRayMap(Protocol):
-    """The ray map of one viewpoint, in memory or on the GPU."""
-
-    def read(self) -> RayMap:
-        """Fetch it as numpy arrays, without the warm start, which the solver keeps."""
-
-
-SolvedT = TypeVar("SolvedT", bound=SolvedRayMap, covariant=True)
+SolvedT = TypeVar("SolvedT", covariant=True)
+"""`RayMap`, or `gl_ray_maps.GpuRayMap`."""
 
 
 class RayMapSolver(Protocol[SolvedT]):
@@ -54,17 +47,6 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
     return checked
 
 
-@dataclass(frozen=True, eq=False)
-class CpuSolvedRayMap:
-    """A ray map in numpy arrays."""
-
-    ray_map: RayMap
-
-    def read(self) -> RayMap:
-        """The ray map."""
-        return self.ray_map
-
-
 class CpuPixelSolver:
     """`RayMapSolver` for any mappings, planar or not, that queries every point."""
 
@@ -75,14 +57,14 @@ class CpuPixelSolver:
         self._pixel = warp_grid.panel_pixel()
         self._last: WarmStart | None = None
 
-    def solve(self, viewpoint: FloatArray) -> CpuSolvedRayMap:
+    def solve(self, viewpoint: FloatArray) -> RayMap:
         """See `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         axes = self._device_from_camera
         solved = solve_pixels(self._mappings, axes, self._pixel, viewpoint, self._last)
         self._last = solved.warm_start
         slope_offset = np.ascontiguousarray(np.moveaxis(solved.slope_offset, -1, 0), dtype=np.float32)
-        return CpuSolvedRayMap(RayMap(viewpoint, axes, slope_offset, solved.status))
+        return RayMap(viewpoint, axes, slope_offset, solved.status)
 
     def forget(self) -> None:
         """Start the next solve cold."""
@@ -97,11 +79,11 @@ class CpuNodeSolver:
         self._mappings, self._plan = mappings, plan
         self._last: WarmStart | None = None
 
-    def solve(self, viewpoint: FloatArray) -> CpuSolvedRayMap:
+    def solve(self, viewpoint: FloatArray) -> RayMap:
         """See `RayMapSolver.solve`."""
-        field = ray_map(self._mappings, checked_viewpoint(viewpoint), self._plan, self._last)
-        self._last = field.warm_start
-        return CpuSolvedRayMap(replace(field, warm_start=None))
+        solved = ray_map(self._mappings, checked_viewpoint(viewpoint), self._plan, self._last)
+        self._last = solved.warm_start
+        return replace(solved, warm_start=None)
 
     def forget(self) -> None:
         """Start the next solve cold."""

@@ -64,7 +64,7 @@ def _warp_channel(
     background: int | tuple[int, int, int],
     samples_per_axis: int,
 ) -> WarpedImage:
-    """All channels of a picture (height, width) or (height, width, 3) along one field."""
+    """All channels of a picture (height, width) or (height, width, 3) along one ray map."""
     _, height, width = slope_offset.shape
     warped = WarpedImage(
         np.empty((height, width, *picture.shape[2:]), np.uint8),

@@ -7,9 +7,7 @@ p~: the error is of second order, so that one evaluation is usually enough, even
 Deviation and ray are a closed form of the solution.
 """
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,41 +23,60 @@ from wlr_render.rendering.warp_grid import WarpGrid
 
 
 @dataclass(frozen=True, eq=False)
-class GpuRayMap:
-    """World rays at the points of a warp grid, as a texture that the solver's next solve overwrites.
+class RayTexture:
+    """World rays at the points of a warp grid.
 
     Attributes:
-        context: of the texture.
-        viewpoint_in_device: (3,) metres.
-        device_from_camera: (3, 3) axes of `slope_offset`.
         warp_grid: the points.
         slope_offset: RGBA32F of the warp grid's size, (a, b, c, d) as `RayMap.slope_offset`, NaN where there is no ray;
             read with linear filtering between the points.
     """
 
+    warp_grid: WarpGrid
+    slope_offset: gl.Texture
+
+
+@dataclass(frozen=True, eq=False)
+class GpuRayMap(RayTexture):
+    """The ray map of one viewpoint, whose textures the solver's next solves overwrite.
+
+    Attributes:
+        context: of the textures.
+        viewpoint_in_device: (3,) metres.
+        device_from_camera: (3, 3) axes of `slope_offset`.
+        status: `mappings.Status` of each point: (rows, columns) uint8, or from a shader RG8UI with the number of
+            iterations in the second channel.
+        view_tangents: RG32F, (tx, ty) of the view direction in the device frame, NaN where there is none; None if the
+            rays were solved on the CPU.
+    """
+
     context: gl.GlContext
     viewpoint_in_device: FloatArray
     device_from_camera: FloatArray
-    warp_grid: WarpGrid
-    slope_offset: gl.Texture
+    status: gl.Texture | StatusArray
+    view_tangents: gl.Texture | None = None
+
+    def read(self) -> RayMap:
+        """Fetch rays and status."""
+        return RayMap(self.viewpoint_in_device, self.device_from_camera, self.read_slope_offset(), self.read_status())
 
     def read_slope_offset(self) -> Float32Array:
         """Fetch (4, rows, columns)."""
         with self.context.drawing():
             return np.ascontiguousarray(np.moveaxis(gl.read(self.slope_offset, np.float32), -1, 0))
 
-
-@dataclass(frozen=True, eq=False)
-class SolvedGpuRayMap(GpuRayMap, ABC):
-    """A ray map with a status for each point."""
-
-    @abstractmethod
     def read_status(self) -> StatusArray:
-        """(rows, columns), one `mappings.Status` each."""
+        """Fetch (rows, columns), one `mappings.Status` each."""
+        if isinstance(self.status, np.ndarray):
+            return self.status
+        with self.context.drawing():
+            return np.ascontiguousarray(gl.read(self.status, np.uint8)[..., 0])
 
-    def read(self) -> RayMap:
-        """Fetch rays and status."""
-        return RayMap(self.viewpoint_in_device, self.device_from_camera, self.read_slope_offset(), self.read_status())
+    def read_iterations(self) -> NDArray[np.uint8]:
+        """Fetch the iterations of a shader, (rows, columns)."""
+        assert not isinstance(self.status, np.ndarray), "these rays were solved on the CPU"
+        with self.context.drawing():
+            return np.asarray(gl.read(self.status, np.uint8)[..., 1])
 
 
 MAX_ITERATIONS = 12
@@ -76,35 +93,6 @@ class _Solution:
     tangents: gl.Texture
     slopes: gl.Texture
     framebuffer: gl.Framebuffer
-
-
-@dataclass(frozen=True, eq=False)
-class GlSolvedRayMap(SolvedGpuRayMap):
-    """A ray map with the shader's other outputs; the solver's next solves overwrite all of it.
-
-    Attributes:
-        view_tangents: RG32F, (tx, ty) of the view direction in the device frame; NaN where there is none.
-        status_and_iterations: RG8UI: `mappings.Status`, and iterations.
-    """
-
-    view_tangents: gl.Texture
-    status_and_iterations: gl.Texture
-
-    def read_status(self) -> StatusArray:
-        """See `SolvedGpuRayMap`."""
-        return np.ascontiguousarray(self._read(self.status_and_iterations, np.uint8)[..., 0])
-
-    def read_view_tangents(self) -> NDArray[np.float32]:
-        """Fetch the view tangents, (rows, columns, 2)."""
-        return self._read(self.view_tangents, np.float32)
-
-    def read_iterations(self) -> NDArray[np.uint8]:
-        """Fetch the iterations, (rows, columns)."""
-        return np.asarray(self._read(self.status_and_iterations, np.uint8)[..., 1])
-
-    def _read(self, texture: gl.Texture, dtype: Any) -> NDArray[Any]:
-        with self.context.drawing():
-            return gl.read(texture, dtype)
 
 
 class GlPlanarSolver:
@@ -144,7 +132,7 @@ class GlPlanarSolver:
         textures = [self._slope_offset, tangents, self._status_and_iterations, slopes]
         return _Solution(tangents, slopes, self._context.framebuffer(textures))
 
-    def solve(self, viewpoint: FloatArray) -> GlSolvedRayMap:
+    def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """See `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         inside = all(
@@ -160,14 +148,14 @@ class GlPlanarSolver:
             self._solve.render(vertices=3)
         # Extrapolated from outside the eye box, it may be another root of the polynomials: no start for a next frame.
         self._last_viewpoint = viewpoint if inside else None
-        return GlSolvedRayMap(
+        return GpuRayMap(
+            self._warp_grid,
+            self._slope_offset,
             self._context,
             viewpoint,
             self._device_from_camera,
-            self._warp_grid,
-            self._slope_offset,
-            self._new.tangents,
             self._status_and_iterations,
+            self._new.tangents,
         )
 
     def _set_uniforms(self, viewpoint: FloatArray, started_from: FloatArray | None, inside: bool) -> None:
@@ -190,21 +178,6 @@ class GlPlanarSolver:
         self._last_viewpoint = None
 
 
-@dataclass(frozen=True, eq=False)
-class GlSpreadRayMap(SolvedGpuRayMap):
-    """A ray map that was solved on the CPU.
-
-    Attributes:
-        status: (rows, columns) uint8.
-    """
-
-    status: StatusArray
-
-    def read_status(self) -> StatusArray:
-        """See `SolvedGpuRayMap`."""
-        return self.status
-
-
 class GlNodeSolver:
     """`RayMapSolver` for any mappings from Chebyshev nodes; the plan states warp grid and axes."""
 
@@ -217,19 +190,19 @@ class GlNodeSolver:
             self._slope_offset = context.target(plan.warp_grid.size, 4, "f4")
             gl.read_between_texels(self._slope_offset)
 
-    def solve(self, viewpoint: FloatArray) -> GlSpreadRayMap:
+    def solve(self, viewpoint: FloatArray) -> GpuRayMap:
         """See `RayMapSolver`."""
-        field = self._nodes.solve(viewpoint).ray_map
+        solved = self._nodes.solve(viewpoint)
         # One texture of four components costs a shader much less to read than four textures.
         with self._context.drawing():
-            self._slope_offset.write(cv2.merge(list(field.slope_offset), self._interleaved))
-        return GlSpreadRayMap(
-            self._context,
-            field.viewpoint_in_device,
-            field.device_from_camera,
+            self._slope_offset.write(cv2.merge(list(solved.slope_offset), self._interleaved))
+        return GpuRayMap(
             self._plan.warp_grid,
             self._slope_offset,
-            field.status,
+            self._context,
+            solved.viewpoint_in_device,
+            solved.device_from_camera,
+            solved.status,
         )
 
     def forget(self) -> None:

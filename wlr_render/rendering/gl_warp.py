@@ -12,7 +12,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_ray_maps import GpuRayMap
+from wlr_render.rendering.gl_ray_maps import RayTexture
 from wlr_render.rendering.gpu_image import GlDepthRanges, GpuImage, rgb_of_rgba
 from wlr_render.rendering.warp import (
     CONVERGED_PX,
@@ -92,7 +92,7 @@ class GlWarp:
     def draw(
         self,
         image: GpuImage,
-        fields: Sequence[GpuRayMap],
+        ray_maps: Sequence[RayTexture],
         image_from_ray_map: FloatArray,
         size_px: tuple[int, int],
         background: tuple[int, int, int] = (0, 0, 0),
@@ -103,8 +103,8 @@ class GlWarp:
 
         Args:
             image: in this object's context.
-            fields: world rays, one for each channel.
-            image_from_ray_map: rigid, from the camera frame of the fields to that of the image, (4, 4), or
+            ray_maps: world rays, one for each channel.
+            image_from_ray_map: rigid, from the camera frame of the ray maps to that of the image, (4, 4), or
                 (height, 4, 4) with one for each row of the display.
             size_px: (width, height) of the picture, which covers the panel.
             background: sRGB for pixels that show nothing of the image.
@@ -112,22 +112,20 @@ class GlWarp:
             with_source: make the pull map as well.
 
         Raises:
-            BadInputError: the number of fields or the shape of the transforms does not fit.
+            BadInputError: the number of ray maps or the shape of the transforms does not fit.
         """
         with self._context.drawing():
             warped, framebuffer = self._outputs_for(size_px, with_source)
             target = WarpTarget(framebuffer, (0, 0), size_px, True)
-            outputs = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
-            self._draw(
-                image, fields, image_from_ray_map, target, background, SAMPLES_PER_AXIS=samples_per_axis, **outputs
-            )
+            constants = {"SAMPLES_PER_AXIS": samples_per_axis, "WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
+            self._draw(image, ray_maps, image_from_ray_map, target, background, **constants)
         return warped
 
     def draw_into(
         self,
         target: WarpTarget,
         image: GpuImage,
-        fields: Sequence[GpuRayMap],
+        ray_maps: Sequence[RayTexture],
         image_from_ray_map: FloatArray,
         background: tuple[int, int, int] = (0, 0, 0),
         samples_per_axis: int = 1,
@@ -135,11 +133,9 @@ class GlWarp:
         """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
-            outputs = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
+            constants = {"SAMPLES_PER_AXIS": samples_per_axis, "WITH_STATUS": 0, "WITH_SOURCE": 0}
             try:
-                self._draw(
-                    image, fields, image_from_ray_map, target, background, SAMPLES_PER_AXIS=samples_per_axis, **outputs
-                )
+                self._draw(image, ray_maps, image_from_ray_map, target, background, **constants)
             finally:
                 target.framebuffer.viewport = before
 
@@ -157,38 +153,38 @@ class GlWarp:
         The rays are in the image's own frame if `image_from_ray_map` is None.
         """
         slope_offsets = [slope_offset] if isinstance(slope_offset, np.ndarray) else slope_offset
-        fields = [self._uploaded(f"ray {channel}", each) for channel, each in enumerate(slope_offsets)]
-        if len(fields) == 1:
-            fields *= self._channels
+        ray_maps = [self._uploaded(f"ray {channel}", each) for channel, each in enumerate(slope_offsets)]
+        if len(ray_maps) == 1:
+            ray_maps *= self._channels
         moved = np.eye(4) if image_from_ray_map is None else image_from_ray_map
         size_px = slope_offsets[0].shape[2], slope_offsets[0].shape[1]
-        return self.draw(image, fields, moved, size_px, background, samples_per_axis, with_source).read()
+        return self.draw(image, ray_maps, moved, size_px, background, samples_per_axis, with_source).read()
 
-    def _uploaded(self, name: str, slope_offset: NDArray[np.float32]) -> GpuRayMap:
+    def _uploaded(self, name: str, slope_offset: NDArray[np.float32]) -> RayTexture:
         _, height, width = slope_offset.shape
         with self._context.drawing():
             texture = self._texture(name, (width, height), 4, "f4")
             # One read of four components costs the shader much less than four reads.
             texture.write(cv2.merge(list(slope_offset)))
-        return GpuRayMap(self._context, np.zeros(3), np.eye(3), WarpGrid.of_pixels(Panel(width, height)), texture)
+        return RayTexture(WarpGrid.of_pixels(Panel(width, height)), texture)
 
     def _draw(
         self,
         image: GpuImage,
-        fields: Sequence[GpuRayMap],
+        ray_maps: Sequence[RayTexture],
         image_from_ray_map: FloatArray,
         target: WarpTarget,
         background: tuple[int, int, int],
         **constants: int,
     ) -> None:
-        _check(len(fields), self._channels, image_from_ray_map, target.size_px)
+        _check(len(ray_maps), self._channels, image_from_ray_map, target.size_px)
         ranges = self._ranges.of(image)
         by_rows = image_from_ray_map.ndim == 3
-        warp = self._pass(ROWS=int(by_rows), FIELD_BY_TEXELS=self._by_texels(fields, target.size_px), **constants)
+        warp = self._pass(ROWS=int(by_rows), FIELD_BY_TEXELS=self._by_texels(ray_maps, target.size_px), **constants)
         from_fragment = _display_from_fragment(target)
         matrices = _camera_matrices(image.camera, image_from_ray_map)
         textures: dict[str, gl.Texture | Sequence[gl.Texture]] = {
-            "slope_offset": [_sampled(field, target.size_px) for field in fields],
+            "slope_offset": [_sampled(each, target.size_px) for each in ray_maps],
             "picture": image.colour,
             "inverse_depth": image.inverse_depth,
             "ranges": ranges.around_tiles,
@@ -201,16 +197,16 @@ class GlWarp:
             gl.set_array(warp.program, "camera_matrix", list(matrices))
         gl.bind_textures(warp.program, **textures)
         gl.set_array(
-            warp.program, "texture_from_fragment", [_chained(field, target, from_fragment) for field in fields]
+            warp.program, "texture_from_fragment", [_chained(each, target, from_fragment) for each in ray_maps]
         )
         gl.set_uniforms(warp.program, background=tuple(x / 255 for x in background))
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         target.framebuffer.use()
         warp.render(vertices=3)
 
-    def _by_texels(self, fields: Sequence[GpuRayMap], size_px: tuple[int, int]) -> int:
-        """1 if a field is read between its points where filters have weights of 8 bits, which costs some 0.1'."""
-        between = not all(field.warp_grid.has_pixel_centres_of(size_px) for field in fields)
+    def _by_texels(self, ray_maps: Sequence[RayTexture], size_px: tuple[int, int]) -> int:
+        """1 if a ray map is read between its points where filters have weights of 8 bits, which costs some 0.1'."""
+        between = not all(each.warp_grid.has_pixel_centres_of(size_px) for each in ray_maps)
         return int(between and not self._context.is_software)
 
     def _pass(self, **constants: int) -> gl.VertexArray:
@@ -242,9 +238,9 @@ class GlWarp:
         return texture
 
 
-def _check(fields: int, channels: int, image_from_ray_map: FloatArray, size_px: tuple[int, int]) -> None:
-    if fields != channels:
-        raise BadInputError(f"{fields} ray maps for a warp of {channels} channels; give one ray map for each channel.")
+def _check(count: int, channels: int, image_from_ray_map: FloatArray, size_px: tuple[int, int]) -> None:
+    if count != channels:
+        raise BadInputError(f"{count} ray maps for a warp of {channels} channels; give one ray map for each channel.")
     if image_from_ray_map.shape not in ((4, 4), (size_px[1], 4, 4)):
         raise BadInputError(
             f"image_from_ray_map has the shape {image_from_ray_map.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with "
@@ -252,14 +248,14 @@ def _check(fields: int, channels: int, image_from_ray_map: FloatArray, size_px: 
         )
 
 
-def _sampled(field: GpuRayMap, size_px: tuple[int, int]) -> gl.Texture:
+def _sampled(rays: RayTexture, size_px: tuple[int, int]) -> gl.Texture:
     # A filter between points spreads a NaN to its neighbours; where each pixel has its own point it need not.
-    (gl.read_at_texels if field.warp_grid.has_pixel_centres_of(size_px) else gl.read_between_texels)(field.slope_offset)
-    return field.slope_offset
+    (gl.read_at_texels if rays.warp_grid.has_pixel_centres_of(size_px) else gl.read_between_texels)(rays.slope_offset)
+    return rays.slope_offset
 
 
 def _camera_matrices(camera: Pinhole, image_from_ray_map: FloatArray) -> FloatArray:
-    """(..., 3, 4): from a point (x, y, z, 1) of the field's frame to (u depth, v depth, depth) in the image."""
+    """(..., 3, 4): from a point (x, y, z, 1) of the ray map's frame to (u depth, v depth, depth) in the image."""
     (focal_u, focal_v), (centre_u, centre_v) = camera.focal_px, camera.centre_px
     lens = np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]])
     return np.asarray(lens @ image_from_ray_map)
@@ -271,7 +267,7 @@ def _display_from_fragment(target: WarpTarget) -> FloatArray:
     return np.array([[1.0, 1.0], [-x, -y]]) if target.top_row_first else np.array([[1.0, -1.0], [-x, y + height]])
 
 
-def _chained(field: GpuRayMap, target: WarpTarget, display_from_fragment: FloatArray) -> FloatArray:
-    """Scale and offset (4,) from window coordinates to where the field's texture is read."""
-    scale, offset = field.warp_grid.texture_from_picture(target.size_px)
+def _chained(rays: RayTexture, target: WarpTarget, display_from_fragment: FloatArray) -> FloatArray:
+    """Scale and offset (4,) from window coordinates to where the ray map's texture is read."""
+    scale, offset = rays.warp_grid.texture_from_picture(target.size_px)
     return np.concatenate([scale * display_from_fragment[0], scale * display_from_fragment[1] + offset])

@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_bytes
-from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
+from wlr_render.rendering.scene import Instance, LightSource, Mesh
 from wlr_render.rendering.srgb import decode_srgb
 
 EXTENSION = "KHR_lights_punctual"
@@ -53,31 +51,6 @@ def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[L
         colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
         lights.append(LightSource(kind, vector, colour.astype(np.float32)))
     return tuple(lights)
-
-
-def scene_extension(lights: tuple[LightSource, ...]) -> dict[str, Any]:
-    """The scene's extensions: the list of lights that nodes refer to."""
-    return {EXTENSION: {"lights": [_stated(light) for light in lights]}}
-
-
-def node_extension(index: int) -> dict[str, Any]:
-    """The metadata by which trimesh makes a node carry light number `index`."""
-    return {"gltf_extensions": {EXTENSION: {"light": index}}}
-
-
-def _stated(light: LightSource) -> dict[str, Any]:
-    """Colours are 0..1 in glTF; what is beyond goes into the intensity."""
-    peak = max(float(light.colour.max()), 1e-9)
-    return {"type": light.kind, "color": (light.colour / peak).tolist(), "intensity": peak * np.pi}
-
-
-def world_from_light(light: LightSource) -> NDArray[np.float64]:
-    """(4, 4) of a node that carries the light."""
-    if light.kind == "point":
-        return transforms.rigid(np.eye(3), light.vector)
-    back = -light.vector
-    right = normalised(np.cross(np.eye(3)[np.argmin(np.abs(back))], back))
-    return transforms.rigid(np.stack([right, np.cross(back, right), back], axis=-1), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,41 +216,3 @@ def _vertex_colour(path: Path, visual: Any) -> Float32Array | None:
         return None
     whole = 1.0 if stored.dtype.kind == "f" else float(np.iinfo(stored.dtype).max)
     return (np.asarray(stored)[:, :3] / whole).astype(np.float32)
-
-
-def save_glb(scene: Scene, path: str | Path) -> Path:
-    """Write a scene as GLB, for other programs. Colours go to 0..1 in 8 bits; ambient and background have no place."""
-    import trimesh
-
-    target = trimesh.Scene()
-    keys = [f"{index} {mesh.name}" for index, mesh in enumerate(scene.meshes)]
-    for key, mesh in zip(keys, scene.meshes, strict=True):
-        target.geometry[key] = _trimesh_of(mesh)
-    for index, instance in enumerate(scene.instances):
-        node = f"{index} {instance.name}"
-        target.graph.update(node, geometry=keys[instance.mesh], matrix=instance.world_from_mesh)
-    if scene.lights:
-        target.metadata["gltf_extensions"] = scene_extension(scene.lights)
-    for index, light in enumerate(scene.lights):
-        extension = node_extension(index)
-        target.graph.update(f"light {index}", matrix=world_from_light(light), metadata=extension)
-    return write_bytes(path, target.export(file_type="glb", include_normals=True))
-
-
-def _trimesh_of(mesh: Mesh) -> Any:
-    import trimesh
-    from PIL import Image
-
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorFactor=[*np.clip(mesh.base_colour, 0, 1).tolist(), 1.0],
-        baseColorTexture=None if mesh.texture is None else Image.fromarray(mesh.texture),
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
-        doubleSided=True,
-    )
-    uv = None if mesh.uv is None else mesh.uv * [1, -1] + [0, 1]
-    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    if mesh.vertex_colour is not None:
-        colour = np.round(np.clip(mesh.vertex_colour, 0, 1) * 255).astype(np.uint8)
-        visual.vertex_attributes["color"] = np.pad(colour, ((0, 0), (0, 1)), constant_values=255)
-    return trimesh.Trimesh(mesh.position, mesh.triangles, vertex_normals=mesh.normal, visual=visual, process=False)

@@ -1,7 +1,7 @@
 """Frames of one eye: what its panel must show for a viewpoint and a head pose, by ray tracing or by raster and warp."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -12,13 +12,8 @@ from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.raster_backends import RasterBackend
-from wlr_render.rendering.raster_camera import (
-    RasterPosition,
-    intermediate_camera,
-    minification_over_eye_box,
-    samples_for,
-)
-from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, choose_plan, middle_axes, ray_map
+from wlr_render.rendering.raster_camera import EyePlan
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.srgb import encode_srgb
@@ -60,7 +55,7 @@ class Frame:
     @property
     def warm_start(self) -> "WarmStarts":
         """Warm start of the eye's next frame."""
-        return tuple(field.warm_start for field in self.ray_maps)
+        return tuple(each.warm_start for each in self.ray_maps)
 
     @property
     def source(self) -> Float32Array | None:
@@ -107,7 +102,7 @@ def _by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     return pictures[0] if len(pictures) == 1 else np.stack([each[..., k] for k, each in enumerate(pictures)], axis=-1)
 
 
-def _fields(
+def _ray_maps(
     channels: EyeChannels, plans: Sequence[RayMapPlan], viewpoint: FloatArray, warm_start: WarmStarts | None
 ) -> tuple[RayMap, ...]:
     starts = warm_start or (None,) * len(channels)
@@ -147,22 +142,22 @@ class TracedPainter:
         with_geometry: bool = False,
     ) -> Frame:
         """See `Painter`."""
-        fields = _fields(self._channels, self._plans, viewpoint, warm_start)
+        ray_maps = _ray_maps(self._channels, self._plans, viewpoint, warm_start)
         colours, traced = [], []
-        for mappings, field, sample_plans in zip(self._channels, fields, self._sample_plans, strict=True):
+        for mappings, rays, sample_plans in zip(self._channels, ray_maps, self._sample_plans, strict=True):
             if with_geometry or not sample_plans:
                 buffers = ("position",) if with_geometry else ()
-                rays_of = partial(field.world_rays, world_from_device)
-                image = self._renderer.render_blocks(field.shape, rays_of, buffers, self._shadows)
+                rays_of = partial(rays.world_rays, world_from_device)
+                image = self._renderer.render_blocks(rays.shape, rays_of, buffers, self._shadows)
                 colour = image.colour
                 if image.position is not None:
                     traced.append(image.position)
             if sample_plans:
-                samples = (ray_map(mappings, viewpoint, plan, field.warm_start) for plan in sample_plans)
+                samples = (ray_map(mappings, viewpoint, plan, rays.warm_start) for plan in sample_plans)
                 sampled = (partial(each.world_rays, world_from_device) for each in samples)
-                colour = self._renderer.render_supersampled(field.shape, sampled, self._shadows)
+                colour = self._renderer.render_supersampled(rays.shape, sampled, self._shadows)
             colours.append(colour)
-        return Frame(_by_colour(colours), fields, traced=tuple(traced))
+        return Frame(_by_colour(colours), ray_maps, traced=tuple(traced))
 
 
 def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
@@ -199,20 +194,16 @@ class WarpedPainter:
                 the bent rays come (`raster_camera.py`), from where less is hidden.
         """
         self._channels = _channels(mappings)
-        self._raster_backend = raster_backend
-        middle = self._channels[len(self._channels) // 2]
-        panel = middle.display.panel
-        self._device_from_camera = axes = middle_axes(middle)
+        self._raster_backend, self._at_viewpoint = raster_backend, at_viewpoint
+        panel = self._channels[0].display.panel
+        self._plan = EyePlan.of(self._channels, (panel.width_px, panel.height_px), resolution)
+        axes = self._plan.device_from_camera
         self._plans = [RayMapPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
-        self._camera = intermediate_camera(self._channels, axes, resolution)
-        self._raster_position = None if at_viewpoint else RasterPosition(middle, axes)
-        size_px = panel.width_px, panel.height_px
-        self._samples_per_axis = samples_for(minification_over_eye_box(middle, axes, self._camera, size_px))
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
-        place = viewpoint if self._raster_position is None else self._raster_position.at(viewpoint)
-        return View(self._camera, place, world_from_device, self._device_from_camera)
+        view = self._plan.view(viewpoint, world_from_device)
+        return replace(view, viewpoint_in_device=viewpoint) if self._at_viewpoint else view
 
     def paint(
         self,
@@ -222,14 +213,14 @@ class WarpedPainter:
         with_geometry: bool = False,
     ) -> Frame:
         """See `Painter`."""
-        fields = _fields(self._channels, self._plans, viewpoint, warm_start)
+        ray_maps = _ray_maps(self._channels, self._plans, viewpoint, warm_start)
         view = self.view(viewpoint, world_from_device)
-        warped = self._raster_backend.draw_warped(view, fields, self._samples_per_axis, with_geometry)
+        warped = self._raster_backend.draw_warped(view, ray_maps, self._plan.samples_per_axis, with_geometry)
         image, intermediate = warped.image, warped.intermediate
         if intermediate is None:
-            return Frame(image.colour, fields, image.status)
+            return Frame(image.colour, ray_maps, image.status)
         sources = tuple(with_inverse_depth(intermediate, source) for source in warped.sources)
-        return Frame(image.colour, fields, image.status, sources=sources, view=view, intermediate=intermediate)
+        return Frame(image.colour, ray_maps, image.status, sources=sources, view=view, intermediate=intermediate)
 
 
 class MeshWarpedPainter:

@@ -30,7 +30,7 @@ class Warped:
 
     Attributes:
         image: the picture.
-        sources: the pull map of each field, see `WarpedImage.source`; empty if not asked for.
+        sources: the pull map of each ray map, see `WarpedImage.source`; empty if not asked for.
         intermediate: the image that the picture was made of; None if not asked for.
     """
 
@@ -50,11 +50,11 @@ class RasterBackend(Protocol):
         """Draw `view` and fetch colour and inverse depth."""
 
     def draw_warped(
-        self, view: View, fields: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+        self, view: View, ray_maps: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
     ) -> Warped:
-        """Draw `view` once and warp it along the bent rays of one field, or of one each for red, green and blue.
+        """Draw `view` once and warp it along the bent rays of one ray map, or of one each for red, green and blue.
 
-        The fields have a viewpoint, which need not be that of the view, and a camera frame in common.
+        The ray maps have a viewpoint, which need not be that of the view, and a camera frame in common.
         `samples_per_axis` samples per pixel along each axis, see `raster_camera.samples_for`; `with_geometry` also
         gives the pull maps and the intermediate image.
         """
@@ -107,17 +107,17 @@ class _GlRasteriser:
         return self._draw_on_gpu(view).read()
 
     def draw_warped(
-        self, view: View, fields: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+        self, view: View, ray_maps: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
     ) -> Warped:
         image = self._draw_on_gpu(view)
-        moved = _image_from_field(view, fields[0])
+        moved = _image_from_rays(view, ray_maps[0])
 
         def warp(slope_offsets: Sequence[Float32Array]) -> WarpedImage:
             return self._warps[len(slope_offsets)].warp(
                 image, slope_offsets, moved, self._background, samples_per_axis, with_source=with_geometry
             )
 
-        return _warped(warp, fields, image.read() if with_geometry else None)
+        return _warped(warp, ray_maps, image.read() if with_geometry else None)
 
 
 class _CpuRasteriser:
@@ -131,26 +131,26 @@ class _CpuRasteriser:
         return self._raster.draw(view)
 
     def draw_warped(
-        self, view: View, fields: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+        self, view: View, ray_maps: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
     ) -> Warped:
         from wlr_render.rendering.cpu_warp import warp_on_cpu
 
         image = self._raster.draw(view)
-        moved = _image_from_field(view, fields[0])
+        moved = _image_from_rays(view, ray_maps[0])
 
         def warp(slope_offsets: Sequence[Float32Array]) -> WarpedImage:
             return warp_on_cpu(image, view.camera, slope_offsets, moved, self._background, samples_per_axis)
 
-        return _warped(warp, fields, image if with_geometry else None)
+        return _warped(warp, ray_maps, image if with_geometry else None)
 
 
 def _warped(
     warp: Callable[[Sequence[Float32Array]], WarpedImage],
-    fields: Sequence[RayMap],
+    ray_maps: Sequence[RayMap],
     intermediate: GeometryImage | None,
 ) -> Warped:
     """The picture in one warp of all channels; with its geometry, in one warp for each pull map."""
-    slope_offsets = [field.slope_offset for field in fields]
+    slope_offsets = [each.slope_offset for each in ray_maps]
     if intermediate is None:
         return Warped(warp(slope_offsets))
     images = [warp([slope_offset]) for slope_offset in slope_offsets]
@@ -158,8 +158,8 @@ def _warped(
     return Warped(WarpedImage.of_channels(images), sources, intermediate)
 
 
-def _image_from_field(view: View, field: RayMap) -> NDArray[np.float64]:
-    return image_from_ray_map(view, field.viewpoint_in_device, field.device_from_camera, view.world_from_device)
+def _image_from_rays(view: View, rays: RayMap) -> NDArray[np.float64]:
+    return image_from_ray_map(view, rays.viewpoint_in_device, rays.device_from_camera, view.world_from_device)
 
 
 def _background_code(scene: Scene) -> tuple[int, int, int]:

@@ -1,31 +1,35 @@
-"""The camera of the intermediate image: its intrinsics, its position, and how far the warp minifies its picture.
+"""What is fixed for all frames of one eye: the camera of the intermediate image, its position, warp grid and filter.
 
 A raster camera at the viewpoint does not see along the bent rays, which pass beside it by up to millimetres; behind an
 edge it misses what they meet. Most of that offset is common to all rays: a thick see-through element makes the eye
 appear elsewhere, and a camera at that place sees almost along the rays.
 """
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
-from wlr_render.rendering.ray_map import required_tangents, solve_pixels
+from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_grid
+from wlr_render.rendering.ray_map import middle_axes, required_tangents, solve_pixels
+from wlr_render.rendering.view import View
 from wlr_render.rendering.warp_grid import WarpGrid
 
 
 def intermediate_camera(
     channels: Sequence[EyeMappings],
     device_from_camera: FloatArray,
-    resolution: float = 1.0,
-    size_px: tuple[int, int] | None = None,
-    margin: float = 0.0,
+    resolution: float,
+    size_px: tuple[int, int],
+    margin: float,
 ) -> Pinhole:
     """Intrinsics of the raster camera that cover the field of view of all viewpoints in the eye box.
 
@@ -35,12 +39,11 @@ def intermediate_camera(
         channels: one pair, or one per colour channel.
         device_from_camera: (3, 3) axes of the camera.
         resolution: it has `resolution`^2 times as many pixels as the display, square in tangents.
-        size_px: (width, height) of the display; the panel's own if None.
+        size_px: (width, height) of the display.
         margin: tangents added on every side, for a head that turns between drawing and scan-out. They get pixels of
             their own: the resolution stays.
     """
-    box, panel = channels[0].eye_box, channels[0].display.panel
-    width, height = (panel.width_px, panel.height_px) if size_px is None else size_px
+    box, (width, height) = channels[0].eye_box, size_px
     corners = [np.array([x, y, z]) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
     tangents = np.concatenate(
         [
@@ -164,3 +167,58 @@ def minification_over_eye_box(
 def samples_for(minification: float) -> int:
     """Samples per display pixel along each axis, 1 to MAX_SAMPLES, for `largest_minification`."""
     return min(max(math.ceil(minification / SPACING_PX), 1), MAX_SAMPLES)
+
+
+@dataclass(frozen=True, eq=False)
+class EyePlan:
+    """Plan of one eye: all that is fixed over its frames.
+
+    Attributes:
+        eye: "left" or "right".
+        channels: one pair of mappings, or one per colour channel.
+        size_px: (width, height) of the display's picture, which covers the panel.
+        device_from_camera: (3, 3) axes of the intermediate image and of the ray map.
+        camera: of the intermediate image.
+        raster_position: where that camera stands for a viewpoint.
+        samples_per_axis: samples per display pixel and axis that the filter takes.
+    """
+
+    eye: str
+    channels: EyeChannels
+    size_px: tuple[int, int]
+    device_from_camera: FloatArray
+    camera: Pinhole
+    raster_position: RasterPosition
+    samples_per_axis: int
+
+    @functools.cached_property
+    def warp_grid(self) -> ChosenWarpGrid:
+        """The warp grid, and its measured interpolation error.
+
+        The densest grid that any colour channel needs. Computed on first use; unused when every pixel is solved.
+        """
+        chosen = [choose_warp_grid(mappings, self.device_from_camera, self.size_px) for mappings in self.channels]
+        return min(chosen, key=lambda each: float(each.cell_px.min()))
+
+    @classmethod
+    def of(
+        cls, channels: EyeChannels, size_px: tuple[int, int], resolution: float, late_margin: float = 0.0
+    ) -> "EyePlan":
+        """Make the plan.
+
+        Args:
+            channels: of one eye.
+            size_px: (width, height) of the display.
+            resolution: of the intermediate image, as in `intermediate_camera`.
+            late_margin: tangents by which the head may turn between drawing and scan-out.
+        """
+        middle = channels[len(channels) // 2]
+        axes = middle_axes(middle)
+        camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
+        samples_per_axis = samples_for(minification_over_eye_box(middle, axes, camera, size_px))
+        return cls(middle.eye, channels, size_px, axes, camera, RasterPosition(middle, axes), samples_per_axis)
+
+    def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
+        """The camera pose and intrinsics to draw with for a viewpoint (3,) and a head pose (4, 4)."""
+        position = self.raster_position.at(viewpoint)
+        return View(self.camera, position, world_from_device, self.device_from_camera)

@@ -1,6 +1,6 @@
 """The world ray of every display pixel at one viewpoint: display forward, then see-through forward.
 
-The field is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to the
+The ray map is smooth in the pixel, so that it is solved exactly on a tensor grid of Chebyshev nodes and carried to the
 points of a warp grid, mostly all pixels, by two thin matrix products per component. `choose_plan` finds the number of
 nodes from a measured error; `solve_every_pixel` is the slow plain version, which solves every pixel.
 """
@@ -19,7 +19,7 @@ NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64
 _GRID = 33
 NEAREST_M = 0.25
-"""Nearest distance at which the field's error is judged; an offset of the ray counts more the nearer the scene."""
+"""Nearest distance at which the ray map's error is judged; an offset of the ray counts more the nearer the scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class RayMapPlan:
 
     Attributes:
         device_from_camera: (3, 3) rotation to the axes in which tangents are taken. They look at the middle of the
-            field, so that a field far off the device's axis is not stretched.
+            field of view, so that one far off the device's axis is not stretched.
         warp_grid: the points where rays are wanted.
         node_pixel: (rows, columns, 2) pixel positions of the nodes.
         from_rows: (warp grid rows, rows) float32, node rows -> warp grid rows.
@@ -109,7 +109,7 @@ class RayMap:
         """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
 
         Origins lie beside the viewpoint, where the straight continuation of the bent ray passes it; NaN where the
-        field has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
+        ray map has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
         """
         a, b, c, d = self.slope_offset[:, rows].reshape(4, -1)
         # Named rows of the rotation keep this in float32 and free of (n, 3) temporaries.
@@ -191,13 +191,13 @@ def ray_map(
         mappings: any pair, with the plan's panel.
         viewpoint: (3,) device frame.
         plan: from `choose_plan`.
-        warm_start: of the last frame's field with this plan.
+        warm_start: of the last frame's ray map with this plan.
     """
     axes = plan.device_from_camera
     solved = solve_pixels(mappings, axes, plan.node_pixel, viewpoint, warm_start)
     if not np.isfinite(solved.slope_offset).all():
-        field = solve_every_pixel(mappings, viewpoint, axes, plan.warp_grid.panel_pixel())
-        return replace(field, warm_start=solved.warm_start)
+        exact = solve_every_pixel(mappings, viewpoint, axes, plan.warp_grid.panel_pixel())
+        return replace(exact, warm_start=solved.warm_start)
     status = _spread_status(plan, solved.status)
     return RayMap(viewpoint, axes, _spread(plan, solved.slope_offset), status, solved.warm_start)
 
@@ -222,7 +222,7 @@ def _spread_status(plan: RayMapPlan, at_nodes: StatusArray) -> StatusArray:
 
 
 def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> FloatArray:
-    """Error of the interpolated field at some pixels against the exact solve there, in display pixels.
+    """Error of the interpolated ray map at some pixels against the exact solve there, in display pixels.
 
     Args:
         mappings: any pair.
@@ -253,7 +253,7 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
 
 
 def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int = 150) -> RayMapPlan:
-    """The least number of nodes that keeps the field within `tolerance_px` at the centre and corners of the eye box.
+    """The least number of nodes that keeps the ray map within `tolerance_px` at the centre and corners of the eye box.
 
     Judged on `samples` fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
     If no count reaches the tolerance the largest is taken: a map with kinks is not for interpolation, and
@@ -292,7 +292,7 @@ def required_tangents(mappings: EyeMappings, device_from_camera: FloatArray, vie
 
 
 def middle_axes(mappings: EyeMappings) -> FloatArray:
-    """Axes `device_from_camera` (3, 3) that look at the middle of the field from the eye box's centre.
+    """Axes `device_from_camera` (3, 3) that look at the middle of the field of view from the eye box's centre.
 
     Turned about the device's vertical, then nodded; never rolled. The device's own axes where the panel is not seen.
     """

@@ -55,23 +55,23 @@ def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def image_from_ray_map(
     image_view: View,
-    field_viewpoint_in_device: NDArray[np.float64],
-    field_device_from_camera: NDArray[np.float64],
-    field_world_from_device: NDArray[np.float64],
+    viewpoint_in_device: NDArray[np.float64],
+    device_from_camera: NDArray[np.float64],
+    world_from_device: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Camera frame of a ray map -> camera frame of a picture, (..., 4, 4).
 
-    The picture may have been drawn from another place, or for an older head pose: a ray of the field, carried by this
+    The picture may have been drawn from another place, or for an older head pose: a ray of the ray map, carried by this
     transform, is the ray along which the picture must be read.
 
     Args:
         image_view: from where the picture was drawn.
-        field_viewpoint_in_device: (3,) or (..., 3) metres.
-        field_device_from_camera: (3, 3) axes of the field.
-        field_world_from_device: (4, 4) or (..., 4, 4) head poses, of a whole frame or of each row of the display.
+        viewpoint_in_device: (3,) or (..., 3) metres.
+        device_from_camera: (3, 3) axes of the ray map.
+        world_from_device: (4, 4) or (..., 4, 4) head poses, of a whole frame or of each row of the display.
     """
-    device_from_field = transforms.rigid(field_device_from_camera, field_viewpoint_in_device)
-    return np.asarray(transforms.inverse(image_view.world_from_camera) @ field_world_from_device @ device_from_field)
+    device_from_rays = transforms.rigid(device_from_camera, viewpoint_in_device)
+    return np.asarray(transforms.inverse(image_view.world_from_camera) @ world_from_device @ device_from_rays)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,23 +1,12 @@
-"""What is fixed for all frames of one eye (camera, axes, warp grid), and the camera that the engine draws with."""
+"""The camera that an engine draws one eye's intermediate image with, in OpenGL's and OpenXR's terms."""
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeChannels
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_grid
-from wlr_render.rendering.raster_camera import (
-    RasterPosition,
-    intermediate_camera,
-    minification_over_eye_box,
-    samples_for,
-)
-from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.view import View
 
 
@@ -30,7 +19,7 @@ class EyeCamera:
 
     Attributes:
         eye: "left" or "right".
-        view: the same in the words of our own renderers.
+        view: the same as our own renderers take it.
     """
 
     eye: str
@@ -96,56 +85,3 @@ class EyeCamera:
             matrix[2, 2:] = 2 * matrix[2, 2] + 1, 2 * matrix[2, 3]
         matrix[3, 2] = -1
         return matrix
-
-
-@dataclass(frozen=True, eq=False)
-class EyePlan:
-    """Plan of one eye: all that is fixed over its frames.
-
-    Attributes:
-        eye: "left" or "right".
-        channels: one pair of mappings, or one per colour channel.
-        size_px: (width, height) of the display's picture, which covers the panel.
-        device_from_camera: (3, 3) axes of the intermediate image and of the field.
-        camera: of the intermediate image.
-        raster_position: where that camera stands for a viewpoint.
-        samples_per_axis: samples per display pixel and axis that the filter takes.
-    """
-
-    eye: str
-    channels: EyeChannels
-    size_px: tuple[int, int]
-    device_from_camera: FloatArray
-    camera: Pinhole
-    raster_position: RasterPosition
-    samples_per_axis: int
-
-    @functools.cached_property
-    def warp_grid(self) -> ChosenWarpGrid:
-        """The warp grid, and its measured interpolation error.
-
-        The densest grid that any colour channel needs. Computed on first use; unused when every pixel is solved.
-        """
-        chosen = [choose_warp_grid(mappings, self.device_from_camera, self.size_px) for mappings in self.channels]
-        return min(chosen, key=lambda each: float(each.cell_px.min()))
-
-    @classmethod
-    def of(cls, channels: EyeChannels, size_px: tuple[int, int], resolution: float, late_margin: float) -> "EyePlan":
-        """Make the plan.
-
-        Args:
-            channels: of one eye.
-            size_px: (width, height) of the display.
-            resolution: of the intermediate image, as in `intermediate_camera`.
-            late_margin: tangents by which the head may turn between drawing and scan-out.
-        """
-        middle = channels[len(channels) // 2]
-        axes = middle_axes(middle)
-        camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
-        samples_per_axis = samples_for(minification_over_eye_box(middle, axes, camera, size_px))
-        return cls(middle.eye, channels, size_px, axes, camera, RasterPosition(middle, axes), samples_per_axis)
-
-    def eye_camera(self, viewpoint: FloatArray, world_from_device: FloatArray) -> EyeCamera:
-        """The camera to draw with for a viewpoint (3,) and a head pose (4, 4)."""
-        place = self.raster_position.at(viewpoint)
-        return EyeCamera(self.eye, View(self.camera, place, world_from_device, self.device_from_camera))
