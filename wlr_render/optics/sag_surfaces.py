@@ -5,7 +5,6 @@ Same frame, units and column layout as `surfaces`.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -17,33 +16,35 @@ _MAX_STEPS = 25
 _LAST_STEP = 1e-10
 
 
-class _Sag(Protocol):
+class _SagSurface:
+    """A shape by its height over x and y, met by Newton's method from where a ray crosses z = 0; one root."""
+
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
+        raise NotImplementedError
 
+    @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
+        """See `surfaces.Shape`."""
+        (ox, oy, oz), (dx, dy, dz) = origin, direction
+        distance = -oz / dz
+        step = distance
+        for _ in range(_MAX_STEPS):
+            z, slope_x, slope_y = self.sag_and_slopes(ox + distance * dx, oy + distance * dy)
+            step = (oz + distance * dz - z) / (dz - slope_x * dx - slope_y * dy)
+            distance = distance - step
+            if not (np.abs(step) > _LAST_STEP).any():
+                break
+        return SurfaceIntersections(distance[None], ~(np.abs(step) > _LAST_STEP))
 
-@np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
-def _meet(shape: _Sag, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-    """Newton along each ray from where it crosses z = 0; one root."""
-    (ox, oy, oz), (dx, dy, dz) = origin, direction
-    distance = -oz / dz
-    step = distance
-    for _ in range(_MAX_STEPS):
-        z, slope_x, slope_y = shape.sag_and_slopes(ox + distance * dx, oy + distance * dy)
-        step = (oz + distance * dz - z) / (dz - slope_x * dx - slope_y * dy)
-        distance = distance - step
-        if not (np.abs(step) > _LAST_STEP).any():
-            break
-    return SurfaceIntersections(distance[None], ~(np.abs(step) > _LAST_STEP))
-
-
-def _normal(shape: _Sag, point: FloatArray) -> FloatArray:
-    _, slope_x, slope_y = shape.sag_and_slopes(point[0], point[1])
-    return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]))
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `surfaces.Shape`; points to +z at the vertex."""
+        _, slope_x, slope_y = self.sag_and_slopes(point[0], point[1])
+        return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]))
 
 
 @dataclass(frozen=True)
-class Toroid:
+class Toroid(_SagSurface):
     """A circle in the y-z plane, turned about an axis parallel to y.
 
     Attributes:
@@ -55,21 +56,13 @@ class Toroid:
     radius_y: float
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `_Sag`."""
+        """See `_SagSurface`."""
         curvature = 1.0 / self.radius_y
         root = np.sqrt(1.0 - curvature * curvature * y * y)
         profile = curvature * y * y / (1.0 + root)
         arm = self.radius_x - profile
         height = np.copysign(np.sqrt(arm * arm - x * x), self.radius_x)
         return profile + x * x / (arm + height), x / height, arm / height * curvature * y / root
-
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `surfaces.Shape`."""
-        return _meet(self, origin, direction)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """See `surfaces.Shape`; points to +z at the vertex."""
-        return _normal(self, point)
 
 
 def _conicoid(
@@ -86,7 +79,7 @@ def _conicoid(
 
 
 @dataclass(frozen=True)
-class XYPolynomial:
+class XYPolynomial(_SagSurface):
     """Sum of C[m, n] x^m y^n, on a conic base.
 
     Attributes:
@@ -105,7 +98,7 @@ class XYPolynomial:
         return [np.trim_zeros(column, "b").tolist() for column in self.coefficients.T]
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `_Sag`; nested Horner, in x within powers of y."""
+        """See `_SagSurface`; nested Horner, in x within powers of y."""
         sag, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
         for column in reversed(self._columns):
             value, slope = _horner(column, x)
@@ -116,14 +109,6 @@ class XYPolynomial:
             return sag, slope_x, slope_y
         base = _conicoid(x, y, (self.curvature, self.curvature), (self.conic, self.conic))
         return sag + base[0], slope_x + base[1], slope_y + base[2]
-
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `surfaces.Shape`."""
-        return _meet(self, origin, direction)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """See `surfaces.Shape`; points to +z."""
-        return _normal(self, point)
 
 
 def _horner(coefficients: list[float], x: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
@@ -154,7 +139,7 @@ class AnamorphicTerm:
 
 
 @dataclass(frozen=True)
-class AnamorphicAsphere:
+class AnamorphicAsphere(_SagSurface):
     """A biconic with terms of unequal strength in x and y (as in US patent 5,701,202).
 
     Attributes:
@@ -168,7 +153,7 @@ class AnamorphicAsphere:
     terms: tuple[AnamorphicTerm, ...] = ()
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `_Sag`."""
+        """See `_SagSurface`."""
         sag, slope_x, slope_y = _conicoid(x, y, self.curvature, self.conic)
         for term in self.terms:
             ax, ay = 1.0 - term.asymmetry, 1.0 + term.asymmetry
@@ -178,11 +163,3 @@ class AnamorphicAsphere:
             slope_x = slope_x + 2.0 * term.power * ax * rest * x
             slope_y = slope_y + 2.0 * term.power * ay * rest * y
         return sag, slope_x, slope_y
-
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `surfaces.Shape`."""
-        return _meet(self, origin, direction)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """See `surfaces.Shape`; points to +z at the vertex."""
-        return _normal(self, point)

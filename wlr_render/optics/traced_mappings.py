@@ -21,9 +21,6 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.tracer import trace
 
-PixelOfViewDir = Callable[[FloatArray, FloatArray], tuple[FloatArray, StatusArray]]
-"""(view_dir, viewpoint) -> pixel (..., 2), not cut off at the panel's edge, and status."""
-
 _DEGREE = 4
 _VIEWPOINTS = 60
 _SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents in which the panel is looked for: 63 degrees to each side
@@ -37,30 +34,15 @@ _ANGLE_TOLERANCE = 1e-13  # radians
 _EDGE_PX = 1e-6  # by so much a pixel may lie outside the panel, so that its very edge survives rounding
 
 
-@dataclass(frozen=True)
-class DisplayFirstGuess:
-    """Polynomial first guess of the display's forward solve.
-
-    Attributes:
-        polynomial: (u, v, x, y, z) -> tangents.
-    """
-
-    polynomial: Polynomial
-
-    def __call__(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
-        box = self.polynomial.box
-        return self.polynomial(np.clip(np.concatenate([pixel, viewpoint], axis=-1), box.low, box.high))
-
-
-def fit_display_first_guess(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye_box: EyeBox) -> DisplayFirstGuess:
-    """Trace a spread of directions from a spread of viewpoints and fit those that reach the panel.
+def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
+    """Fit tangents to (u, v, x, y, z): directions traced from all over the eye box that reach the panel.
 
     Raises:
         BadInputError: no direction from the nominal viewpoint reaches the panel.
     """
+    panel, eye_box = display.panel, display.optics.eye_box
     search = np.stack(np.meshgrid(_SEARCH, _SEARCH), axis=-1).reshape(-1, 2)
-    found = search[_reaches(panel, *pixel_of_view_dir(dir_of_tangents(search), eye_box.centre))]
+    found = search[_reaches(panel, *display.plane_pixel(dir_of_tangents(search), eye_box.centre))]
     if len(found) == 0:
         raise BadInputError("no ray from the middle of the eye box reaches the panel; check the paths and apertures.")
     low, high = found.min(axis=0), found.max(axis=0)
@@ -68,7 +50,7 @@ def fit_display_first_guess(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye
     axes = np.linspace(low - margin, high + margin, _GRID)
     tangents = np.stack(np.meshgrid(axes[:, 0], axes[:, 1]), axis=-1).reshape(-1, 2)
     viewpoint = eye_box.at(_spread(_VIEWPOINTS))[:, None, :]
-    pixel, status = pixel_of_view_dir(dir_of_tangents(tangents), viewpoint)
+    pixel, status = display.plane_pixel(dir_of_tangents(tangents), viewpoint)
     kept = _reaches(panel, pixel, status)
     inputs = np.concatenate([pixel, np.broadcast_to(viewpoint, (*pixel.shape[:-1], 3))], axis=-1)[kept]
     half = 0.5 * eye_box.size
@@ -78,7 +60,7 @@ def fit_display_first_guess(pixel_of_view_dir: PixelOfViewDir, panel: Panel, eye
         solution = least_squares.solve(basis(inputs, _DEGREE, box), targets)
     except least_squares.RankDeficientError as error:
         raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.") from error
-    return DisplayFirstGuess(Polynomial(_DEGREE, box, solution.coefficients))
+    return Polynomial(_DEGREE, box, solution.coefficients)
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
@@ -149,7 +131,7 @@ class TracedDisplay:
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
             return self.plane_pixel(dir_of_tangents(tangents), eyes[index])[0] - wanted[index]
 
-        cold = np.where(outside[:, None], np.nan, self._start(wanted, eyes))
+        cold = np.where(outside[:, None], np.nan, self._first_guess(wanted, eyes))
         tangents, converged = _shoot(miss, _start(warm_start, cold), _PIXEL_TOLERANCE)
         view_dir = dir_of_tangents(tangents)
         status = np.where(converged, self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
@@ -172,9 +154,14 @@ class TracedDisplay:
         status = np.where(np.isnan(along) & (traced.status == Status.OK), Status.MISS, traced.status)
         return self.optics.panel.pixel_of_local(local), status
 
+    def _first_guess(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
+        box = self._guess.box
+        return self._guess(np.clip(np.concatenate([pixel, viewpoint], axis=-1), box.low, box.high))
+
     @cached_property
-    def _start(self) -> DisplayFirstGuess:
-        return fit_display_first_guess(self.plane_pixel, self.panel, self.optics.eye_box)
+    def _guess(self) -> Polynomial:
+        return _fit_first_guess(self)
 
 
 @dataclass(frozen=True, eq=False)
