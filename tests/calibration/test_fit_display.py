@@ -16,6 +16,7 @@ from wlr_render.calibration.fit_display import fit_display
 from wlr_render.captures.correspondences import concatenate
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.mappings import EyeBox
 
 UNSEEN = np.random.default_rng(7).uniform([50, 50], [950, 750], (40, 2))
 
@@ -49,10 +50,11 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
     assert report.coefficients == {"forward": 30, "backward": 30}
 
 
-def test_base_plane_may_be_chosen():
-    base_plane = dataclasses.replace(PLANE, z=PLANE.z + 0.001)
-    mapping, _ = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane)
-    assert mapping.base_plane == base_plane
+def test_base_plane_is_that_of_the_eye_box():
+    captures = display_captures(positions_in_plane(30))
+    moved = EyeBox(EYE_BOX.centre + [0.0, 0.0, 0.001], EYE_BOX.size)
+    mapping, _ = fit_display(dataclasses.replace(captures, eye_box=moved), "planar", 5)
+    assert mapping.base_plane.z == PLANE.z + 0.001
     assert rms_arcmin(mapping) < 0.01
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns import make_pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
 from wlr_render.captures.photographs import write_photograph
@@ -93,7 +93,7 @@ def test_axes_of_the_file_are_turned_into_the_device_frame(session):
         ("stage_mm = .*", "stage_mm = [1.0, 2.0]", "must be a list of 3 numbers"),
         ("bits = 12", "bits = 7", "'bits' is 7; it must be 8 to 16"),
         ('eye = "left"', 'eye = "middle"', "must be one of left, right"),
-        ('pattern = "gray-fringes"', 'pattern = "grey"', "There is no code 'grey'"),
+        ('pattern = "gray-fringes"', 'pattern = "grey"', "'pattern' is 'grey'; it must be one of gray, "),
         (
             '0.png"\ntarget_pose = 0',
             '0.png"\ntarget_pose = 3',

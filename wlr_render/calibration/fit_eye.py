@@ -1,14 +1,12 @@
 """Fit both mappings of one eye."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import EyeModel
 
@@ -26,7 +24,7 @@ class EyeFit:
 
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""
-        report: dict[str, Any] = {"display": self.display.record(), "see_through": self.see_through.record()}
+        report = {"display": asdict(self.display), "see_through": asdict(self.see_through)}
         return EyeModel(self.mappings, self.device, report)
 
 
@@ -35,7 +33,6 @@ def fit_eye(
     kind: str = "planar",
     display_degree: int | None = None,
     see_through_degree: int | None = None,
-    base_plane: BasePlane | None = None,
 ) -> EyeFit:
     """Fit display and see-through of one kind; degrees are chosen by held-out camera positions where None is given.
 
@@ -46,11 +43,9 @@ def fit_eye(
         raise BadInputError(
             f"the captures of {captures.display.device} have no see-through part; fit the display alone, or add one."
         )
-    display, display_report = fit_display(captures.display, kind, display_degree, base_plane)
+    display, display_report = fit_display(captures.display, kind, display_degree)
     see_through_kind = _SEE_THROUGH_KIND.get(kind, kind)
-    see_through, see_through_report = fit_see_through(
-        captures.see_through, see_through_kind, see_through_degree, base_plane
-    )
+    see_through, see_through_report = fit_see_through(captures.see_through, see_through_kind, see_through_degree)
     source = captures.display
     name = f"{source.device} ({kind} N={display_report.degree}, see-through N={see_through_report.degree})"
     mappings = EyeMappings(name, source.eye, display, see_through, source.eye_box)

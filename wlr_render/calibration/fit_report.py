@@ -1,11 +1,14 @@
 """Quality of a fit: residuals and cross-validated errors."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render.calibration.regression import Fitted, HeldOut
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import arcmin_between
+from wlr_render.mappings import QueryResult
 from wlr_render.numerics.arrays import FloatArray
 
 
@@ -28,21 +31,6 @@ class Residuals:
         if known.size == 0:
             raise BadInputError("the fitted model answers none of the captures it was made from; use a lower degree.")
         return cls(float(np.sqrt(np.mean(known**2))), float(np.quantile(known, 0.95)), float(known.max()))
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Error on camera positions that were left out of the fit, for one degree.
-
-    Attributes:
-        degree: total degree N.
-        rms: root mean square length of the residual vector, over all positions, each left out once.
-        standard_error: of `rms`, from its spread over the folds.
-    """
-
-    degree: int
-    rms: float
-    standard_error: float
 
 
 @dataclass(frozen=True)
@@ -80,6 +68,40 @@ class FitReport:
         """The held-out error of the degree in use, or None where it could not be determined."""
         return next((entry for entry in self.held_out_arcmin if entry.degree == self.degree), None)
 
-    def record(self) -> dict[str, Any]:
-        """As JSON-ready values, for the model file."""
-        return asdict(self)
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        captures: DisplayCaptures | SeeThroughCaptures,
+        fits: dict[str, Fitted],
+        seen: QueryResult,
+        shown: QueryResult | None = None,
+    ) -> "FitReport":
+        """Compare a model's predictions with the captures it was fitted to.
+
+        Args:
+            kind: of the model.
+            captures: n rows.
+            fits: by polynomial name; the one that the degree was chosen for is first, a display's backward one second.
+            seen: predicted view directions (n, 3).
+            shown: predicted panel pixels (n, 2), for a display.
+        """
+        first, *others = fits.values()
+        residual_px, held_out_px, usable = None, None, seen.usable
+        if shown is not None and isinstance(captures, DisplayCaptures):
+            usable = usable & shown.usable
+            residual_px = Residuals.of(np.linalg.norm(shown.value - captures.pixel, axis=1))
+            held_out_px = next((entry for each in others[:1] for entry in each.held_out), None)
+        return cls(
+            kind=kind,
+            degree=first.polynomial.degree,
+            coefficients={name: fitted.polynomial.coefficients.size for name, fitted in fits.items()},
+            condition=max(fitted.condition for fitted in fits.values()),
+            viewpoints=len(np.unique(captures.capture)),
+            samples=len(captures),
+            unsolved=int(np.sum(~usable)),
+            residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
+            residual_px=residual_px,
+            held_out_arcmin=first.held_out,
+            held_out_px=held_out_px,
+        )

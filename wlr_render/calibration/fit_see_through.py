@@ -1,37 +1,28 @@
 """Fit a see-through model to captures."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.coverage import missing_coverage
-from wlr_render.calibration.fit_report import FitReport, Residuals
+from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import SeeThroughMapping
 from wlr_render.models.bundle import BundleSeeThrough
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError
 
-
-@dataclass(frozen=True)
-class _SeeThroughFit:
-    """A fitted mapping, the captures it was made from, and its fits by polynomial name; the chosen-degree one first."""
-
-    mapping: SeeThroughMapping
-    captures: SeeThroughCaptures
-    fits: dict[str, Fitted]
+_SeeThroughFit = tuple[SeeThroughMapping, SeeThroughCaptures, dict[str, Fitted]]
+"""A fitted mapping, the captures it was made from, and its fits by polynomial name; the chosen-degree one first."""
 
 
 def fit_see_through(
-    captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
+    captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None
 ) -> tuple[SeeThroughMapping, FitReport]:
     """Fit a see-through model to captures of targets.
 
@@ -44,29 +35,28 @@ def fit_see_through(
         kind: "planar", "volumetric" or "static" (of each target pose, only the camera position nearest to the eye
             box's centre is used).
         degree: total degree N, or None to choose it by held-out camera positions.
-        base_plane: for "planar"; None for the plane through the eye box's centre.
 
     Raises:
-        BadInputError: an unknown kind, a point behind the base plane, or captures that do not determine the model; the
-            sentence says what is missing.
+        BadInputError: an unknown kind, a point behind the eye box's centre, or captures that do not determine the
+            model; the sentence says what is missing.
     """
-    result = _fitted(captures, kind, degree, base_plane)
-    return result.mapping, _report(kind, result)
+    mapping, used, fits = _fitted(captures, kind, degree)
+    return mapping, FitReport.of(kind, used, fits, mapping.view_dir_of_real_point(used.point, used.viewpoint))
 
 
 def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) -> SeeThroughMapping:
     """Fit a see-through model of a given degree as `fit_see_through` does, without cross-validation and report."""
-    return _fitted(captures, kind, degree, None).mapping
+    return _fitted(captures, kind, degree)[0]
 
 
-def _fitted(
-    captures: SeeThroughCaptures, kind: str, degree: int | None, base_plane: BasePlane | None
-) -> _SeeThroughFit:
+def _fitted(captures: SeeThroughCaptures, kind: str, degree: int | None) -> _SeeThroughFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
-    plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
+    plane = BasePlane(float(captures.eye_box.centre[2]))
     if np.any(plane.depth_of(captures.point) <= 0):
-        raise BadInputError(f"the base plane z = {plane.z:g} m lies beyond some target points; choose a larger z.")
+        raise BadInputError(
+            f"the middle of the eye box, z = {plane.z:g} m, lies beyond some target points; correct the eye box."
+        )
     refusal = f"the captures do not determine a {kind} see-through model"
     lowest = 1 if degree is None else degree
     # Positions that are not exact, and a target that is tilted, hide from the rank that they are too few.
@@ -85,20 +75,20 @@ def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | No
     depth = plane.depth_of(captures.point)[:, None]
     observed = (captures.point[:, :2] - in_plane) / depth - tangents
     fitted = _deviation(captures, np.hstack([in_plane, tangents]), observed, depth, captures.capture, degree)
-    return _SeeThroughFit(BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted})
+    return BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted}
 
 
 def _fit_volumetric(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
     forward, backward = _both_ways(captures, captures.viewpoint, captures.capture, degree)
     mapping = VolumetricSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
-    return _SeeThroughFit(mapping, captures, {"backward": backward, "forward": forward})
+    return mapping, captures, {"backward": backward, "forward": forward}
 
 
 def _fit_static(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
     centred = select(captures, _nominal(captures))
     forward, backward = _both_ways(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
     mapping = StaticSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
-    return _SeeThroughFit(mapping, centred, {"backward": backward, "forward": forward})
+    return mapping, centred, {"backward": backward, "forward": forward}
 
 
 _KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _SeeThroughFit]] = {
@@ -109,7 +99,7 @@ _KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _SeeThro
 
 
 def _both_ways(
-    captures: SeeThroughCaptures, position: FloatArray, group: NDArray[np.int64], degree: int | None
+    captures: SeeThroughCaptures, position: FloatArray, group: IntArray, degree: int | None
 ) -> tuple[Fitted, Fitted]:
     """Forward and backward deviation of models without a base plane; `position` (n, any) is what they know of it."""
     tangents = captures.tangents
@@ -126,7 +116,7 @@ def _deviation(
     inputs: FloatArray,
     observed: FloatArray,
     depth: FloatArray,
-    group: NDArray[np.int64],
+    group: IntArray,
     degree: int | None,
 ) -> Fitted:
     """Fit observed (n, 2) = A(inputs) + B(inputs) / depth."""
@@ -161,21 +151,3 @@ def _lacking_places(captures: SeeThroughCaptures, kind: str, degree: int) -> str
 def _one_depth(captures: SeeThroughCaptures) -> str:
     poses = len(np.unique(captures.target_pose))
     return f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"
-
-
-def _report(kind: str, result: _SeeThroughFit) -> FitReport:
-    captures, fits = result.captures, list(result.fits.values())
-    seen = result.mapping.view_dir_of_real_point(captures.point, captures.viewpoint)
-    return FitReport(
-        kind=kind,
-        degree=fits[0].polynomial.degree,
-        coefficients={name: fitted.polynomial.coefficients.size for name, fitted in result.fits.items()},
-        condition=max(fitted.condition for fitted in fits),
-        viewpoints=len(np.unique(captures.capture)),
-        samples=len(captures),
-        unsolved=int(np.sum(~seen.usable)),
-        residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
-        residual_px=None,
-        held_out_arcmin=fits[0].held_out,
-        held_out_px=None,
-    )

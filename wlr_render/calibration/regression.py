@@ -11,7 +11,6 @@ from functools import cache
 
 import numpy as np
 
-from wlr_render.calibration.fit_report import HeldOut
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError, Solution, solve
@@ -76,6 +75,21 @@ class Regression:
     def blocks(self) -> int:
         """Number of polynomials that share the inputs."""
         return int(self.multiplier.shape[2])
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Error on camera positions that were left out of the fit, for one degree.
+
+    Attributes:
+        degree: total degree N.
+        rms: root mean square length of the residual vector, over all positions, each left out once.
+        standard_error: of `rms`, from its spread over the folds.
+    """
+
+    degree: int
+    rms: float
+    standard_error: float
 
 
 @dataclass(frozen=True)

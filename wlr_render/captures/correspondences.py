@@ -18,8 +18,23 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
+class _Rows:
+    """What both kinds of captures derive from their rows."""
+
+    viewpoint: FloatArray
+    view_dir: FloatArray
+
+    @cached_property
+    def tangents(self) -> FloatArray:
+        """(n, 2) tangents of `view_dir`."""
+        return tangents_of_dir(self.view_dir)
+
+    def __len__(self) -> int:
+        return len(self.viewpoint)
+
+
 @dataclass(frozen=True)
-class DisplayCaptures:
+class DisplayCaptures(_Rows):
     """Panel pixels as seen from camera positions.
 
     Attributes:
@@ -52,17 +67,9 @@ class DisplayCaptures:
         _check_rows(self)
         _set_rows(self, "pixel", 2, len(self))
 
-    @cached_property
-    def tangents(self) -> FloatArray:
-        """(n, 2) tangents of `view_dir`."""
-        return tangents_of_dir(self.view_dir)
-
-    def __len__(self) -> int:
-        return len(self.viewpoint)
-
 
 @dataclass(frozen=True)
-class SeeThroughCaptures:
+class SeeThroughCaptures(_Rows):
     """Real points as seen through the optics from camera positions.
 
     Attributes:
@@ -90,14 +97,6 @@ class SeeThroughCaptures:
         _set_indices(self, "target_pose", len(self))
         if np.any(self.point[:, 2] >= self.viewpoint[:, 2]):
             raise BadInputError("captures: 'point' has rows that are not in front of their viewpoint (smaller z).")
-
-    @cached_property
-    def tangents(self) -> FloatArray:
-        """(n, 2) tangents of `view_dir`."""
-        return tangents_of_dir(self.view_dir)
-
-    def __len__(self) -> int:
-        return len(self.viewpoint)
 
 
 @dataclass(frozen=True)

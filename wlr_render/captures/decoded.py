@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray
 
+_REACH_PX = 4  # of a window to each side, camera pixels
+_FILLED = 0.6  # share of a window's pixels that must be accepted
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
 _RIM_PX = 2  # camera pixels beside a rejected one that are not used
 _ROUNDS = 5  # outliers bend the plane that they are judged by: the worst go first
@@ -117,19 +119,12 @@ class DecodedSamples:
         return len(self.camera_pixel)
 
 
-def sample(decoded: Decoded, count: int = 1500, reach_px: int = 4, filled: float = 0.6) -> DecodedSamples:
-    """Take about `count` samples over the accepted part of a picture, each from a plane fitted to its window.
-
-    Args:
-        decoded: the picture.
-        count: how many samples, about.
-        reach_px: the window is 2 reach + 1 camera pixels wide.
-        filled: share of a window's pixels that must be accepted.
-    """
+def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
+    """Take about `count` samples over the accepted part of a picture, each from a plane fitted to its window."""
     height, width = decoded.rejection.shape
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
-    steps = np.arange(-reach_px, reach_px + 1)
-    v, u = np.mgrid[reach_px : height - reach_px : every, reach_px : width - reach_px : every].reshape(2, -1)
+    steps = np.arange(-_REACH_PX, _REACH_PX + 1)
+    v, u = np.mgrid[_REACH_PX : height - _REACH_PX : every, _REACH_PX : width - _REACH_PX : every].reshape(2, -1)
     # Beside rejected pixels, the panel's edge above all, blur has mixed in what is not seen whole.
     inner = cv2.erode(decoded.accepted.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)).astype(bool)
     wanted = np.asarray(inner[v, u])
@@ -137,7 +132,7 @@ def sample(decoded: Decoded, count: int = 1500, reach_px: int = 4, filled: float
     dv, du = (offset.ravel() for offset in np.meshgrid(steps, steps, indexing="ij"))
     panel = decoded.pixel[v[:, None] + dv, u[:, None] + du].astype(np.float64)
     good = np.asarray(inner[v[:, None] + dv, u[:, None] + du])
-    enough = np.asarray(good.mean(axis=1) >= filled)
+    enough = np.asarray(good.mean(axis=1) >= _FILLED)
     u, v, panel, good = u[enough], v[enough], panel[enough], good[enough]
     kept = good
     planes, residual = _planes(panel, kept, du, dv)

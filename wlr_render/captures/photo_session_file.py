@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns.catalogue import make_pattern, pattern_keys
+from wlr_render.captures.patterns import PATTERNS, make_pattern, pattern_keys
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photographs import photographs_in
@@ -15,7 +15,7 @@ from wlr_render.captures.targets.board_file import load_board
 from wlr_render.errors import BadInputError
 from wlr_render.files import Table, read_toml, resource, write_toml
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
-from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid
+from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -23,8 +23,6 @@ FILE = "session.toml"
 FORMAT = "photo-session"
 VERSION = 1
 _MM = 1e-3
-_AXES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
-"""Rotation from the axes that a file states to the device frame's."""
 
 # What lengths of a bench can be, in millimetres: beyond, somebody has written metres or micrometres.
 _EYE_BOX_MM = (0.5, 100.0)
@@ -45,10 +43,12 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         raise BadInputError(f"{root}: has no {FILE}, so it is not a photographic session; {manual} has the format.")
     file = read_toml(root / FILE)
     file.check_head(FORMAT, VERSION, "a session")
-    axes = _AXES[file.text("frame", choices=sorted(_AXES))]
+    axes = FRAMES[file.text("frame", choices=sorted(FRAMES))]
     device, eye = file.text("device"), file.text("eye", choices=("left", "right"))
     pattern, decoding_keys = _pattern(file)
-    eyeball = _camera(file, "eyeball_camera", root)
+    eyeball_table = file.table("eyeball_camera")
+    eyeball = _camera(eyeball_table, root)
+    eyeball_table.finish()
     tracking, device_from_tracking = _tracking_camera(file, root, axes)
     session = PhotoSession(
         folder=root,
@@ -78,19 +78,12 @@ def _pattern(file: Table) -> tuple[Pattern, dict[str, float]]:
     panel = Panel(_count(size, "width_px"), _count(size, "height_px"))
     size.finish()
     table = file.table("code")
-    name = table.text("pattern")
-    numbers = {key: _count(table, key) for key in _known(table, name) if table.has(key)}
+    name = table.text("pattern", choices=list(PATTERNS))
+    numbers = {key: _count(table, key) for key in pattern_keys(name) if table.has(key)}
     decoding = {key: table.number(key) for key in ("min_contrast", "min_confidence") if table.has(key)}
     table.finish()
     try:
         return make_pattern(name, panel, **numbers), decoding
-    except BadInputError as error:
-        raise table.fail(str(error)) from error
-
-
-def _known(table: Table, name: str) -> tuple[str, ...]:
-    try:
-        return pattern_keys(name)
     except BadInputError as error:
         raise table.fail(str(error)) from error
 
@@ -103,30 +96,19 @@ def _eye_box(file: Table, axes: FloatArray) -> EyeBox:
     return EyeBox(_MM * axes @ centre, _MM * size)
 
 
-def _camera(file: Table, name: str, root: Path) -> SessionCamera:
-    table = file.table(name)
-    camera = _camera_keys(table, root)
-    table.finish()
-    return camera
-
-
 def _tracking_camera(file: Table, root: Path, axes: FloatArray) -> tuple[SessionCamera, FloatArray]:
     table = file.table("tracking_camera")
-    camera = _camera_keys(table, root)
+    camera = _camera(table, root)
     rotation, translation = table.vectors("rotation", 3), table.vector("translation_mm", 3)
     table.finish()
-    if rotation.shape != (3, 3) or not _is_rotation(rotation):
+    if rotation.shape != (3, 3) or not is_rotation(rotation):
         raise table.fail("'rotation' must be a rotation matrix (orthogonal to 1e-6, determinant +1).")
     if np.any(translation):
         _check_range(table, "translation_mm", float(np.linalg.norm(translation)), _CAMERA_PLACE_MM)
     return camera, rigid(axes @ rotation, _MM * axes @ translation)
 
 
-def _is_rotation(matrix: FloatArray) -> bool:
-    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 and np.linalg.det(matrix) > 0)
-
-
-def _camera_keys(table: Table, root: Path) -> SessionCamera:
+def _camera(table: Table, root: Path) -> SessionCamera:
     size, bits = (_count(table, "width_px"), _count(table, "height_px")), _count(table, "bits")
     if not 8 <= bits <= 16:
         raise table.fail(f"'bits' is {bits}; it must be 8 to 16.")
@@ -212,7 +194,7 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         code: the table [code]: `pattern` and its numbers.
         board: name of the board's file in the folder.
     """
-    axes = _AXES["opencv"]
+    axes = FRAMES["opencv"]
     panel, box = session.pattern.panel, session.eye_box
     pose = session.device_from_tracking
     content = {

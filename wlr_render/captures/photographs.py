@@ -1,6 +1,6 @@
 """Photographs on disk: grey values as the camera gave them, 8 to 16 bits deep."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -94,21 +94,18 @@ def read_each(paths: Sequence[Path]) -> Iterator[Photograph]:
     Raises:
         BadInputError: as `read_photograph`, or a photograph is not of the size of the first.
     """
-    yield from _of_one_size((path, read_photograph(path)) for path in paths)
-
-
-def _of_one_size(images: Iterable[tuple[Path, Photograph]]) -> Iterator[Photograph]:
-    first: tuple[Path, Photograph] | None = None
-    for path, image in images:
-        first = first or (path, image)
-        if image.shape != first[1].shape or image.dtype != first[1].dtype:
-            raise BadInputError(
-                f"{path}: is {_kind(image)}, but {first[0].name} is {_kind(first[1])}; all of a set must be alike."
-            )
+    first = ""
+    for path in paths:
+        image = read_photograph(path)
+        kind = describe_pixels(image)
+        first = first or kind
+        if kind != first:
+            raise BadInputError(f"{path}: is {kind}, but {paths[0].name} is {first}; all of a set must be alike.")
         yield image
 
 
-def _kind(image: Photograph) -> str:
+def describe_pixels(image: Photograph) -> str:
+    """Size and depth, e.g. "1280 x 1024 pixels of 8 bits"."""
     return f"{image.shape[1]} x {image.shape[0]} pixels of {8 * image.itemsize} bits"
 
 

@@ -33,7 +33,7 @@ Conversion = Callable[[Any, FloatArray], Any]
 
 MM = 1e-3
 """One millimetre in metres."""
-HALF_PIXEL = 0.5
+_HALF_PIXEL = 0.5
 """From a pixel's whole-numbered centre in a file to our pixels, which count from the image's outer corner."""
 
 
@@ -73,7 +73,7 @@ def _pose_to_file(pose: FloatArray, device_from_file: FloatArray) -> FloatArray:
 _NUMBER = Quantity(lambda value, _: value[:, 0], lambda value, _: value[:, None])
 _WHOLE = Quantity(lambda value, _: value[:, 0].astype(np.int64), lambda value, _: value[:, None])
 _PANEL_PIXEL = Quantity()
-_CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
+CAMERA_PIXEL = Quantity(lambda value, _: value + _HALF_PIXEL, lambda value, _: value - _HALF_PIXEL)
 _POINT = Quantity(lambda value, axes: MM * value @ axes.T, lambda value, axes: value @ axes / MM)
 _FLAT_POINT = Quantity(lambda value, axes: MM * value @ axes[:2, :2].T, lambda value, axes: value @ axes[:2, :2] / MM)
 _VECTOR = Quantity(lambda value, axes: value @ axes.T, lambda value, axes: value @ axes)
@@ -132,7 +132,7 @@ _PHOTOGRAPH = {
     "travel": (("travel",), _NUMBER),
     "stage": (STAGE, _POINT),
 }
-_CAMERA = (names("camera_", "uv"), _CAMERA_PIXEL)
+_CAMERA = (names("camera_", "uv"), CAMERA_PIXEL)
 
 PARTS = (
     Part(
@@ -153,7 +153,7 @@ PARTS = (
             "target_pose": (("target_pose",), _WHOLE),
             "dot": (names("target_", "xy", "_mm"), _FLAT_POINT),
             "orientation": (CAMERA_QUATERNION, _ROTATION),
-            "bare_pixel": (names("bare_", "uv"), _CAMERA_PIXEL),
+            "bare_pixel": (names("bare_", "uv"), CAMERA_PIXEL),
         },
         _CAMERA,
     ),
@@ -172,6 +172,6 @@ PARTS = (
             "gaze": (GAZE, _DIRECTION),
             "dot": (names("dot_", "xyz", "_mm"), _POINT),
         },
-        (names("virtual_", "uv") + names("real_", "uv"), _CAMERA_PIXEL),
+        (names("virtual_", "uv") + names("real_", "uv"), CAMERA_PIXEL),
     ),
 )

@@ -13,8 +13,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_report import FitReport, HeldOut
+from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.calibration.regression import HeldOut
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.evidence import HeldOutImprovement, held_out_improvement

@@ -10,6 +10,8 @@ from wlr_render.numerics.arrays import FloatArray
 
 OPENXR_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 """Rotation from axes x right, y down, z forward to x right, y up, z backward; its own inverse."""
+FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
+"""Rotation from the axes that a file states to the device frame's, by the name of the axes."""
 
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -21,6 +23,11 @@ def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
     matrix[..., :3, 3] = translation
     matrix[..., 3, 3] = 1.0
     return matrix
+
+
+def is_rotation(matrix: FloatArray) -> bool:
+    """Whether a matrix (3, 3) is orthogonal to 1e-6 with determinant +1."""
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 and np.linalg.det(matrix) > 0)
 
 
 def inverse(b_from_a: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.files import Table, named_or_path, read_toml
 from wlr_render.geometry.directions import normalised
-from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, rigid, rotation_about
+from wlr_render.geometry.transforms import FRAMES, rigid, rotation_about
 from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
@@ -30,8 +30,6 @@ MM = 1e-3
 
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0])
 
-FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
-"""Rotation from the axes that a file states to the device frame's, by their name."""
 _GREEN_UM = 0.55
 _OTHER_SIDE = {"right": "left", "left": "right"}
 

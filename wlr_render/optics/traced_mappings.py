@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
-from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status, StatusArray
+from wlr_render.mappings import EyeMappings, Panel, QueryResult, Status, StatusArray
 from wlr_render.numerics import least_squares, newton
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis

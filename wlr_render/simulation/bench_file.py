@@ -9,10 +9,10 @@ import numpy as np
 from wlr_render.captures.session_columns import MM
 from wlr_render.errors import BadInputError
 from wlr_render.files import Table, read_toml, shipped_names, write_toml
-from wlr_render.geometry.transforms import rigid
+from wlr_render.geometry.transforms import FRAMES, rigid
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
-from wlr_render.optics.device_file import FRAMES, load_device
+from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import device_content, save_device
 from wlr_render.simulation.bench import (
     Bench,

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.session_columns import HALF_PIXEL, MM, Quantity
+from wlr_render.captures.session_columns import CAMERA_PIXEL, MM, Quantity
 from wlr_render.files import Table
+from wlr_render.geometry.transforms import is_rotation
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import bench as parts
 
 # `axes` is device_from_file (3, 3), as in session_columns.
 PLAIN = Quantity()
-CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
 LENGTH = Quantity(lambda value, _: MM * value, lambda value, _: value / MM)
 POINT = Quantity(lambda value, axes: MM * axes @ value, lambda value, axes: axes.T @ value / MM)
 TURN = Quantity(lambda value, axes: axes @ np.deg2rad(value), lambda value, axes: axes.T @ np.rad2deg(value))
@@ -40,10 +40,7 @@ class Rule:
 
 POSITIVE = Rule("above 0", lambda value: bool(np.all(value > 0)))
 COUNT = Rule("a whole number above 0", lambda value: bool(np.all((value > 0) & (value == np.round(value)))))
-ROTATION = Rule(
-    "a rotation matrix (orthogonal to 1e-6, determinant +1)",
-    lambda value: bool(np.abs(value @ value.T - np.eye(3)).max() < 1e-6 and np.linalg.det(value) > 0),
-)
+ROTATION = Rule("a rotation matrix (orthogonal to 1e-6, determinant +1)", is_rotation)
 
 
 @dataclass(frozen=True)

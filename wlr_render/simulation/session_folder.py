@@ -12,8 +12,8 @@ from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import read_toml
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.transforms import FRAMES
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device_file import FRAMES
 from wlr_render.simulation.bench import Bench, EyeballCamera
 from wlr_render.simulation.bench_file import (
     DEVICE_FILE,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.axis_readings import AxisReading
-from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
+from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.phase_steps import (
     FringeAxis,
     check_agreement,
@@ -25,7 +25,7 @@ _FAR = 0.3  # of a period: where the longer fringe and this one disagree by more
 
 
 @dataclass(frozen=True)
-class Fringes(PanelCode):
+class Fringes(Pattern):
     """Multi-frequency phase shifting: fringes from long to short, the longest covers the panel.
 
     The hierarchy of periods is that of Huntley and Saldner, "Temporal phase-unwrapping algorithm for automated

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
 from wlr_render.captures.patterns.neighbours import neighbour_slices
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.patterns.photometry import (
@@ -41,7 +41,6 @@ WEAK = 0.5
 """A bit is weak if its median strength is below this part of full contrast."""
 _WELL_LIT = 0.25  # of the contrast that the brightest twentieth of the lit pixels exceeds
 _INVERSE = " inverse"
-_USUAL = DecodeOptions()
 
 
 @dataclass(frozen=True)
@@ -261,7 +260,7 @@ class BitStrength:
 
 
 def bit_strengths(
-    photographs: Iterable[Photograph], pattern: Pattern, options: DecodeOptions = _USUAL
+    photographs: Iterable[Photograph], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
 ) -> tuple[BitStrength, ...]:
     """Measure the contrast of each bit that is followed by its inverse; photographs as `pattern.decode` takes them.
 

@@ -3,17 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
+from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
 
 
 @dataclass(frozen=True)
-class GrayCode(PanelCode):
+class GrayCode(Pattern):
     """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 1920 x 1080 takes 46 pictures.
 
     How much a camera pixel sees of each of two neighbouring panel pixels follows from the grey value of the bit that
@@ -23,23 +22,14 @@ class GrayCode(PanelCode):
 
     def axis(self, name: str, length_px: int) -> AxisCode:
         """Bits from coarse to fine, each followed by its inverse."""
-        return _GrayPixels(GrayAxis(name, length_px))
+        return _GrayPixels(name, length_px)
 
 
-@dataclass(frozen=True)
-class _GrayPixels:
+class _GrayPixels(GrayAxis):
     """One axis; the cells are panel pixels."""
 
-    gray: GrayAxis
-
-    def names(self) -> list[str]:
-        return self.gray.names()
-
-    def line(self, index: int) -> NDArray[np.uint8]:
-        return self.gray.line(index)
-
     def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
-        reading = read_gray(self.gray, reader, light, noise)
+        reading = read_gray(self, reader, light, noise)
         return AxisReading(
             position=np.asarray(reading.cell + 0.5 + reading.offset, dtype=np.float64),
             # Half the difference of two strengths, each with the noise of a difference and that of the contrast.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
-from wlr_render.captures.patterns.pattern import AxisCode, PanelCode
+from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.phase_steps import (
     FringeAxis,
     check_agreement,
@@ -24,7 +24,7 @@ _FAR = 0.375  # of a period from the middle of its cell, half-way between the ce
 
 
 @dataclass(frozen=True)
-class GrayFringes(PanelCode):
+class GrayFringes(Pattern):
     """Gray code of half periods, then fringes: 46 pictures for 1920 x 1080.
 
     A code that is wrong by one cell at the border of two cells still names the right period, since its middle lies

@@ -1,7 +1,7 @@
-"""Pattern protocol: images shown on a panel, and the decoding of their photographs; patterns coded axis by axis."""
+"""Pattern: images shown on a panel, coded axis by axis, and the decoding of their photographs."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,30 +13,6 @@ from wlr_render.captures.patterns.axis_readings import AxisReading, combine_axes
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader, read_light
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
-
-
-class Pattern(Protocol):
-    """A code for a whole panel. The law: decoding its own pictures gives every panel pixel's centre."""
-
-    @property
-    def panel(self) -> Panel:
-        """The panel it is made for."""
-
-    def names(self) -> tuple[str, ...]:
-        """Names of the pictures, e.g. "white", "black", "u bit 10", "u bit 10 inverse", in the order of showing."""
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        """(panel height, panel width) grey picture number `index`."""
-
-    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Panel positions from one photograph per picture, in the order of showing.
-
-        Photographs are taken one at a time and not kept, so that the iterable may read them from disk.
-
-        Raises:
-            BadInputError: too few or too many photographs, sizes that differ, a set that is over- or under-exposed or
-                not in the order of showing; the sentence names the photograph's number and what it should show.
-        """
 
 
 class AxisCode(Protocol):
@@ -57,8 +33,10 @@ class AxisCode(Protocol):
 
 
 @dataclass(frozen=True)
-class PanelCode(ABC):
-    """A `Pattern` of white, black, the code of u and the code of v; subclasses define the code of one axis.
+class Pattern(ABC):
+    """A code for a whole panel: white, black, the code of u and the code of v; subclasses define the code of one axis.
+
+    The law: decoding its own pictures gives every panel pixel's centre.
 
     Attributes:
         panel: it is made for.
@@ -71,7 +49,7 @@ class PanelCode(ABC):
         """The code of the axis "u" or "v" of so many panel pixels."""
 
     def names(self) -> tuple[str, ...]:
-        """Names of the pictures in the order of showing: see `Pattern.names`."""
+        """Names of the pictures, e.g. "white", "black", "u bit 10", "u bit 10 inverse", in the order of showing."""
         return "white", "black", *self._u.names(), *self._v.names()
 
     def image(self, index: int) -> NDArray[np.uint8]:
@@ -84,11 +62,18 @@ class PanelCode(ABC):
         return np.array(np.broadcast_to(line, size))
 
     def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Panel positions from one photograph per picture; see `Pattern.decode`."""
+        """Panel positions from one photograph per picture, in the order of showing.
+
+        Photographs are taken one at a time and not kept, so that the iterable may read them from disk.
+
+        Raises:
+            BadInputError: too few or too many photographs, sizes that differ, a set that is over- or under-exposed or
+                not in the order of showing; the sentence names the photograph's number and what it should show.
+        """
         reader = PhotographReader(photographs, self.names())
         light = read_light(reader, options)
         noise = NoiseMeter(light)
-        readings: Sequence[AxisReading] = [axis.read(reader, light, noise) for axis in (self._u, self._v)]
+        readings = [axis.read(reader, light, noise) for axis in (self._u, self._v)]
         reader.finish()
         return combine_axes(readings, light, reader.peak, noise.variance(), options, self.panel)
 

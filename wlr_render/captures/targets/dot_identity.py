@@ -31,11 +31,6 @@ class _Placed:
     disagreeing: IntArray
     first_shift: IntArray
 
-    def best_index(self, index: IntArray) -> IntArray:
-        """(k, 2) column and row of each dot at the best place."""
-        row, column = np.unravel_index(int(self.disagreeing.argmin()), self.disagreeing.shape)
-        return np.asarray(index @ self.way + self.first_shift + np.array([column, row]))
-
 
 def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
     """Return the column and row (k, 2) on the board of each dot of a fragment; some may lie beyond the board.
@@ -62,7 +57,9 @@ def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> In
         )
     if best >= _PROPER:
         raise BoardNotFoundError("the picture is mirrored: only the mirror image of its dots is on the board.")
-    return placed[best].best_index(index)
+    found = placed[best]
+    row, column = np.unravel_index(int(found.disagreeing.argmin()), found.disagreeing.shape)
+    return np.asarray(index @ found.way + found.first_shift + np.array([column, row]))
 
 
 def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: IntArray) -> _Placed:
