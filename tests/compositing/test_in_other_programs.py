@@ -97,7 +97,7 @@ def test_faults_leave_the_state_and_the_next_frame_is_right(caller, compositor, 
     assert_same(caller.state(), before)
 
 
-def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, compositor, flat_image_headset):
+def test_a_context_that_is_not_current_is_refused_in_a_sentence(caller, compositor, flat_image_headset):
     third = moderngl.create_context(standalone=True, require=430, backend="egl")
     caller.ctx.__enter__()
     made = compositor(flat_image_headset, context=caller.ctx)

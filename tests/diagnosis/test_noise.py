@@ -175,7 +175,7 @@ def test_the_noise_between_repeats_is_scaled_by_how_often(bench, plan):
     assert floors_of(exact)[0].repeats_px < 1e-6
 
 
-def test_too_few_points_in_a_photograph_tell_nothing(bench, plan):
+def test_too_few_points_in_a_photograph_give_no_noise_estimate(bench, plan):
     few = measured(bench, plan, SIGMA_PX)
     few = few.of_rows(few.spread(200))
     for floor in floors_of(few):

@@ -42,7 +42,7 @@ def test_a_photograph_of_the_panel_half_a_millimetre_off_is_found_with_its_shift
     assert found.rms_after == pytest.approx(1.0, abs=0.15)
 
 
-def test_a_turn_is_told_from_a_shift(bench, plan):
+def test_a_rotation_is_distinguished_from_a_shift(bench, plan):
     name = CaptureName(DISPLAY, -1, 9)
     turn = (0.2, -0.1, 0.3)
     (found,) = found_in(with_moved(measured(bench, plan, SIGMA_PX, seed=2), bench, [name], (0, 0, 0), turn))

@@ -38,7 +38,7 @@ def two_surfaces(noise_px=0.0):
     return position + noise_px * np.random.default_rng(5).standard_normal(position.shape)
 
 
-def test_two_surfaces_are_told_apart_and_their_noise_is_measured():
+def test_two_surfaces_are_separated_and_their_noise_is_measured():
     position, inside = two_surfaces(noise_px=0.1), centres()[..., 0] < 140
     accepted = np.random.default_rng(1).random((HEIGHT, WIDTH)) < 0.9
     label = find_planes(decoded_of(position, accepted))

@@ -106,7 +106,7 @@ class Blind:
         return QueryResult(ray.value[..., :3], ray.status)
 
 
-def test_what_is_not_seen_has_no_figure(flat_image_headset):
+def test_figures_without_visible_points_are_dashes(flat_image_headset):
     blind = replace(flat_image_headset, see_through=Blind())
     table = figures_table(blind, figures_of(blind))
     lines = {row[0]: row for row in table.text_rows()}

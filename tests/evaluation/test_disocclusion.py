@@ -10,7 +10,7 @@ HEAD = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6,
 EYE = np.array([0.03, 0.0, -0.02])
 
 
-def test_what_an_edge_hides_from_a_camera_beside_the_eye_is_the_closed_form():
+def test_disocclusion_behind_an_edge_is_the_closed_form():
     # A sheet 1 m away reaches from the left to the middle; the wall behind it is 4 m away, and ends at x = 2 m.
     eye_from_scene = transforms.rigid(np.eye(3), EYE)
     sheet = (quad((-9, -9), (0, 9)), HEAD @ eye_from_scene @ at(0, 0, -1))

@@ -14,7 +14,7 @@ from wlr_render.optics.traced_mappings import traced_eye
 PIXEL = np.array([[70.0, 50.0], [20.0, 80.0], [130.0, 10.0]])
 
 
-def test_a_prism_of_colour_bends_real_points_but_no_pixels(flat_image_headset):
+def test_a_chromatic_prism_deviates_real_points_but_not_pixels(flat_image_headset):
     """Two prisms that differ by 1e-3 in tangents, in a plate 30 mm before the eye."""
     green, eye = flat_image_headset, flat_image_headset.eye_box.centre
     red = replace(green, see_through=replace(green.see_through, prism=green.see_through.prism + 1e-3))

@@ -88,7 +88,7 @@ def test_observations_of_directions_are_those_of_the_pixels_seen(flat_image_head
     np.testing.assert_array_equal(again.viewpoint, display_observations.viewpoint)
 
 
-def test_what_the_truth_does_not_see_is_left_out(flat_image_headset):
+def test_directions_invisible_in_the_exact_optics_are_omitted(flat_image_headset):
     backwards = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     viewpoint, see_through = flat_image_headset.eye_box.centre, flat_image_headset.see_through
     observations = mapping_error.see_through_observations(see_through, viewpoint, backwards, np.array(1.0))
@@ -117,7 +117,7 @@ def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_
         assert np.all((angle > 0.8 * prism_arcmin) & (angle < 1.01 * prism_arcmin))
 
 
-def test_straight_error_is_what_the_optics_bend(flat_image_headset, see_through_observations):
+def test_straight_error_is_the_deviation_of_the_optics(flat_image_headset, see_through_observations):
     straight = replace(flat_image_headset.see_through, offset_m=0.0, prism=0.0)
     expected = mapping_error.see_through_error(straight, see_through_observations).backward_arcmin
     np.testing.assert_allclose(mapping_error.straight_error(see_through_observations), expected, rtol=1e-9)

@@ -52,7 +52,7 @@ def test_a_turned_display_is_off_by_the_turn(flat_image_headset, axis):
     np.testing.assert_allclose(error, expected, rtol=1e-6)
 
 
-def test_a_combiner_taken_as_not_there_is_off_by_its_bend(flat_image_headset):
+def test_ignoring_the_combiner_gives_its_deviation_as_misalignment(flat_image_headset):
     """Straight rays instead of those of a plate that offsets by 2 mm per tangent and bends by 3 mrad."""
     pixel = np.array([[20.0, 30.0], [70.0, 50.0], [120.0, 90.0]])
     seen = flat_image_headset.display.view_dir_of_pixel(pixel, VIEWPOINT).value
@@ -69,7 +69,7 @@ def test_a_combiner_taken_as_not_there_is_off_by_its_bend(flat_image_headset):
     assert error[1] == pytest.approx(3e-3 / directions.ARCMIN, rel=0.01)
 
 
-def test_what_is_not_shown_or_not_seen_has_no_misalignment(flat_image_headset):
+def test_misalignment_is_nan_for_background_and_invisible_points(flat_image_headset):
     pixel = np.tile([70.0, 50.0], (3, 1))
     point = np.tile([0.1, 0.0, -1.0], (3, 1))
     point[1] = np.nan

@@ -30,7 +30,7 @@ def test_pixels_and_tangents_are_inverse(camera, shape):
     assert np.allclose(np.linalg.norm(camera.dir_of_pixel(pixel), axis=-1), 1.0)
 
 
-def test_what_is_behind_the_camera_is_not_seen(camera):
+def test_points_behind_the_camera_have_no_pixel(camera):
     assert np.isnan(camera.pixel_of_point(np.array([0.1, 0.1, -1.0]))).all()
 
 

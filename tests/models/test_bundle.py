@@ -134,7 +134,7 @@ def test_zero_coefficients_are_no_optics():
     assert distance_to_point(none.real_ray_of_view_dir(view_dir, VIEWPOINT).value, VIEWPOINT).max() < 1e-15
 
 
-def test_a_projection_without_a_solution_is_nan_and_says_so():
+def test_a_projection_without_a_solution_is_nan_and_not_converged():
     """t = (x - 0.03)^2 / 1e-6 + 200: 4 mm behind the plane no real p~ satisfies the projection."""
 
     def wild(inputs):

@@ -114,7 +114,7 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentenc
     ("content", "sentence"),
     [(None, "cut short"), (b"", "cut short"), (b"\x93NUMPY\xff", "is not a model file"), (b"[1, 2]", "not an object")],
 )
-def test_files_that_are_cut_short_or_something_else(tmp_path, content, sentence):
+def test_truncated_and_other_files_are_refused(tmp_path, content, sentence):
     path = save_eye_models(tmp_path / "eye.json", [model()])
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)
     with pytest.raises(BadInputError, match=sentence):

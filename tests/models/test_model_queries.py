@@ -82,7 +82,7 @@ def test_pixels_and_viewpoints_broadcast(display):
 
 
 @displays
-def test_what_lies_outside_keeps_its_value_and_says_so(display):
+def test_extrapolations_keep_their_value_and_are_outside_fit(display):
     far = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 2 * fitted_model.EYE_BOX_MARGIN, 0, 0]
     near = EYE_BOX.centre + [0.5 * EYE_BOX.size[0] + 0.5 * fitted_model.EYE_BOX_MARGIN, 0, 0]
     assert display.view_dir_of_pixel(PIXEL[0], far).status == Status.OUTSIDE_FIT

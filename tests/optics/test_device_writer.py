@@ -192,7 +192,7 @@ def test_surface_and_base_names_do_not_collide(tmp_path):
     assert_same(device, saved(device, tmp_path))
 
 
-def test_media_of_one_name_that_differ_between_the_eyes_are_told_apart(tmp_path):
+def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_path):
     device = load_device("northstar")
     eyes = dict(device.eyes, left=device.eyes["left"].with_media(lambda medium: medium.shifted(0.004)))
     read = saved(replace(device, eyes=eyes), tmp_path)

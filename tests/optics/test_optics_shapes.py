@@ -113,7 +113,7 @@ def test_ray_past_a_sphere_has_no_root_and_no_warning_of_convergence():
     assert hits.converged.all()
 
 
-def test_newton_that_cannot_settle_says_so():
+def test_newton_reports_when_it_does_not_converge():
     """A ray across a trough, above it: there is nothing to find, and the slope changes sign."""
     trough = XYPolynomial(np.array([[0.0], [0.0], [-30.0]]))
     slope = 1e-3

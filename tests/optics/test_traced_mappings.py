@@ -239,7 +239,7 @@ def test_an_eye_that_is_not_there():
         traced_eye(load_device("freeform40"), "left")
 
 
-def test_panel_that_no_ray_reaches(tmp_path):
+def test_a_panel_that_no_ray_reaches_is_refused(tmp_path):
     text = resource("devices", "flat_mirror.toml").read_text(encoding="utf-8")
     hidden = tmp_path / "hidden.toml"
     hidden.write_text(text.replace("[0.0, -40.0, 40.0]", "[0.0, 40.0, 40.0]"), encoding="utf-8")

@@ -51,7 +51,7 @@ def test_the_error_of_a_quadratic_field_is_an_eighth_of_its_second_difference(to
     )
 
 
-def test_a_stronger_bend_needs_a_denser_lattice(toy_headset):
+def test_a_stronger_curvature_needs_a_denser_grid(toy_headset):
     mild, strong = (choose_warp_grid(quadratic_eye(toy_headset, k), np.eye(3), (600, 400)) for k in (0.05, 0.8))
     np.testing.assert_allclose(mild.cell_px / strong.cell_px, 4, rtol=0.15)
     assert 0.7 * TOLERANCE_ARCMIN < strong.bound_arcmin <= TOLERANCE_ARCMIN
@@ -89,7 +89,7 @@ def test_half_the_cell_makes_a_quarter_of_the_error():
     np.testing.assert_allclose(errors[0] / errors[1], 4, rtol=0.1)
 
 
-def test_what_no_coarser_lattice_reaches_is_known_at_every_pixel_of_the_picture(toy_headset):
+def test_an_unreachable_tolerance_gives_one_grid_point_per_pixel(toy_headset):
     chosen = choose_warp_grid(toy_headset, np.eye(3), (48, 40), tolerance_arcmin=1e-9)
     assert chosen.grid.size == (48, 40)
     np.testing.assert_allclose(chosen.grid.first_px, [1, 1])
@@ -97,7 +97,7 @@ def test_what_no_coarser_lattice_reaches_is_known_at_every_pixel_of_the_picture(
     assert chosen.hole_share == 0
 
 
-def test_holes_are_not_judged_but_told(toy_headset, toy_headset_with_hole):
+def test_unsolved_points_are_reported_and_not_in_the_error(toy_headset, toy_headset_with_hole):
     whole, holed = (choose_warp_grid(eye, np.eye(3), size_of(eye)) for eye in (toy_headset, toy_headset_with_hole))
     assert whole.hole_share == 0
     assert 0 < holed.hole_share < 0.3

@@ -39,7 +39,7 @@ def two_cubes():
     )
 
 
-def test_it_sees_what_the_views_own_pixel_rays_see():
+def test_the_image_agrees_with_ray_tracing_its_pixels():
     head = transforms.rigid(transforms.rotation_about("x", 0.1), np.array([0.0, 0.1, 0.2]))
     frame = view(OFF_CENTRE, (0.01, 0.0, 0.02), head)
     buffers = ("position", "normal", "ids")

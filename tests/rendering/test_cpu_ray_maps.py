@@ -45,7 +45,7 @@ def test_a_warm_start_changes_nothing(prepare):
     np.testing.assert_array_equal(solve.solve(viewpoint).slope_offset, cold.slope_offset)
 
 
-def test_a_pixel_whose_solve_fails_says_so(toy_headset):
+def test_a_pixel_that_does_not_converge_has_that_status(toy_headset):
     class Unsolved:
         panel = toy_headset.display.panel
 
@@ -64,7 +64,7 @@ def test_a_viewpoint_that_is_none_is_refused(prepare, toy_headset):
         prepare(toy_headset, small_picture(toy_headset)).solve(np.full(3, np.nan))
 
 
-def test_nodes_are_asked_with_the_last_solution_and_give_the_field_of_their_plan(toy_headset):
+def test_nodes_start_from_the_last_solution_and_give_the_planned_ray_map(toy_headset):
     starts = []
 
     class Recorded:

@@ -87,7 +87,7 @@ def test_osmesa_draws_what_egl_draws(gl_context, tmp_path):
 
 
 @pytest.mark.parametrize(("told", "first"), [("osmesa", "osmesa"), ("egl", "egl"), (None, "egl")])
-def test_auto_opens_first_what_pyopengl_was_told(monkeypatch, told, first):
+def test_auto_first_opens_the_platform_that_pyopengl_uses(monkeypatch, told, first):
     tried = []
 
     def refusing(name):

@@ -31,7 +31,7 @@ def test_the_texture_holds_the_exact_rays_at_the_points(gl_context, toy_headset)
         np.testing.assert_array_equal(field.viewpoint_in_device, viewpoint)
 
 
-def test_planar_models_give_what_the_shader_finds(gl_context):
+def test_planar_models_agree_with_the_shader(gl_context):
     eye = fitted_eye("northstar", 5)
     plan, viewpoint = plan_of(eye), eye.eye_box.at(np.array([0.4, -0.6, 0.8]))
     by_nodes = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)
@@ -39,7 +39,7 @@ def test_planar_models_give_what_the_shader_finds(gl_context):
     np.testing.assert_allclose(by_nodes.read_slope_offset(), in_shader.read_slope_offset(), atol=3e-6)
 
 
-def test_around_a_hole_every_point_is_asked_and_keeps_its_status(gl_context, toy_headset_with_hole):
+def test_around_an_unsolved_node_every_point_is_solved_and_keeps_its_status(gl_context, toy_headset_with_hole):
     eye = toy_headset_with_hole
     plan, viewpoint = plan_of(eye, 49, 41, 9), eye.eye_box.centre
     field = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)

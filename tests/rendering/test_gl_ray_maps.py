@@ -79,7 +79,7 @@ def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
 
 
 @pytest.mark.parametrize("make", [WarpGrid.edge_to_edge, lambda panel, *size: WarpGrid.of_pixels(panel, size)])
-def test_the_points_are_those_of_the_lattice(gl_context, make):
+def test_the_points_are_those_of_the_warp_grid(gl_context, make):
     eye = fitted_eye("freeform40", 5)
     warp_grid, viewpoint = make(eye.display.panel, 23, 31), at(eye, [0.4, -0.6, 0.8])
     solved = GlPlanarSolver(gl_context, eye, warp_grid, middle_axes(eye)).solve(viewpoint)

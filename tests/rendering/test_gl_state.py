@@ -72,7 +72,7 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller):
     assert_same(caller.state(), before)
 
 
-def test_odd_state_draws_what_an_own_context_draws(caller, gl_context):
+def test_unusual_caller_state_gives_the_same_picture_as_an_own_context(caller, gl_context):
     own = GlRaster(gl_context, SCENE).draw(gl_scenes.view(), ("position", "ids"))
     caller.ctx.__enter__()
     caller.set_odd_values()
@@ -125,7 +125,7 @@ def test_releasing_frees_our_objects_and_none_of_the_callers(caller):
     assert caller.draw() == alone
 
 
-def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, adopted):
+def test_a_context_that_is_not_current_is_refused_in_a_sentence(caller, adopted):
     raster = GlRaster(adopted, SCENE)
     good = raster.draw(gl_scenes.view())
     with caller.ctx:  # ModernGL leaves none current
@@ -136,13 +136,13 @@ def test_a_context_that_is_not_current_is_told_in_a_sentence(caller, adopted):
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
-def test_a_context_that_is_gone_is_told_in_a_sentence(caller):
+def test_a_released_context_is_refused_in_a_sentence(caller):
     caller.ctx.release()
     with pytest.raises(MissingGlError, match="has been released: adopt one that is alive"):
         gl.adopt_context(caller.ctx)
 
 
-def test_no_current_context_is_told_in_a_sentence():
+def test_a_missing_current_context_is_refused_in_a_sentence():
     script = """
         from wlr_render.errors import MissingGlError
         from wlr_render.rendering import gl
@@ -209,7 +209,7 @@ def test_inside_a_plain_pyrender_program(gl_context):
     assert run(script, PYOPENGL_PLATFORM=gl_context.backend) == "same\n"
 
 
-def test_a_software_context_of_somebody_else_is_adopted():
+def test_a_third_party_software_context_is_adopted():
     script = """
         import gl_scenes
         from wlr_render.rendering import gl

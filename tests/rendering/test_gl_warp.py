@@ -80,7 +80,7 @@ def test_where_two_surfaces_fit_the_near_one_hides_the_far_one(gl_context):
     assert (warped.status[40, ~inside] == WarpStatus.OUTSIDE).all()
 
 
-def test_what_the_picture_does_not_show_is_marked_and_filled_from_behind(gl_context):
+def test_disoccluded_pixels_are_marked_and_filled_from_behind(gl_context):
     # Rays that pass right of the camera: behind the near wall's edge they meet a part of the far wall that it hides.
     warped, shift = two_walls(gl_context, 0.05)
     column = np.arange(96) + 0.5

@@ -22,7 +22,7 @@ def test_float_maps_round_trip_bit_for_bit_with_their_holes(tmp_path, suffix):
     np.testing.assert_array_equal(image_files.read_map(path), values)
 
 
-def test_pfm_is_as_others_read_it(tmp_path):
+def test_pfm_follows_its_format(tmp_path):
     values = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
     head, size, scale, *rest = image_files.write_map(tmp_path / "m.pfm", values).read_bytes().split(b"\n", 3)
     assert (head, size) == (b"PF", b"2 2")

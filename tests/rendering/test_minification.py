@@ -35,13 +35,13 @@ def test_the_place_where_the_map_shrinks_most_counts_and_holes_do_not():
     assert largest_minification(slope_offset, warp_grid, CAMERA, (100, 80)) == pytest.approx(1.8, 1e-3)
 
 
-def test_where_no_ray_is_known_nothing_shrinks():
+def test_without_solved_rays_there_is_no_minification():
     warp_grid = WarpGrid.of_pixels(PANEL)
     assert largest_minification(np.full((4, 80, 100), np.nan, np.float32), warp_grid, CAMERA, (100, 80)) == 0.0
     assert samples_for(0.0) == 1
 
 
-def test_taps_leave_no_gap_between_samples():
+def test_samples_per_axis_leave_no_gap():
     minification = np.linspace(0.1, MAX_SAMPLES * SPACING_PX, 200)
     samples_per_axis = np.array([samples_for(x) for x in minification])
     assert (minification / samples_per_axis <= SPACING_PX + 1e-9).all()

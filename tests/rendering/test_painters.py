@@ -58,7 +58,7 @@ def off_edges(position):
 
 
 @pytest.mark.parametrize("way", ["traced", "plain", "double", "mesh"])
-def test_what_a_pixel_shows_lies_on_its_bent_world_ray(toy_headset, way):
+def test_the_point_that_a_pixel_shows_lies_on_its_world_ray(toy_headset, way):
     viewpoint, scene = toy_headset.eye_box.at(OFF_CENTRE), ball_before_wall()
     frame = painter_of(way, toy_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
     pixel = toy_headset.display.panel.pixel_centres()
@@ -76,7 +76,7 @@ def test_what_a_pixel_shows_lies_on_its_bent_world_ray(toy_headset, way):
 
 
 @pytest.mark.parametrize("way", ["plain", "mesh"])
-def test_the_pull_map_leads_to_what_the_pixel_shows(toy_headset, way):
+def test_the_warp_map_gives_the_source_of_each_pixel(toy_headset, way):
     viewpoint = toy_headset.eye_box.at(OFF_CENTRE)
     frame = painter_of(way, toy_headset, ball_before_wall()).paint(viewpoint, HEAD_POSE, with_geometry=True)
     np.testing.assert_allclose(position_of_source(frame.view, frame.source), frame.position, atol=2e-5)
@@ -110,7 +110,7 @@ def test_source_and_position_are_inverse_and_keep_nan():
     np.testing.assert_allclose(position[0, 0], transforms.apply(HEAD_POSE, in_device), atol=1e-5)
 
 
-def test_nothing_has_no_position():
+def test_background_has_no_position():
     view = View(Pinhole(4, 4, -np.ones(2), np.ones(2)), np.zeros(3), np.eye(4))
     at_infinity = np.array([[[2.0, 2.0, 0.0], [1.0, 1.0, 0.5]]], np.float32)
     np.testing.assert_array_equal(np.isnan(position_of_source(view, at_infinity)).all(axis=-1), [[True, False]])
@@ -130,7 +130,7 @@ def test_one_camera_covers_every_viewpoint_of_the_eye_box(toy_headset, depth):
         assert (warped.image.status == WarpStatus.SEEN).all()
 
 
-def test_a_picture_drawn_from_where_the_rays_come_hides_less_of_what_they_meet(toy_headset):
+def test_the_raster_camera_reduces_disocclusion(toy_headset):
     headset = replace(toy_headset, display=replace(toy_headset.display, panel=Panel(384, 320)))
     scene, viewpoint = ball_before_wall(), headset.eye_box.at(OFF_CENTRE)
     renderer = RayRenderer(scene)
@@ -179,7 +179,7 @@ class Shifted:
 
 
 @pytest.mark.parametrize("backend", ["cpu", pytest.param("egl", marks=pytest.mark.gl)])
-def test_each_colour_is_what_its_own_rays_pull_from_that_image(dispersive_headset, backend):
+def test_each_colour_is_warped_with_its_own_rays(dispersive_headset, backend):
     """Against one image and one warp of all colours for each channel, in the channel's own camera frame."""
     try:
         raster_backend = open_raster_backend(ball_before_wall(), backend)

@@ -185,7 +185,7 @@ BAD_ARRAYS = {
 
 
 @pytest.mark.parametrize("fault", BAD_ARRAYS)
-def test_bad_arrays_are_told_in_a_sentence_and_change_nothing(take, drawn, fault):
+def test_bad_arrays_are_refused_in_a_sentence_and_change_nothing(take, drawn, fault):
     before = drawn.read()
     last = take.from_textures(CAMERA, drawn.colour, drawn.inverse_depth, INVERSE, Rows.TOP_FIRST)
     colour, depth, told = BAD_ARRAYS[fault]
@@ -194,7 +194,7 @@ def test_bad_arrays_are_told_in_a_sentence_and_change_nothing(take, drawn, fault
     assert_same(last.read(), before)
 
 
-def test_bad_framebuffers_are_told_in_a_sentence(gl_context, take):
+def test_bad_framebuffers_are_refused_in_a_sentence(gl_context, take):
     with gl_context.drawing() as ctx:
         small = ctx.simple_framebuffer((3, 4))
         without_depth = ctx.framebuffer([ctx.texture(SIZE, 4)])
@@ -211,7 +211,7 @@ def test_bad_framebuffers_are_told_in_a_sentence(gl_context, take):
     assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context), WINDOW).read())
 
 
-def test_bad_textures_are_told_in_a_sentence(gl_context, take, drawn):
+def test_bad_textures_are_refused_in_a_sentence(gl_context, take, drawn):
     with gl_context.drawing() as ctx:
         small, numbers, sampled = (
             ctx.texture((3, 4), 4),
@@ -231,7 +231,7 @@ def test_bad_textures_are_told_in_a_sentence(gl_context, take, drawn):
             take.from_textures(CAMERA, bad, drawn.inverse_depth, INVERSE)
 
 
-def test_what_belongs_to_another_context_is_refused(gl_context, take, drawn):
+def test_objects_of_another_context_are_refused(gl_context, take, drawn):
     with gl.open_context(gl_context.backend) as other, other.drawing() as ctx:
         colour, frame = ctx.texture(SIZE, 4), ctx.simple_framebuffer(SIZE)
         with pytest.raises(BadInputError, match="colour texture belongs to another ModernGL context"):

@@ -50,7 +50,7 @@ def test_parallel_rays_or_none_move_nothing_along_the_axis():
 
 
 @pytest.mark.parametrize("device", ["no_optics", "flat_mirror"])
-def test_where_nothing_bends_it_is_the_viewpoint(device):
+def test_without_deviation_the_raster_camera_is_at_the_viewpoint(device):
     eye = traced(device)
     viewpoint = eye.eye_box.at(np.array([0.3, -0.8, 0.5]))
     np.testing.assert_allclose(RasterPosition(eye, middle_axes(eye)).at(viewpoint), viewpoint, atol=1e-12)

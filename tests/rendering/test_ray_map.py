@@ -91,7 +91,7 @@ def test_world_rays_do_not_depend_on_the_axes(toy_headset):
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
-def test_asked_tangents_reach_the_corner_pixels(toy_headset):
+def test_required_tangents_cover_the_corner_pixels(toy_headset):
     viewpoint = toy_headset.eye_box.centre
     plan = ray_map.choose_plan(toy_headset)
     field = ray_map.ray_map(toy_headset, viewpoint, plan)
@@ -102,7 +102,7 @@ def test_asked_tangents_reach_the_corner_pixels(toy_headset):
 
 
 @pytest.mark.parametrize("make", [WarpGrid.edge_to_edge, lambda panel, *size: WarpGrid.of_pixels(panel, size)])
-def test_nodes_are_carried_to_the_points_of_any_lattice(toy_headset, make):
+def test_nodes_are_interpolated_to_the_points_of_any_grid(toy_headset, make):
     warp_grid, viewpoint = make(toy_headset.display.panel, 13, 7), toy_headset.eye_box.at(np.array([0.5, 0.1, -0.7]))
     field = ray_map.ray_map(toy_headset, viewpoint, ray_map.RayMapPlan.onto_grid(warp_grid, 17, np.eye(3)))
     exact = ray_map.solve_every_pixel(toy_headset, viewpoint, np.eye(3), warp_grid.panel_pixel())
@@ -110,7 +110,7 @@ def test_nodes_are_carried_to_the_points_of_any_lattice(toy_headset, make):
     np.testing.assert_array_equal(field.status, exact.status)
 
 
-def test_around_a_hole_moved_pixel_centres_are_asked_where_they_are(toy_headset_with_hole):
+def test_around_an_unsolved_node_shifted_pixel_centres_are_solved_exactly(toy_headset_with_hole):
     offset, viewpoint = np.array([0.25, -0.5]), toy_headset_with_hole.eye_box.centre
     panel = toy_headset_with_hole.display.panel
     plan = ray_map.RayMapPlan.with_nodes(panel, 9, np.eye(3), offset)

@@ -111,7 +111,7 @@ def test_buffers_are_given_on_request_only():
         renderer.render_rays(*pinhole_rays(), buffers=("depth",))
 
 
-def test_rays_are_asked_for_row_by_row():
+def test_rays_are_requested_row_by_row():
     renderer = RayRenderer(SCENE)
     origin, direction = pinhole_rays()
 

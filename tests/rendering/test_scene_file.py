@@ -69,7 +69,7 @@ def test_the_objects_of_the_desk_reach_from_a_third_of_a_metre_to_three():
     assert len(scene.instances) >= 15
 
 
-def test_a_scene_file_says_what_it_says(tmp_path):
+def test_a_scene_file_is_read(tmp_path):
     light = '[[light]]\nkind = "directional"\ndirection = [0, -2, 0]\ncolour = [1, 0.5, 0]\n'
     lamp = '[[light]]\nkind = "point"\nposition_m = [1, 2, 3]\ncolour = [0.1, 0.1, 0.1]\n'
     header = HEADER + "ambient = [0.1, 0.2, 0.3]\nbackground = [0.4, 0.5, 0.6]\n"
@@ -97,7 +97,7 @@ def test_a_scene_file_says_what_it_says(tmp_path):
         ("position_m = [1, 2, 3]\nscale = 2", [1, 0, 0], [3, 2, 3]),
     ],
 )
-def test_placement_scales_then_turns_then_moves(tmp_path, keys, point, expected):
+def test_placement_scales_then_rotates_then_translates(tmp_path, keys, point, expected):
     matrix = scene_of(tmp_path, HEADER + BOX + keys).instances[0].world_from_mesh
     np.testing.assert_allclose(transforms.apply(matrix, np.array(point, float)), expected, atol=1e-12)
 

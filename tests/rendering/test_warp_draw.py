@@ -63,7 +63,7 @@ def same_by_both(request, *args, **options):
 
 
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
-def test_rays_told_in_another_frame(request, image, samples_per_axis):
+def test_rays_transformed_to_another_frame(request, image, samples_per_axis):
     result = same_by_both(request, image, CAMERA, [pixel_bend()], motion(0.15), samples_per_axis=samples_per_axis)
     assert {WarpStatus.SEEN, WarpStatus.DISOCCLUDED, WarpStatus.OUTSIDE} <= set(result.status.ravel())
 
@@ -115,7 +115,7 @@ def coarse(step_px, columns=21, rows=16):
 
 @pytest.mark.parametrize("as_many_pixels_as_points", [False, True])
 @pytest.mark.parametrize("software", [True, False])
-def test_between_lattice_points_the_field_is_linear_whatever_reads_it(
+def test_all_backends_interpolate_linearly_between_grid_points(
     gl_context, image, software, as_many_pixels_as_points, monkeypatch
 ):
     # A GPU's filter has weights of 8 bits; there the shader weighs the points itself.
@@ -136,7 +136,7 @@ def test_between_lattice_points_the_field_is_linear_whatever_reads_it(
     np.testing.assert_allclose(source.read().source, expected, atol=1e-3)
 
 
-def test_a_hole_at_a_lattice_point_is_a_hole_around_it(gl_context, image):
+def test_an_unsolved_grid_point_makes_a_hole_around_it(gl_context, image):
     warp_grid, slope_offset = coarse(4)
     slope_offset[:, 7, 9] = np.nan
     size = (warp_grid.panel.width_px, warp_grid.panel.height_px)
@@ -175,7 +175,7 @@ def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
     assert (drawn[untouched] == 77).all()
 
 
-def test_fields_and_transforms_that_do_not_fit_are_told(gl_context, image):
+def test_mismatched_ray_maps_and_transforms_are_refused(gl_context, image):
     warp, picture, field = (
         GlWarp(gl_context, 3),
         uploaded(gl_context, image, CAMERA),

@@ -55,7 +55,7 @@ def exact_mean(code, times, phase=0.37):
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("code", [zone_plate, checkerboard])
 @pytest.mark.parametrize(("times", "gain"), [(1.5, 10.0), (2, 1000.0), (2.4, 100.0), (3, 200.0)])
-def test_taps_cut_the_energy_of_aliases(backend, request, code, times, gain):
+def test_more_samples_reduce_aliasing(backend, request, code, times, gain):
     image, slope_offset = picture_of(code()), shrinking(times)
     exact = exact_mean(code(), times)
     inner = slice(2, -2)
@@ -70,7 +70,7 @@ def test_taps_cut_the_energy_of_aliases(backend, request, code, times, gain):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_taps_change_nothing_where_the_picture_is_linear_and_leave_holes_alone(backend, request):
+def test_more_samples_do_not_change_linear_pictures_or_holes(backend, request):
     ramp = np.add.outer(0.3 * np.arange(360), 0.4 * np.arange(360))
     slope_offset = shrinking(2)
     slope_offset[:, 50:60, 70:81] = np.nan

@@ -76,7 +76,7 @@ def test_a_ray_that_passes_behind_a_pole_and_comes_out_sees_the_wall(backend, re
 
 
 @pytest.mark.parametrize("shift_px", [3.0, -11.0, 25.0, -50.0])
-def test_the_first_of_many_things_is_met(backend, request, shift_px):
+def test_the_nearest_of_many_surfaces_is_hit(backend, request, shift_px):
     rng = np.random.default_rng(int(abs(shift_px)))
     widths = rng.integers(2, 9, 120)
     depth = np.repeat(rng.choice([0.0, 0.4, 0.55, 0.9, 1.3, NEAR], 120), widths)[: CAMERA.width_px]

@@ -38,7 +38,7 @@ def test_grouped_curves_share_colours_by_group_and_dashes_by_kind():
     assert ax["dash"] == bx["dash"] != ay["dash"]
 
 
-def test_blocks_at_the_border_hold_what_is_there():
+def test_blocks_at_the_border_have_the_remaining_pixels():
     np.testing.assert_array_equal(block_maxima(np.arange(15.0).reshape(3, 5), 2), [[6, 8, 9], [11, 13, 14]])
 
 
