@@ -4,7 +4,7 @@ All backends give the same picture: within 3 codes of 255 in every channel, but 
 centre may fall on either side (tests/rendering/test_raster_backends.py holds them to it).
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -173,15 +173,12 @@ class EmbreeRaster:
     def __init__(self, scene: Scene) -> None:
         self._renderer = RayRenderer(scene)
 
-    def draw(self, view: View, buffers: Collection[str] = ()) -> GeometryImage:
-        """Colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
-        height, width = view.camera.height_px, view.camera.width_px
-        traced = self._renderer.render_blocks((height, width), lambda rows: _rays(view, rows), buffers)
+    def draw(self, view: View) -> GeometryImage:
+        """Colour and inverse depth."""
+        shape = view.camera.height_px, view.camera.width_px
+        traced = self._renderer.render_blocks(shape, lambda rows: _rays(view, rows))
         # The directions reach one metre along -z, so that the distance along them is the depth.
-        inverse_depth = np.reciprocal(traced.distance)
-        return GeometryImage(
-            traced.colour, inverse_depth, traced.position, traced.normal, traced.instance, traced.triangle
-        )
+        return GeometryImage(traced.colour, np.reciprocal(traced.distance))
 
 
 def _rays(view: View, rows: slice) -> tuple[Float32Array, Float32Array]:
