@@ -1,1 +1,1 @@
-"""From captures to models; sees captures only."""
+"""From captures to models; does not import the exact optics."""

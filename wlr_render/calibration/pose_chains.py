@@ -1,4 +1,4 @@
-"""PoseChains of poses from the device to the eyeball camera, one by way of each pose of the target, and their mean."""
+"""Pose chains from the device to the eyeball camera, one through each target pose, and their mean."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

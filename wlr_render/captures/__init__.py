@@ -1,1 +1,1 @@
-"""What a calibration bench delivers: correspondences, and the files that hold them."""
+"""Observations of a calibration bench, and their files."""

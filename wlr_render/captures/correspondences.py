@@ -1,4 +1,4 @@
-"""Captures: in which direction a camera at a known viewpoint saw a panel pixel or a real point.
+"""Captures: view directions of panel pixels and real points from known viewpoints.
 
 Everything is in the device frame (OpenXR), metres. One row is one measured direction; `capture` says which camera
 position it was taken at, so that held-out tests can leave out whole positions.

@@ -1,7 +1,6 @@
 """Decoded panel positions of a set of code photographs: per camera pixel, and as samples averaged over windows.
 
-A million neighbouring pixels carry little more information than a thousand windows of them, each with the noise of its
-mean.
+A thousand window averages carry almost as much information as a million neighbouring pixels.
 """
 
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
 class Rejection(IntEnum):
-    """Why a camera pixel has no panel position."""
+    """Reason for rejecting a camera pixel."""
 
     ACCEPTED = 0
     DARK = 1
@@ -60,7 +59,8 @@ class Decoded:
     Attributes:
         pixel: (h, w, 2) float32 panel position that each camera pixel shows; NaN where rejected.
         sigma_px: (h, w) float32 estimated standard deviation of `pixel` per axis, panel pixels; NaN where rejected.
-        confidence: (h, w) float32, 0 to 1: the weakest evidence that was needed, as a part of full contrast.
+        confidence: (h, w) float32, 0 to 1: smallest contrast of the bits and fringes used, as a fraction of full
+            contrast.
         rejection: (h, w) uint8, one `Rejection` each.
     """
 
@@ -71,7 +71,7 @@ class Decoded:
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
-        """(h, w) where there is a panel position."""
+        """Mask (h, w) of pixels with a panel position."""
         return np.asarray(self.rejection == Rejection.ACCEPTED)
 
     def counts(self) -> dict[Rejection, int]:
@@ -85,10 +85,10 @@ class DecodeOptions:
     """Thresholds for accepting a camera pixel.
 
     Attributes:
-        full_scale: the largest value that the camera can give: 255, 1023, 4095, 65535.
-        min_contrast: of white over black, as a part of the full scale: below, a pixel is dark. It is also dark where
-            white over black is not well above the noise that the set itself shows.
-        min_confidence: of the weakest evidence needed, as a part of full contrast.
+        full_scale: the largest value of the camera: 255, 1023, 4095, 65535.
+        min_contrast: smallest difference of white and black, as a fraction of the full scale; pixels below are dark. A
+            pixel is also dark if the difference is not well above the measured noise of the set.
+        min_confidence: smallest contrast of a bit or fringe, as a fraction of full contrast.
     """
 
     full_scale: int = 255
@@ -104,8 +104,8 @@ class DecodedSamples:
     """Panel positions at camera pixels.
 
     Attributes:
-        camera_pixel: (n, 2) middles of camera pixels.
-        panel_pixel: (n, 2) what they show.
+        camera_pixel: (n, 2) centres of camera pixels.
+        panel_pixel: (n, 2) panel positions that they show.
         sigma_px: (n,) standard deviation of `panel_pixel` per axis, panel pixels.
         scale: (n,) panel pixels per camera pixel.
     """
@@ -120,7 +120,7 @@ class DecodedSamples:
 
 
 def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
-    """Take about `count` samples over the accepted part of a picture, each from a plane fitted to its window."""
+    """Sample about `count` panel positions over the accepted pixels, each from a plane fitted to its window."""
     height, width = decoded.rejection.shape
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
     steps = np.arange(-_REACH_PX, _REACH_PX + 1)

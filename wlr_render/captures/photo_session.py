@@ -1,4 +1,4 @@
-"""Photographic session: which photograph was taken of what, from where, with which camera.
+"""Photographic session: the content, position and camera of each photograph.
 
 Device frame (OpenXR), metres; cameras have OpenCV's axes. Photographs are named by their place, not held: a session may
 have thousands. The lists are in the order of taking.

@@ -1,4 +1,4 @@
-"""Photographs on disk: grey values as the camera gave them, 8 to 16 bits deep."""
+"""Read and write photographs: unprocessed grey values of 8 to 16 bits."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

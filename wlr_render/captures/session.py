@@ -1,4 +1,4 @@
-"""One measuring session: what was set up and, row by row, what was seen. Device frame (OpenXR), metres, seconds.
+"""One measuring session: the setup and, row by row, the readings. Device frame (OpenXR), metres, seconds.
 
 A row of a *plan* says where the bench believed its parts to be when it took one reading; the *session* adds the
 reading. A simulation predicts the readings of a plan, so that measured minus simulated is one subtraction.

@@ -1,4 +1,4 @@
-"""From a session file's columns to plans and readings, and back: the one place where frame, unit and pixel change.
+"""Convert columns of a session file to plans and readings, and back: frames, units and pixels.
 
 `device_from_file` (3, 3) turns the axes that bench.toml states into the device frame's: the identity for "openxr",
 diag(1, -1, -1) for "opencv". It applies alike to the device, the world, the camera and the printed target, so that a

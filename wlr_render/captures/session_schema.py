@@ -1,6 +1,6 @@
-"""What the tables of a bench session hold: their columns with units. Reading, writing, checking and docs follow it.
+"""Schema of the tables of a bench session: columns with units. Reading, writing, checks and documentation use it.
 
-Lengths and directions are in the frame that bench.toml states, camera pixels have their centres at whole numbers,
+Lengths and directions are in the frame that bench.toml states, camera pixels have their centres at integers,
 panel pixels are 0 at the panel's outer edge. `session_columns` turns them into this library's conventions.
 """
 
@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """What the numbers of a column may be, in words."""
+    """Values allowed in a column, in words."""
 
     NUMBER = "number"
     INDEX = "whole number from 0"
@@ -25,9 +25,9 @@ class Column:
         name: in the header line.
         unit: in words; empty for a bare number.
         meaning: in words, for the documentation.
-        kind: what its numbers may be.
-        group: of optional columns, which only come together; empty for a required column.
-        absent: what an optional column is taken to hold where it is not there; None if that is no number.
+        kind: allowed values.
+        group: name of a group of optional columns that occur together; empty for a required column.
+        absent: default of an optional column; None if the default is not a number.
     """
 
     name: str
@@ -44,11 +44,11 @@ class Schema:
 
     Attributes:
         name: the file's name without its suffix.
-        title: of what it has one row each.
+        title: what a row is.
         columns: in the order in which they are written; a file may have them in any order.
-        capture_key: the columns that together say which capture a row belongs to.
-        setup: the columns that are the same in all rows of a capture, and differ from one capture to the next.
-        unit_vectors: columns that together are a vector of length 1.
+        capture_key: the columns that identify the capture of a row.
+        setup: the columns that are constant in a capture, and differ between captures.
+        unit_vectors: groups of columns that form a unit vector.
     """
 
     name: str

@@ -1,1 +1,1 @@
-"""Device prescriptions and the exact ray tracer: the truth of simulated headsets."""
+"""Device prescriptions and the exact ray tracer."""

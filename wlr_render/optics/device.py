@@ -1,4 +1,4 @@
-"""A headset as the tracer needs it: placed surfaces, paths of light, panel and eye box. Metres, device frame."""
+"""A headset for the ray tracer: placed surfaces, ray paths, panel and eye box. Metres, device frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ MIRROR_X = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
 class Interaction(StrEnum):
-    """What a ray does at a surface."""
+    """Interaction of a ray with a surface."""
 
     REFRACT = "refract"
     REFLECT = "reflect"
@@ -27,7 +27,7 @@ class Interaction(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class ClearAperture:
-    """The used part of a surface: a box in the surface's own frame, in metres; infinite where it is open."""
+    """Clear aperture of a surface: a box in local axes, in metres; infinite where unlimited."""
 
     low: FloatArray
     high: FloatArray
@@ -35,13 +35,13 @@ class ClearAperture:
 
 @dataclass(frozen=True, eq=False)
 class PlacedSurface:
-    """A shape at its place in the device.
+    """A surface with its pose in the device.
 
     Attributes:
         name: unique within an eye.
-        shape: in its own frame.
+        shape: the surface in local axes.
         device_from_surface: (4, 4); orthogonal, and improper (a reflection) in a mirrored eye.
-        aperture: which part is used; it also tells the right one of several intersections.
+        aperture: the clear aperture; it also selects one of several intersections.
     """
 
     name: str
@@ -60,9 +60,9 @@ class Step:
     """One surface interaction along a path.
 
     Attributes:
-        surface: where.
-        interaction: what happens.
-        medium: in which the ray goes on; only a refraction changes it.
+        surface: the surface.
+        interaction: refraction or reflection.
+        medium: medium after the step; only a refraction changes it.
     """
 
     surface: PlacedSurface
@@ -79,10 +79,10 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPanel:
-    """A flat panel at its place in the device.
+    """A flat panel with its pose in the device.
 
     Attributes:
-        device_from_panel: (4, 4) rigid; origin in the panel's centre, x along u, y along v (down the picture).
+        device_from_panel: (4, 4) rigid; origin in the panel's centre, x along u, y along v (down the image).
         size: (2,) metres, width and height of the lit area.
         pixels: its pixel counts.
     """
@@ -97,11 +97,11 @@ class PlacedPanel:
         return inverse(self.device_from_panel)
 
     def pixel_of_local(self, point_in_panel: FloatArray) -> FloatArray:
-        """(..., 2) metres in the panel's frame -> (..., 2) pixels."""
+        """Pixels (..., 2) of points (..., 2) in the panel's frame, metres."""
         return np.asarray((point_in_panel / self.size + 0.5) * self.pixels.size_px)
 
     def point_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """(..., 2) pixels -> (..., 3) metres, device frame."""
+        """Points (..., 3) of pixels (..., 2), metres, device frame."""
         local = (pixel / self.pixels.size_px - 0.5) * self.size
         axes = self.device_from_panel[:3, :2]
         return np.asarray(local @ axes.T + self.device_from_panel[:3, 3])
@@ -115,8 +115,8 @@ class EyeOptics:
         display: from the eye to the panel.
         see_through: from the eye to the world.
         panel: the display panel.
-        eye_box: where the pupil may be; its centre is the nominal viewpoint.
-        field: the nominal field, in which errors are stated; None for all that the panel shows.
+        eye_box: box of valid viewpoints; its centre is the nominal viewpoint.
+        field: the nominal field of view, over which errors are stated; None for the whole panel.
     """
 
     display: Path
@@ -126,17 +126,17 @@ class EyeOptics:
     field: FieldOfView | None = None
 
     def surfaces(self) -> tuple[PlacedSurface, ...]:
-        """All surfaces that either path meets, each once, in order of first encounter."""
+        """All surfaces of both paths, each once, in the order of the first intersection."""
         steps = self.display.steps + self.see_through.steps
         return tuple({step.surface.name: step.surface for step in steps}.values())
 
     def with_surfaces(self, change: Callable[[PlacedSurface], PlacedSurface]) -> "EyeOptics":
-        """A copy with every surface changed, in both paths alike."""
+        """A copy with every surface changed in both paths."""
         changed = {surface.name: change(surface) for surface in self.surfaces()}
         return self._with_steps(lambda step: replace(step, surface=changed[step.surface.name]))
 
     def with_media(self, change: Callable[[Medium], Medium]) -> "EyeOptics":
-        """A copy with every medium but air changed, in both paths alike."""
+        """A copy with every medium except air changed in both paths."""
         return self._with_steps(lambda step: step if step.medium == AIR else replace(step, medium=change(step.medium)))
 
     def _with_steps(self, change: Callable[[Step], Step]) -> "EyeOptics":
@@ -150,7 +150,7 @@ class Device:
 
     Attributes:
         name: short name.
-        source: where its numbers come from.
+        source: source of its numbers.
         eyes: by "left" and "right"; a device may have only one.
     """
 
@@ -160,9 +160,9 @@ class Device:
 
 
 def mirrored(eye: EyeOptics) -> EyeOptics:
-    """The same optics before the other eye: x -> -x.
+    """The optics of the other eye: mirrored in x = 0.
 
-    The panel's u keeps running to the wearer's right, so pixel (u, v) of one eye is (width - u, v) of the other.
+    u of the panel still runs to the wearer's right, so pixel (u, v) of one eye is (width - u, v) of the other.
     """
     reflected = eye.with_surfaces(lambda s: replace(s, device_from_surface=MIRROR_X @ s.device_from_surface))
     # Two reflections make the panel's pose rigid again, and turn u round.

@@ -1,4 +1,4 @@
-"""Reads device prescriptions (devices/README.md has the format). Millimetres and degrees become metres and radians."""
+"""Read device prescriptions (format: devices/README.md). Converts millimetres and degrees to metres and radians."""
 
 import re
 from pathlib import Path as FilePath

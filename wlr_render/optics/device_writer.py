@@ -1,4 +1,4 @@
-"""Writes device prescriptions in the format that `device_file` reads (devices/README.md has it), in device axes."""
+"""Write device prescriptions in the format that `device_file` reads (devices/README.md), in device axes."""
 
 from dataclasses import replace
 from pathlib import Path as FilePath

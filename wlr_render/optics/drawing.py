@@ -1,4 +1,4 @@
-"""Draws one eye of a device: side view and top view, with surfaces, panel, eye box and rays."""
+"""Draw one eye of a device: side view and top view, with surfaces, panel, eye box and rays."""
 
 import itertools
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Shapes given as a height z = sag(x, y), met by Newton's method: toroid, XY polynomial, anamorphic asphere.
+"""Surfaces z = sag(x, y), intersected by Newton's method: toroid, XY polynomial, anamorphic asphere.
 
 Same frame, units and column layout as `surfaces`.
 """

@@ -1,7 +1,7 @@
-"""Exact sequential ray tracing in float64: the laws of reflection and refraction along a path, no approximation.
+"""Exact sequential ray tracing in float64: reflection and refraction along a path.
 
-G. H. Spencer and M. V. R. K. Murty, "General Ray-Tracing Procedure", J. Opt. Soc. Am. 52 (1962) 672, with the root
-chosen by its place along the ray and the clear aperture.
+G. H. Spencer and M. V. R. K. Murty, "General Ray-Tracing Procedure", J. Opt. Soc. Am. 52 (1962) 672, with the
+intersection chosen by its distance along the ray and the clear aperture.
 """
 
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ class Trace:
     """Result of tracing rays along a path.
 
     Attributes:
-        points: (..., steps, 3) where they meet the path's surfaces.
-        origin: (..., 3) the last of these points, or the start where the path has no steps.
+        points: (..., steps, 3) intersections with the path's surfaces.
+        origin: (..., 3) the last of these points, or the start if the path has no steps.
         direction: (..., 3) unit directions after the last step.
-        status: (...) uint8 `Status`. CLIPPED rays carry on as if the surface had no edge, so that a solver may
-            cross it; all other failures are NaN from that surface on.
+        status: (...) uint8 `Status`. CLIPPED rays continue as if the surface were unlimited, so that a solver can
+            cross its edge; all other failures are NaN from that surface on.
     """
 
     points: FloatArray
@@ -38,10 +38,10 @@ class Trace:
 
 
 def trace(path: Path, origin: FloatArray, direction: FloatArray, wavelength_um: float) -> Trace:
-    """Follow rays along a path.
+    """Trace rays along a path.
 
     Args:
-        path: the encounters, in order.
+        path: the surface interactions, in order.
         origin: (..., 3) metres, device frame; broadcasts against `direction`.
         direction: (..., 3) unit.
         wavelength_um: vacuum wavelength in micrometres.
@@ -89,7 +89,7 @@ def _follow(
 
 
 def _keep_first(status: StatusArray, found: NDArray[np.integer]) -> None:
-    """Let a ray keep the first failure that it met."""
+    """Keep the first failure of each ray."""
     np.copyto(status, found, where=status == Status.OK, casting="unsafe")
 
 
@@ -102,10 +102,10 @@ def _refracted(direction: FloatArray, normal: FloatArray, ratio: float) -> Float
 
 
 def _is_total(direction: FloatArray, normal: FloatArray, index: float) -> BoolArray:
-    """Whether rays are totally reflected against air.
+    """Whether rays are totally internally reflected against air.
 
-    Where they are not, most of the light leaves: the surface is no mirror there, so that its clear aperture for
-    this step ends, and the ray is CLIPPED.
+    Below the critical angle most of the light leaves, so the surface is not a mirror for this step, and the ray is
+    CLIPPED.
     """
     cosine = dot(direction, normal)
     return np.asarray(index * index * (1.0 - cosine * cosine) >= 1.0)
@@ -114,10 +114,10 @@ def _is_total(direction: FloatArray, normal: FloatArray, index: float) -> BoolAr
 def _meet(
     surface: PlacedSurface, origin: FloatArray, direction: FloatArray
 ) -> tuple[FloatArray, FloatArray, StatusArray]:
-    """Meet one surface: points (3, n) and normals (3, n) in the device frame, and status (n,).
+    """Intersect rays with one surface: points (3, n) and normals (3, n) in the device frame, and status (n,).
 
-    Of the roots ahead, the first one inside the clear aperture counts; if there is none, the one that is least far
-    outside, as CLIPPED.
+    Takes the first intersection ahead inside the clear aperture; if there is none, the one nearest to the aperture, as
+    CLIPPED.
     """
     pose = surface.surface_from_device
     local_origin = pose[:3, :3] @ origin + pose[:3, 3:]
@@ -135,7 +135,7 @@ def _meet(
 def _choose(
     aperture: ClearAperture, ahead: FloatArray, origin: FloatArray, direction: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of roots (k, n), NaN where not ahead, the one in use: distance (n,), local point (3, n), excess (n,)."""
+    """Choose among intersections (k, n), NaN where not ahead: distance (n,), local point (3, n), excess (n,)."""
     distance = ahead[0].copy()
     for other in ahead[1:]:
         np.copyto(distance, other, where=np.isnan(distance))
@@ -156,6 +156,6 @@ def _choose(
 
 
 def _excess(aperture: ClearAperture, point: FloatArray) -> FloatArray:
-    """How far points (3, n) lie outside the aperture's box, along its worst axis; at most 0 inside."""
+    """Distance of points (3, n) outside the aperture's box, along its worst axis; at most 0 inside."""
     outside = np.maximum(aperture.low[:, None] - point, point - aperture.high[:, None])
     return np.asarray(outside.max(axis=0))

@@ -1,1 +1,1 @@
-"""A calibration bench in software: viewpoints, noise, simulated captures."""
+"""Simulated calibration bench: viewpoints, noise, captures, photographs."""

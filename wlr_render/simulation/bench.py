@@ -1,7 +1,7 @@
-"""The measuring bench as one frozen value: headset, eyeball camera, stage, target, tracking, eye tracking, clock.
+"""Bench model: headset, eyeball camera, stage, target, tracking, eye tracking and clock as one frozen value.
 
-Device frame (OpenXR), metres, radians, seconds, pixels with (0, 0) at the outer corner of the top-left pixel. Every
-part has defaults that leave a perfect bench as it is; a bench believed to be wrong somewhere is another bench.
+Device frame (OpenXR), metres, radians, seconds, pixels with (0, 0) at the outer corner of the top-left pixel. The
+defaults of all parts describe a perfect bench.
 """
 
 from dataclasses import dataclass, field
@@ -15,16 +15,16 @@ from wlr_render.optics.device import Device, EyeOptics
 
 @dataclass(frozen=True, eq=False)
 class EyeballCamera:
-    """The camera in the place of the eye: a pinhole with radial lens distortion that looks along -z.
+    """The eyeball camera: a pinhole with radial lens distortion that looks along -z.
 
     Attributes:
         size_px: (2,) width and height.
         focal_px: (2,) pixels per unit tangent in u and v.
-        centre_px: (2,) where the optical axis meets the image.
+        centre_px: (2,) principal point.
         distortion: (2,) k1 and k2 of the radial model of D. C. Brown, "Close-range camera calibration", Photogrammetric
-            Engineering 37 (1971) 855: seen tangents = true tangents * (1 + k1 r^2 + k2 r^4).
-        device_from_camera: (3, 3) rotation by which the camera is turned from looking along -z.
-        pupil_offset: (3,) from where the stage believes the centre of projection to be, to where it is.
+            Engineering 37 (1971) 855: distorted tangents = true tangents * (1 + k1 r^2 + k2 r^4).
+        device_from_camera: (3, 3) camera rotation; the identity looks along -z.
+        pupil_offset: (3,) true minus nominal centre of projection, metres.
         point_sigma_px: stated repeatability of a point, per axis.
     """
 
@@ -42,9 +42,9 @@ class Stage:
     """The motion stage.
 
     Attributes:
-        origin: (3,) reading about which its axes are wrong.
-        axes: (3, 3) true displacement from the origin = axes @ displacement that is read.
-        backlash: (2,) true x minus read x where the last move was towards +x, and towards -x, metres.
+        origin: (3,) stage reading at which `axes` changes nothing.
+        axes: (3, 3) true displacement from `origin` = axes @ displacement read.
+        backlash: (2,) true minus read x after a move towards +x, and towards -x, metres.
     """
 
     origin: FloatArray
@@ -57,10 +57,10 @@ class Target:
     """The printed target: dots in its plane z = 0, in metres.
 
     Attributes:
-        device_from_target: (k, 4, 4) its poses as tracking reports them.
+        device_from_target: (k, 4, 4) poses reported by tracking.
         pitch: (k,) distance of neighbouring dots at each pose.
-        scale: (2,) true size over stated size in x and y.
-        bow: (k, 2) at each pose, z = bow_x x^2 + bow_y y^2, per metre: how far it is from flat.
+        scale: (2,) true size divided by stated size, in x and y.
+        bow: (k, 2) curvature at each pose, z = bow_x x^2 + bow_y y^2, per metre.
     """
 
     device_from_target: FloatArray
@@ -71,10 +71,10 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """The headset's own tracking camera, by what it says of the target.
+    """Errors of the headset's tracking camera.
 
     Attributes:
-        true_from_reported: (4, 4) carries a reported point, device frame, to where it is.
+        true_from_reported: (4, 4) transforms reported points to true points, device frame.
     """
 
     true_from_reported: FloatArray = field(default_factory=partial(np.eye, 4))
@@ -82,12 +82,12 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """What moves while the session lasts.
+    """Movements during the session.
 
     Attributes:
-        panel_creep: (2,) how far the panel creeps in its plane along u and v until it is warm, metres.
-        warm_up_s: time constant of the creep: after t it is 1 - exp(-t / warm_up_s) of the whole.
-        slip_time_s: when the headset slips; never, if infinite.
+        panel_creep: (2,) total creep of the panel along u and v until it is warm, metres.
+        warm_up_s: time constant: at time t the fraction 1 - exp(-t / warm_up_s) of the creep is done.
+        slip_time_s: time at which the headset slips; infinite for never.
         slip: (3,) displacement of the camera in the device frame from then on, metres.
         slip_rotation: (3,) rotation of the camera in the device frame from then on, radians about x, y, z.
     """
@@ -101,7 +101,7 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class PanelReadout:
-    """From where light leaves the panel to the position that is decoded.
+    """Errors of decoded panel positions.
 
     Attributes:
         origin_px: (2,) decoded minus true position.
@@ -114,12 +114,11 @@ class PanelReadout:
 
 @dataclass(frozen=True, eq=False)
 class EyeTracking:
-    """From where tracking says the pupil is to where it is.
+    """Errors of eye tracking.
 
     Attributes:
-        bias: (3,) true minus tracked place of the pupil, metres.
-        gaze_radius: by so much, in metres, the pupil moves with the gaze beyond what tracking reports: along the gaze
-            minus straight ahead.
+        bias: (3,) true minus tracked position of the pupil, metres.
+        gaze_radius: pupil motion with gaze that tracking misses, in metres: this radius * (gaze - straight ahead).
     """
 
     bias: FloatArray = field(default_factory=partial(np.zeros, 3))
@@ -128,11 +127,11 @@ class EyeTracking:
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Delays of the picture.
+    """Delays of the display.
 
     Attributes:
-        latency_s: from the time a frame is drawn for to the time its first row is seen.
-        scanout_s: from the first row of the panel to its last.
+        latency_s: delay from the time a frame is drawn for to the display of its first row.
+        scanout_s: time from the display of the panel's first row to its last.
     """
 
     latency_s: float = 0.0
@@ -141,14 +140,14 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """Everything that decides what a session reads.
+    """Everything that determines the readings of a session.
 
     Attributes:
         device: the headset.
         eye: which of its eyes.
         camera, stage, target, tracking, mount, readout, eye_tracking, clock: the parts; see there.
         wavelengths_um: (3,) vacuum wavelengths of red, green and blue light, micrometres.
-        target_wavelength_um: of the light in which targets and real dots are seen.
+        target_wavelength_um: wavelength in which targets and real dots are observed.
     """
 
     device: Device

@@ -1,1 +1,1 @@
-"""Readers of other people's measurements, one module per format; docs/measured-data.md says where to get each set."""
+"""Readers of published data sets, one module per format; docs/measured-data.md has their sources."""

@@ -1,4 +1,4 @@
-"""Codes shown on a panel. Each family is one file that keeps the law of `pattern.Pattern`; to add one, name it here."""
+"""Codes shown on a panel. Each family is one file that implements `pattern.Pattern`; to add one, name it here."""
 
 from dataclasses import fields
 

@@ -1,4 +1,4 @@
-"""Gray code with inverses: each panel pixel's number, bit by bit."""
+"""Gray code with inverses: the number of each panel pixel, bit by bit."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A folder to show a code from: its pictures, and one page that puts them on a panel pixel by pixel."""
+"""Write a folder for showing a code: its pictures, and a page that shows them pixel by pixel on a panel."""
 
 import base64
 import json

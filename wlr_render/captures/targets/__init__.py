@@ -1,1 +1,1 @@
-"""Printed targets: what is printed, how it is found in a photograph, and which dot is which."""
+"""Printed targets: their design, and detection and identification of their dots in photographs."""

@@ -1,4 +1,4 @@
-"""Choose which dots of a board are large, so that any 5 x 5 of them tell where they lie and how they are turned."""
+"""Choose the large dots of a board, so that every 5 x 5 window has a unique position and rotation."""
 
 import hashlib
 

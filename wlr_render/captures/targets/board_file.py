@@ -1,4 +1,4 @@
-"""A board on disk: a small TOML that says what was printed; SVG in exact millimetres and PNG to print.
+"""Board files: board.toml with the design, and SVG in exact millimetres and PNG for printing.
 
 Both drawings carry a ruler, since printers scale: what its ends measure, over what is written beside it, is the scale
 of the print.

@@ -1,4 +1,4 @@
-"""The two-size dot board: dots on a square grid, some large, some small, so that any patch tells where it lies.
+"""The two-size dot board: large and small dots on a square grid; every patch is unique.
 
 Board frame: x right along the columns, y down along the rows, z into the board, origin in the middle of the grid
 (OpenCV's axes, as a camera sees a board that hangs upright before it). Metres.

@@ -1,4 +1,4 @@
-"""Measure dots to a fraction of a pixel: moments of the light that they take from their ground.
+"""Sub-pixel dot centres: moments of the darkness relative to the background.
 
 Moments of the whole deficit are not biased by blur, as an edge at a threshold is. To keep noise out, only a band along
 the edge counts as photographed; inside the band a dot is as dark as its inside on average, outside it is ground.

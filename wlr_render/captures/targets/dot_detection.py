@@ -1,4 +1,4 @@
-"""Find dark dots on a lighter ground, of any size, in a photograph of uneven light.
+"""Detect dark dots of any size on a lighter background, in unevenly lit photographs.
 
 The ground under the dots is what a morphological closing fills them with; a dot is where the picture lies below it.
 Each level of a pyramid looks for dots of up to twice the size of the level before.

@@ -1,4 +1,4 @@
-"""Link dots to a square lattice as a lens, a slanted view and optics bend it: every dot gets integer coordinates.
+"""Assign integer coordinates to dots of a square lattice, distorted by lens, perspective and optics.
 
 A dot's ellipse says how the board is foreshortened there, but for a rotation; with that undone its neighbours form a
 right-angled cross. From a clear cross the lattice grows, each step predicted by the steps around it.

@@ -1,1 +1,1 @@
-"""Photographs in software: a lens before true optics, a board in the world, a sensor with noise."""
+"""Simulated photographs: a lens in front of exact optics, a board in the world, a sensor with noise."""

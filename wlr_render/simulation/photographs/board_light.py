@@ -1,4 +1,4 @@
-"""Radiance of a dot board before a far background."""
+"""Radiance of a dot board in front of a far background."""
 
 from dataclasses import dataclass
 
