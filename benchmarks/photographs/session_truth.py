@@ -19,10 +19,11 @@ from wlr_render.calibration.photograph_captures import (
     see_through_captures,
     within_field,
 )
-from wlr_render.calibration.poses import ARCMIN, motion_between
+from wlr_render.calibration.poses import motion_between
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.calibrate.simulate import truth_errors
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.traced_mappings import traced_eye

@@ -1,12 +1,12 @@
 """Poses of a board in photographs by a camera with a known lens: observed dots, their reprojection, and the fit."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from wlr_render.calibration.poses import Pose, small_motion
+from wlr_render.calibration.poses import Pose, motion_rows, small_motion
 from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
@@ -15,9 +15,9 @@ from wlr_render.numerics.arrays import FloatArray
 FEWEST_DOTS = 8
 """A pose has 6 unknowns; four dots are 8 readings, and twice that tells whether they are right."""
 
-STRAY = 6.0
+OUTLIER_SIGMAS = 6.0
 """A dot this many robust sigmas from its place is no reading of the board."""
-MISFIT = 3.0
+POOR_FIT_RATIO = 3.0
 """A photograph whose dots scatter this many times more than usual does not show a flat board, or shows it blurred."""
 _STEPS = 30  # of Gauss and Newton; five do
 _SETTLED = 1e-4  # of a sigma
@@ -79,14 +79,13 @@ class BoardPoses:
     def only(self, names: Sequence[str]) -> "BoardPoses":
         """The poses of some photographs, in the order of `names`."""
         index = np.array([self.names.index(name) for name in names], dtype=np.int64)
-        rows = (6 * index[:, None] + np.arange(6)).ravel()
-        return BoardPoses(
-            self.camera,
-            tuple(names),
-            self.camera_from_board[index],
-            self.covariance[np.ix_(rows, rows)],
-            self.rms_px[index],
-            self.rejected,
+        rows = motion_rows(index)
+        return replace(
+            self,
+            names=tuple(names),
+            camera_from_board=self.camera_from_board[index],
+            covariance=self.covariance[np.ix_(rows, rows)],
+            rms_px=self.rms_px[index],
         )
 
 
@@ -137,7 +136,7 @@ def robust_scale(residual: FloatArray) -> float:
 def without_outliers(view: BoardView, residual: FloatArray) -> BoardView:
     """The view without dots that lie far off by their residuals (2 n,)."""
     apart = np.abs(residual).reshape(-1, 2).max(axis=1)
-    keep = apart <= STRAY * max(robust_scale(residual), 1e-9)
+    keep = apart <= OUTLIER_SIGMAS * max(robust_scale(residual), 1e-9)
     return BoardView(view.name, view.point[keep], view.pixel[keep], view.sigma_px[keep])
 
 
@@ -176,7 +175,7 @@ def poses_of(camera: LensCamera, views: Sequence[BoardView]) -> BoardPoses:
 
 def rejection_reason(scale: float, usual: float) -> str:
     """Why a photograph with residual scale `scale` is rejected where `usual` is usual; empty where it is not."""
-    if scale <= MISFIT * usual:
+    if scale <= POOR_FIT_RATIO * usual:
         return ""
     return (
         f"its dots miss the best pose of a flat board {scale / usual:.1f} times as far as those of the other "

@@ -84,7 +84,8 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
     fit = _adjusted(cleaned, free, _with_only(fit.camera, free), fit.camera_from_board)
     sigma = np.zeros(9)
     sigma[free] = np.sqrt(np.diag(fit.lens_covariance))
-    _refuse_loose(sigma, fit)
+    if np.any(sigma[:4] > _LOOSEST * np.tile(fit.camera.focal_px, 2)):
+        raise _undetermined(fit.views)
     poses = BoardPoses(
         fit.camera,
         tuple(view.name for view in fit.views),
@@ -159,7 +160,7 @@ def _selected_terms(fit: Adjustment) -> IntArray:
 
     What leaving terms out costs is read off the fit with all of them (A. Wald's test).
     """
-    values = _values(fit.camera)
+    values = np.concatenate([fit.camera.focal_px, fit.camera.centre_px, fit.camera.distortion])
     choices = []
     for tangential in (_TANGENTIAL, ()):
         for order in range(len(_RADIAL) + 1):
@@ -169,10 +170,6 @@ def _selected_terms(fit: Adjustment) -> IntArray:
             cost = values[left_out] @ np.linalg.solve(block, values[left_out]) if len(left_out) else 0.0
             choices.append((float(cost) + _WORTH * len(free), free))
     return min(choices, key=lambda choice: choice[0])[1]
-
-
-def _values(camera: LensCamera) -> FloatArray:
-    return np.concatenate([camera.focal_px, camera.centre_px, camera.distortion])
 
 
 def _with_only(camera: LensCamera, free: IntArray) -> LensCamera:
@@ -187,11 +184,6 @@ def _refuse_too_few(views: Sequence[BoardView], rejected: dict[str, str]) -> Non
             f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
             f"{len(views)} can be used{why}."
         )
-
-
-def _refuse_loose(sigma: FloatArray, fit: Adjustment) -> None:
-    if np.any(sigma[:4] > _LOOSEST * np.tile(fit.camera.focal_px, 2)):
-        raise _undetermined(fit.views)
 
 
 def _undetermined(views: Sequence[BoardView]) -> BadInputError:

@@ -30,7 +30,7 @@ _MOST = 0.2  # of the captures that may be off; where more are, it is the model 
 
 _DOT_TOP_DEGREE = 4
 _DOTS_PER_TERM = 8
-_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3  # a outlier is off by more than both
+_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3  # an outlier is off by more than both
 _DOT_SIGMA_RATIO = 5.0  # times the median standard deviation of the photograph's dots
 _ROUNDS = 10  # outliers bend the field that they are judged by: the worst go first
 _AT_ONCE = 3.0  # what is this much less off than the worst waits for the next round

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.poses import ARCMIN, small_motion
+from wlr_render.calibration.poses import small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_MM = 0.03

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.calibration.board_poses import BoardPoses
-from wlr_render.calibration.poses import Pose, adjoint, mean_of_dependent
+from wlr_render.calibration.poses import Pose, adjoint, mean_of_dependent, motion_rows
 from wlr_render.calibration.stage_fit import StageFit
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -85,8 +85,8 @@ def pose_chains(stage: StageFit, targets: TrackedTargets) -> PoseChains:
         )
     chains = np.array([targets.poses[k].b_from_a @ transforms.inverse(stage.camera_from_target[k]) for k in common])
     axes = 3 * len(stage.moved_axes)
-    of_seen = axes + _rows([seen.index(k) for k in common])
-    of_tracked = _rows([tracked.index(k) for k in common])
+    of_seen = axes + motion_rows([seen.index(k) for k in common])
+    of_tracked = motion_rows([tracked.index(k) for k in common])
     by_seen = np.zeros((len(common), 6, len(common), 6))
     for i, chain in enumerate(chains):
         by_seen[i, :, i] = -adjoint(chain)
@@ -103,7 +103,3 @@ def mean_camera_pose(stage: StageFit, chains: PoseChains) -> tuple[FloatArray, F
     axes = with_axes.shape[1]
     covariance = np.block([[mean.pose.covariance, with_axes], [with_axes.T, stage.covariance[:axes, :axes]]])
     return mean.pose.b_from_a, covariance
-
-
-def _rows(index: Sequence[int]) -> FloatArray:
-    return np.asarray((6 * np.array(index)[:, None] + np.arange(6)).ravel())

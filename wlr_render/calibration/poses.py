@@ -5,15 +5,14 @@ translation (m), so that the true pose is `small_motion(delta) @ b_from_a` with 
 T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the translation first.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.geometry import transforms
-from wlr_render.numerics.arrays import FloatArray
-
-ARCMIN = np.pi / 10_800
-"""One arcminute in radians."""
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 def small_motion(delta: FloatArray) -> FloatArray:
@@ -28,6 +27,11 @@ def motion_between(before: FloatArray, after: FloatArray) -> FloatArray:
     motion = after @ transforms.inverse(before)
     vector = Rotation.from_matrix(motion[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*motion.shape[:-2], 3)
     return np.concatenate([vector, motion[..., :3, 3]], axis=-1)
+
+
+def motion_rows(index: IntArray | Sequence[int]) -> IntArray:
+    """Rows (6 k,) of poses (k,) in a joint covariance of small motions."""
+    return np.asarray((6 * np.asarray(index, dtype=np.int64)[:, None] + np.arange(6)).ravel())
 
 
 def adjoint(b_from_a: FloatArray) -> FloatArray:
@@ -58,11 +62,6 @@ class Pose:
 
     b_from_a: FloatArray
     covariance: FloatArray
-
-    def inverse(self) -> "Pose":
-        """a_from_b."""
-        a_from_b = transforms.inverse(self.b_from_a)
-        return Pose(a_from_b, _carried(adjoint(a_from_b), self.covariance))
 
     def __matmul__(self, a_from_o: "Pose") -> "Pose":
         """b_from_o of this b_from_a and an a_from_o whose errors have nothing to do with its own."""

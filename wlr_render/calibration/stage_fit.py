@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from wlr_render.calibration.board_poses import BoardPoses
-from wlr_render.calibration.poses import ARCMIN, Pose, motion_between
+from wlr_render.calibration.poses import Pose, motion_between
 from wlr_render.calibration.stage_problem import (
     STILL,
     Jitter,
@@ -23,6 +23,7 @@ from wlr_render.calibration.stage_problem import (
     solve_stage,
 )
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _MIN_F_RATIO = 20.0  # ratio of F that makes one photograph an outlier: beyond 1e-8 by chance
@@ -54,23 +55,13 @@ def outlier(problem: StageProblem) -> tuple[int, FloatArray] | None:
     return (row, deviation) if noticed else None
 
 
-@dataclass(frozen=True, eq=False)
-class TargetStep:
-    """A motion of the target between two of its photographs, by index.
+def target_step(problem: StageProblem) -> tuple[int, int, FloatArray] | None:
+    """Return where in the order of photographs the target moved, if that explains the residuals.
 
-    Attributes:
-        row: the first photograph after.
-        before: the last one before.
-        motion: (6,) small motion of the target in the camera's frame at the reference.
+    Returns:
+        The last photograph before and the first after, by index, and the target's small motion (6,) in the camera's
+        frame at the reference.
     """
-
-    row: int
-    before: int
-    motion: FloatArray
-
-
-def target_step(problem: StageProblem) -> TargetStep | None:
-    """Return where in the order of photographs the target moved, if that explains the residuals."""
     whole = solve_stage(problem).chi_square
     if whole < _CHI_SQUARE * problem.freedom:
         return None
@@ -86,7 +77,7 @@ def target_step(problem: StageProblem) -> TargetStep | None:
             solution = solve_stage(split)
             if solution.chi_square < best:
                 motion = motion_between(solution.poses[target], solution.poses[extra])
-                best, found = solution.chi_square, TargetStep(int(row), int(before), motion)
+                best, found = solution.chi_square, (int(before), int(row), motion)
     return found
 
 
@@ -202,7 +193,7 @@ def fit_stage(seen: BoardPoses, target: Sequence[int], reading: FloatArray) -> S
         tuple(names),
         solution.residual,
         rejected,
-        TargetMoved(names[step.before], names[step.row], step.motion) if step else None,
+        TargetMoved(names[step[0]], names[step[1]], step[2]) if step else None,
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.poses import adjoint, motion_between, small_motion
+from wlr_render.calibration.poses import adjoint, motion_between, motion_rows, small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -41,7 +41,7 @@ class StageProblem:
     def without(self, row: int) -> "StageProblem":
         """All but one photograph."""
         keep = np.delete(np.arange(len(self.seen)), row)
-        rows = (6 * keep[:, None] + np.arange(6)).ravel()
+        rows = motion_rows(keep)
         return StageProblem(
             self.seen[keep], self.covariance[np.ix_(rows, rows)], self.target[keep], self.displacement[keep]
         )

@@ -16,8 +16,9 @@ from wlr_render.calibration.check import (
     Check,
 )
 from wlr_render.calibration.pose_chains import PoseChains
-from wlr_render.calibration.poses import ARCMIN, mean_of_dependent, motion_between
+from wlr_render.calibration.poses import mean_of_dependent, motion_between, motion_rows
 from wlr_render.calibration.stage_fit import StageFit, TargetMoved
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
 
 STEP = "photographs without the headset"
@@ -213,8 +214,7 @@ def chain_check(chains: PoseChains) -> Check | None:
 def _against_others(chains: PoseChains, k: int) -> Change:
     """Difference of the camera pose by one target pose from the mean by the others."""
     others = [i for i in range(len(chains.targets)) if i != k]
-    rows = (6 * np.array(others)[:, None] + np.arange(6)).ravel()
-    own = 6 * k + np.arange(6)
+    rows, own = motion_rows(others), motion_rows([k])
     mean = mean_of_dependent(chains.device_from_camera[others], chains.covariance[np.ix_(rows, rows)])
     by_all = np.zeros((6, len(chains.covariance)))
     by_all[:, own] = np.eye(6)

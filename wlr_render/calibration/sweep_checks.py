@@ -6,14 +6,14 @@ twice at one stage reading. A target that moves is seen to move by both, a heads
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from wlr_render.calibration.board_poses import BoardView
 from wlr_render.calibration.check import NEGLIGIBLE_ARCMIN, REFUSED_ARCMIN, Change, Check
-from wlr_render.calibration.poses import ARCMIN
 from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
@@ -119,11 +119,10 @@ def sweep_check(
 
 def _culprit(views: Sequence[_ViewChange]) -> str:
     """What moved, given that the tracking camera saw the target move."""
-    telling = [view for view in views if view.foreseen_arcmin > NEGLIGIBLE_ARCMIN]
-    if not telling:
+    follows = [view.follows for view in views if view.foreseen_arcmin > NEGLIGIBLE_ARCMIN]
+    if not follows:
         return "the target moved or the headset shifted (no photograph through the optics, repeated, tells which)"
-    follows = float(np.median([view.follows for view in telling]))
-    return "the target moved" if follows > _FOLLOWS else "the headset shifted"
+    return "the target moved" if np.median(follows) > _FOLLOWS else "the headset shifted"
 
 
 def _view_change(
@@ -152,13 +151,10 @@ def _view_change(
     )
     foreseen = np.nan_to_num(after - before)
     power = float(np.sum(foreseen**2))
-    return _ViewChange(
-        change.names,
-        change.median_arcmin,
-        change.sigma_arcmin,
-        change.is_significant,
-        float(np.sqrt(power / len(point))) * per_px,
-        float(np.sum(foreseen * displaced)) / power if power > 0 else 0.0,
+    return replace(
+        change,
+        foreseen_arcmin=float(np.sqrt(power / len(point))) * per_px,
+        follows=float(np.sum(foreseen * displaced)) / power if power > 0 else 0.0,
     )
 
 

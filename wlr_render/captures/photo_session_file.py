@@ -126,12 +126,10 @@ def _camera(table: Table, root: Path) -> SessionCamera:
 
 
 def _board_photograph(table: Table, root: Path, axes: FloatArray, on_stage: bool = True) -> BoardPhotograph:
-    name, pose = str(Path(table.text("photograph"))), table.number("target_pose")
-    if pose < 0 or pose != int(pose):
-        raise table.fail(f"'target_pose' is {pose:g}; it must be a whole number from 0.")
+    name, pose = str(Path(table.text("photograph"))), _count(table, "target_pose", least=0)
     stage = _stage(table, axes) if on_stage else np.zeros(3)
     table.finish()
-    return BoardPhotograph(root, name, int(pose), stage)
+    return BoardPhotograph(root, name, pose, stage)
 
 
 def _code_set(table: Table, root: Path, axes: FloatArray) -> CodeSet:
@@ -144,10 +142,10 @@ def _stage(table: Table, axes: FloatArray) -> FloatArray:
     return np.asarray(_MM * axes @ table.vector("stage_mm", 3))
 
 
-def _count(table: Table, key: str) -> int:
+def _count(table: Table, key: str, least: int = 1) -> int:
     value = table.number(key)
-    if value < 1 or value != int(value):
-        raise table.fail(f"'{key}' is {value:g}; it must be a whole number of 1 or more.")
+    if value < least or value != int(value):
+        raise table.fail(f"'{key}' is {value:g}; it must be a whole number of {least} or more.")
     return int(value)
 
 

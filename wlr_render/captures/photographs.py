@@ -106,7 +106,7 @@ def read_each(paths: Sequence[Path]) -> Iterator[Photograph]:
 
 def describe_pixels(image: Photograph) -> str:
     """Size and depth, e.g. "1280 x 1024 pixels of 8 bits"."""
-    return f"{image.shape[1]} x {image.shape[0]} pixels of {8 * image.itemsize} bits"
+    return f"{' x '.join(map(str, image.shape[::-1]))} pixels of {8 * image.itemsize} bits"
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

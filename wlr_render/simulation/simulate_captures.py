@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.geometry.directions import ARCMIN, normalised
@@ -74,10 +73,6 @@ class CaptureSetup:
             )
         return FieldOfView(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
 
-    def pixels(self) -> FloatArray:
-        """Panel pixels that are decoded, (n, 2)."""
-        return self.truth.display.panel.grid(*self.grid).reshape(-1, 2)
-
     def camera_dirs(self) -> FloatArray:
         """Directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
         return self.field.directions(*self.grid)
@@ -89,9 +84,6 @@ class CaptureSetup:
         x, y = np.meshgrid(*(np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1)))
         z = np.full_like(x, self.truth.eye_box.centre[2] - depth_m)
         return np.stack([x, y, z], axis=-1).reshape(-1, 3)
-
-
-AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 
 
 def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> DisplayCaptures:
@@ -124,7 +116,7 @@ def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.
 def _decoded(setup: CaptureSetup, actual: FloatArray) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Which position (n,) saw which panel pixel (n, 2) in which direction (n, 3)."""
     if setup.camera_field is None:
-        pixel = setup.pixels()
+        pixel = setup.truth.display.panel.grid(*setup.grid).reshape(-1, 2)
         seen = setup.truth.display.view_dir_of_pixel(pixel[None], actual[:, None])
         position, column = np.nonzero(seen.usable)
         return position, pixel[column], seen.value[position, column]

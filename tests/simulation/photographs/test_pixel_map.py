@@ -45,14 +45,6 @@ def test_few_pixels_are_computed_one_by_one_where_it_is_smooth():
     assert 0 < len(bent.alone) < 0.25 * 600 * 40
 
 
-def test_the_error_that_is_told_is_the_error():
-    field = PixelMap.of(smooth, SIZE, OFFSET, np.array([np.inf, np.inf]))
-    true = np.moveaxis(field.planes(), 0, -1) - smooth(places())[0]
-    told = field.error(np.random.default_rng(0), 3000)
-    assert told.shape == (3000, 2)
-    np.testing.assert_allclose(np.abs(told).max(axis=0), np.abs(true).max(axis=(0, 1)), rtol=0.5)
-
-
 def test_a_picture_without_light_is_dark_everywhere():
     field = PixelMap.of(
         lambda place: (np.full((*place.shape[:-1], 2), np.nan), np.zeros(place.shape[:-1], bool)),
@@ -61,4 +53,3 @@ def test_a_picture_without_light_is_dark_everywhere():
         TOLERANCE,
     )
     assert not field.lit.any()
-    assert field.error(np.random.default_rng(0), 10).shape == (0, 2)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.photographs import Photograph
+from wlr_render.captures.photographs import Photograph, describe_pixels
 from wlr_render.errors import BadInputError
 
 Grey = NDArray[np.float32]
@@ -61,7 +61,8 @@ class PhotographReader:
             self._peak = _grey_integers(image, label).copy()
         elif image.shape != self._peak.shape or image.dtype != self._peak.dtype:
             raise BadInputError(
-                f"{label} is {_kind(image)}, but those before it are {_kind(self._peak)}; take it again."
+                f"{label} is {describe_pixels(image)}, but those before it are {describe_pixels(self._peak)}; "
+                "take it again."
             )
         np.maximum(self._peak, image, out=self._peak)
         self.taken += 1
@@ -86,10 +87,6 @@ def _grey_integers(image: Photograph, label: str) -> Photograph:
             f"{label} must be a grey picture of 8 or 16 bits, not {image.dtype} of shape {image.shape}."
         )
     return image
-
-
-def _kind(image: Photograph) -> str:
-    return f"{' x '.join(map(str, image.shape[::-1]))} pixels of {8 * image.itemsize} bits"
 
 
 @dataclass(frozen=True, eq=False)

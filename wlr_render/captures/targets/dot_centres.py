@@ -50,7 +50,7 @@ class _Patches:
 def _patches_around(
     grey: FloatArray, dots: Dots, which: IntArray, near_px: FloatArray, reach_px: FloatArray
 ) -> Iterator[_Patches]:
-    """_Patches of those dots that have a place in the picture.
+    """Patches of those dots that have a place in the picture.
 
     Args:
         grey: (h, w).

@@ -160,7 +160,7 @@ def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattic
         shape = lattice_shape(lattice.index, pixel)
         off = np.linalg.norm(pixel - shape.expected, axis=-1) / shape.doubt
         most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
-        # A outlier dot makes its neighbours look outlier too; only the worst of a neighbourhood goes.
+        # An outlier makes its neighbours look like outliers too; only the worst of a neighbourhood goes.
         keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
         keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
         if keep.all():

@@ -1,13 +1,12 @@
 """Simulated camera at one pose: light from panel and world through exact optics, or from the world alone.
 
 Light is a part of full scale, linear. A pixel's light is the mean over a fixed set of rays spread over the pixel and
-the pupil; each ray is traced exactly, or interpolated with an error that is bounded and can be measured.
+the pupil; each ray is traced exactly, or interpolated with a bounded error.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
-from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import inverse, rotate
 from wlr_render.mappings import Panel, QueryResult, Status
@@ -34,16 +32,9 @@ _WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's p
 _ROWS = 64  # of the picture at a time: what is computed of the world stays in the processor's cache
 _OFF_PANEL = -10.0  # a place of which the nearest pixels are all beyond the panel
 _FARTHEST = 32_000.0  # cv2.remap indexes with 16 bits
-_NEAREST_M = 0.3  # at which an offset of a ray is counted as an angle
+_WAVELENGTH_UM = 0.55
 _BLUR_STEP = 16  # of the pixels from which the blur is judged
 _NARROWEST_PX = 1e-3  # of a ramp between two panel pixels
-
-
-class InterpolationError(NamedTuple):
-    """Maximum interpolation errors: of panel positions in pixels; of world rays at 0.3 m and beyond in arcminutes."""
-
-    panel_px: float
-    world_arcmin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +62,9 @@ class CameraView:
         lens: SimulatedLens,
         device_from_camera: FloatArray,
         samples: int = 16,
-        wavelength_um: float = 0.55,
     ) -> "CameraView":
-        """The lens in the place of an eye; its rays are traced exactly at one vacuum wavelength in micrometres."""
-        display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
+        """The lens in the place of an eye; its rays are traced exactly at 0.55 micrometres."""
+        display, see_through = TracedDisplay(optics, _WAVELENGTH_UM), TracedSeeThrough(optics, _WAVELENGTH_UM)
         camera_from_device = inverse(device_from_camera)
 
         def looking(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -88,20 +78,20 @@ class CameraView:
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
             origin, direction = looking(pupil_point, pixel)
             ray = see_through.real_ray_of_view_dir(direction, origin)
-            return _bend(rays.transformed(camera_from_device, ray.value))
+            return _offset_and_slope(rays.transformed(camera_from_device, ray.value))
 
-        panel_fields = _fields(lens, samples, on_panel, np.full(2, _PANEL_TOLERANCE_PX))
-        world_fields = _fields(lens, samples, in_world, _WORLD_TOLERANCE)
-        return cls(lens, device_from_camera, optics.panel.pixels, panel_fields, world_fields)
+        panel_maps = _maps(lens, samples, on_panel, np.full(2, _PANEL_TOLERANCE_PX))
+        world_maps = _maps(lens, samples, in_world, _WORLD_TOLERANCE)
+        return cls(lens, device_from_camera, optics.panel.pixels, panel_maps, world_maps)
 
     @classmethod
     def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = 16) -> "CameraView":
         """The lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
 
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
-            return _bend(lens.ray_of_pixel(pixel, pupil_point))
+            return _offset_and_slope(lens.ray_of_pixel(pixel, pupil_point))
 
-        return cls(lens, frame_from_camera, None, (), _fields(lens, samples, in_world, _WORLD_TOLERANCE))
+        return cls(lens, frame_from_camera, None, (), _maps(lens, samples, in_world, _WORLD_TOLERANCE))
 
     def panel_light(self, image: NDArray[np.uint8], gamma: float = PANEL_GAMMA) -> Float32Array:
         """Light from the panel, (h, w), 1 where a white panel fills the pixel; dark without a headset.
@@ -130,23 +120,16 @@ class CameraView:
         width, height = self.lens.camera.size_px
         total = np.zeros((height, width), dtype=np.float32)
         for field in self.in_world:
-            bend = field.planes()
-            bend[:, ~field.lit] = np.nan
+            offset_and_slope = field.planes()
+            offset_and_slope[:, ~field.lit] = np.nan
             for first in range(0, height, _ROWS):
                 rows = slice(first, first + _ROWS)
-                total[rows] += np.nan_to_num(radiance(self._rays(bend[:, rows]))) * field.lit[rows]
+                total[rows] += np.nan_to_num(radiance(self._rays(offset_and_slope[:, rows]))) * field.lit[rows]
         return total / np.float32(len(self.in_world))
 
-    def interpolation_error(self, rng: np.random.Generator, count: int = 2000) -> InterpolationError:
-        """Measure against exact traces at `count` random pixels of every sample."""
-        panel = max((np.abs(field.error(rng, count)).max(initial=0.0) for field in self.on_panel), default=0.0)
-        world = np.concatenate([field.error(rng, count) for field in self.in_world])
-        angle = np.linalg.norm(world[:, :2], axis=-1) / _NEAREST_M + np.linalg.norm(world[:, 2:], axis=-1)
-        return InterpolationError(float(panel), float(angle.max(initial=0.0)) / ARCMIN)
-
-    def _rays(self, bend: Float32Array) -> Float32Array:
-        """Rays (h, w, 6) in the view's frame from how they pass the camera, (4, h, w)."""
-        x, y, tx, ty = bend
+    def _rays(self, offset_and_slope: Float32Array) -> Float32Array:
+        """Rays (h, w, 6) in the view's frame from offsets and slopes in the camera's frame, (4, h, w)."""
+        x, y, tx, ty = offset_and_slope
         rotation, origin = self.frame_from_camera[:3, :3].astype(np.float32), self.frame_from_camera[:3, 3]
         scale = 1.0 / np.sqrt(1.0 + tx * tx + ty * ty)
         ray = np.empty((*x.shape, 6), dtype=np.float32)
@@ -167,7 +150,7 @@ class CameraView:
         return places
 
 
-def _fields(
+def _maps(
     lens: SimulatedLens,
     samples: int,
     exact: Callable[[FloatArray, FloatArray], tuple[FloatArray, BoolArray]],
@@ -179,7 +162,7 @@ def _fields(
     )
 
 
-def _bend(ray_in_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _offset_and_slope(ray_in_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Rays (n, 6) as x, y in the plane z = 0 and their tangents there (n, 4), and which of them lead forward."""
     forward = ray_in_camera[:, 5] > 0.0
     ray = rays.at_z(np.where(forward[:, None], ray_in_camera, np.nan), 0.0)
@@ -214,23 +197,10 @@ def panel_position(
     camera: LensCamera,
     device_from_camera: FloatArray,
     pixel: FloatArray,
-    wavelength_um: float = 0.55,
 ) -> QueryResult:
     """Which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
     direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
-    return TracedDisplay(optics, wavelength_um).pixel_of_view_dir(direction, device_from_camera[:3, 3])
-
-
-def pixel_of_panel_position(
-    optics: EyeOptics,
-    camera: LensCamera,
-    device_from_camera: FloatArray,
-    position: FloatArray,
-    wavelength_um: float = 0.55,
-) -> FloatArray:
-    """The camera pixels (..., 2) that see places on the panel (..., 2); NaN where they are not seen."""
-    seen = TracedDisplay(optics, wavelength_um).view_dir_of_pixel(position, device_from_camera[:3, 3])
-    return camera.pixel_of_point(rotate(inverse(device_from_camera), seen.value))
+    return TracedDisplay(optics, _WAVELENGTH_UM).pixel_of_view_dir(direction, device_from_camera[:3, 3])
 
 
 def pixel_of_real_point(
@@ -238,8 +208,7 @@ def pixel_of_real_point(
     camera: LensCamera,
     device_from_camera: FloatArray,
     point: FloatArray,
-    wavelength_um: float = 0.55,
 ) -> FloatArray:
     """The camera pixels (..., 2) that see real points (..., 3), device frame, through the optics; NaN where not."""
-    seen = TracedSeeThrough(optics, wavelength_um).view_dir_of_real_point(point, device_from_camera[:3, 3])
+    seen = TracedSeeThrough(optics, _WAVELENGTH_UM).view_dir_of_real_point(point, device_from_camera[:3, 3])
     return camera.pixel_of_point(rotate(inverse(device_from_camera), seen.value))

@@ -25,8 +25,6 @@ class PixelMap:
     """A quantity of k components at one place in every pixel.
 
     Attributes:
-        exact: the quantity itself.
-        offset: (2,) from a pixel's centre to the place in it, pixels.
         nodes: (k, rows, columns) values on the grid.
         from_rows, from_columns: (height, rows) and (width, columns), grid -> pixels.
         lit: (height, width) where there is light.
@@ -34,8 +32,6 @@ class PixelMap:
         alone_value: (n, k) their values.
     """
 
-    exact: Exact
-    offset: FloatArray
     nodes: Float32Array
     from_rows: Float32Array
     from_columns: Float32Array
@@ -65,22 +61,13 @@ class PixelMap:
         alone_value, lit_alone = exact(alone[:, ::-1] + 0.5 + offset)
         lit = spread[rows.cell[:, None], columns.cell]
         lit[alone[:, 0], alone[:, 1]] = lit_alone
-        return cls(exact, offset, nodes, rows.to_pixel, columns.to_pixel, lit, alone, alone_value.astype(np.float32))
+        return cls(nodes, rows.to_pixel, columns.to_pixel, lit, alone, alone_value.astype(np.float32))
 
     def planes(self) -> Float32Array:
         """The quantity in all pixels, (k, height, width); what it holds outside `lit` means nothing."""
         value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T, dtype=np.float32)
         value[:, self.alone[:, 0], self.alone[:, 1]] = self.alone_value.T
         return value
-
-    def error(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """Value minus exact value (n, k) at random lit pixels, up to `count`, of those that are not exact anyway."""
-        known = self.lit.copy()
-        known[self.alone[:, 0], self.alone[:, 1]] = False
-        place = np.argwhere(known)
-        place = place[rng.integers(len(place), size=min(count, len(place)))] if len(place) else place
-        value, _ = self.exact(place[:, ::-1] + 0.5 + self.offset)
-        return np.asarray(self.planes()[:, place[:, 0], place[:, 1]].T - value)
 
 
 @dataclass(frozen=True, eq=False)

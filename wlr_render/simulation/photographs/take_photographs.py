@@ -96,18 +96,18 @@ def take(pose: CameraPose) -> int:
     if not missing:
         return 0
     if pose.optics is None:
-        sight = CameraView.without_headset(pose.lens, pose.frame_from_camera)
+        view = CameraView.without_headset(pose.lens, pose.frame_from_camera)
     else:
-        sight = CameraView.through_optics(pose.optics, pose.lens, pose.frame_from_camera)
+        view = CameraView.through_optics(pose.optics, pose.lens, pose.frame_from_camera)
     for shot in pose.boards:
         if shot.path in missing:
-            light = sight.world_light(BoardLight(pose.board, shot.frame_from_board))
+            light = view.world_light(BoardLight(pose.board, shot.frame_from_board))
             write_photograph(shot.path, pose.sensor.expose(light, _noise(pose, shot.path)))
     for shots in pose.panels:
-        dark = sight.world_light(_DARK_ROOM)
+        dark = view.world_light(_DARK_ROOM)
         for number, path in enumerate(shots.paths()):
             if path in missing:
-                light = sight.panel_light(shots.pictures.image(number)) + dark
+                light = view.panel_light(shots.pictures.image(number)) + dark
                 write_photograph(path, pose.sensor.expose(light, _noise(pose, path)))
     return len(missing)
 
