@@ -105,10 +105,10 @@ def calibrate_session(
         return _calibrated(session, reading, folder, fit)
     except BadInputError as error:
         # Whatever was excluded is the likely cause of what is missing now.
-        aside = [f"{each.name}: {each.reason}" for each in reading.excluded]
-        more = [f"{len(aside) - _NAMED} more"] if len(aside) > _NAMED else []
-        said = f" Excluded before: {'; '.join(aside[:_NAMED] + more)}." if aside else ""
-        raise BadInputError(f"{error}{said}") from error
+        reasons = [f"{each.name}: {each.reason}" for each in reading.excluded]
+        more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
+        before = f" Excluded before: {'; '.join(reasons[:_NAMED] + more)}." if reasons else ""
+        raise BadInputError(f"{error}{before}") from error
 
 
 def _calibrated(
@@ -127,8 +127,8 @@ def _calibrated(
     file = folder / f"station-{session.eye}.json"
     save_station(file, station, eyeball.camera, tracking.camera, session.device_from_tracking)
     refuse_contradictions(station.checks)
-    captures, aside = _sound_captures(session, reading, _captures(session, reading, eyeball.camera, station))
-    reading = replace(reading, excluded=(*reading.excluded, *aside))
+    captures, excluded = _sound_captures(session, reading, _captures(session, reading, eyeball.camera, station))
+    reading = replace(reading, excluded=(*reading.excluded, *excluded))
     save_captures(folder / f"captures-{session.eye}.npz", captures)
     return SessionCalibration(session, reading, eyeball, tracking, station, captures, fit(captures))
 
@@ -193,13 +193,13 @@ def _sound_captures(
     see_through, photograph = select(see_through, follows), photograph[follows]
     moved = display_outliers(display)
     sets = [session.name_of(each.folder) for each, _ in reading.decoded(session.display)]
-    aside = [_aside([sets[each.group]], each) for each in moved]
+    excluded = [_exclusion([sets[each.group]], each) for each in moved]
     display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
     names = _names(reading.seen(session.see_through))
     gone = see_through_outliers(see_through, photograph)
-    aside += [_aside(names[keys[each.group]], each) for each in gone]
+    excluded += [_exclusion(names[keys[each.group]], each) for each in gone]
     see_through = select(see_through, ~np.isin(photograph, [each.group for each in gone]))
-    return replace(captures, display=display, see_through=see_through), tuple(aside)
+    return replace(captures, display=display, see_through=see_through), tuple(excluded)
 
 
 def _camera_places(photographs: Sequence[BoardPhotograph]) -> list[int]:
@@ -223,7 +223,7 @@ def _names(seen: Sequence[tuple[BoardPhotograph, BoardObservation]]) -> dict[tup
     return names
 
 
-def _aside(names: Sequence[str], moved: CaptureOutlier) -> Excluded:
+def _exclusion(names: Sequence[str], moved: CaptureOutlier) -> Excluded:
     reason = (
         f"what it shows lies {moved.arcmin:.0f}' from where the other photographs have it: it was taken at another "
         "stage reading or target pose than session.toml says, or something moved; correct its entry, or take it again."

@@ -124,18 +124,18 @@ def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> 
     """Return a mask (n,) of dots that follow the smooth field of their photograph, numbered by `photograph` (n,)."""
     straight = normalised(captures.point - captures.viewpoint)
     seen = captures.tangents
-    aside = (seen - tangents_of_dir(straight)) / ARCMIN
+    displaced = (seen - tangents_of_dir(straight)) / ARCMIN
     follows = np.ones(len(captures), dtype=bool)
     for one in np.unique(photograph):
         rows = np.flatnonzero(photograph == one)
         sigma = captures.sigma_arcmin[rows]
         sure = rows[sigma <= _DOT_SIGMA_RATIO * np.median(sigma)]
         follows[rows] = False
-        follows[sure] = _smooth(seen[sure], aside[sure])
+        follows[sure] = _smooth(seen[sure], displaced[sure])
     return follows
 
 
-def _smooth(place: FloatArray, aside: FloatArray) -> BoolArray:
+def _smooth(place: FloatArray, displaced: FloatArray) -> BoolArray:
     """(n,) which of the values (n, 2) at places (n, 2) follow a polynomial through them."""
     kept = np.ones(len(place), dtype=bool)
     degree = next((n for n in range(_DOT_TOP_DEGREE, 0, -1) if term_count(2, n) * _DOTS_PER_TERM <= len(place)), 0)
@@ -143,8 +143,8 @@ def _smooth(place: FloatArray, aside: FloatArray) -> BoolArray:
         return kept
     design = basis(place, degree, Box.around(place))
     for _ in range(_ROUNDS):
-        coefficients = np.linalg.lstsq(design[kept], aside[kept], rcond=None)[0]
-        off = np.linalg.norm(aside - design @ coefficients, axis=1)
+        coefficients = np.linalg.lstsq(design[kept], displaced[kept], rcond=None)[0]
+        off = np.linalg.norm(displaced - design @ coefficients, axis=1)
         limit = max(_DOT_SIGMAS * _MAD * float(np.median(off[kept])), _DOT_LEAST_ARCMIN)
         worst = float(off[kept].max())
         if worst <= limit:

@@ -41,7 +41,7 @@ class Rejection(IntEnum):
 
 _SENTENCES = {
     Rejection.ACCEPTED: "the pixel shows a panel position",
-    Rejection.DARK: "the panel's light is too weak there to be told from noise",
+    Rejection.DARK: "the panel's light is too weak there to be distinguished from noise",
     Rejection.SATURATED: "a photograph is at the end of its scale there",
     Rejection.UNSURE_BIT: "a bit of the code is too faint to be read",
     Rejection.WEAK_FRINGE: "the fringes are too faint for their phase",

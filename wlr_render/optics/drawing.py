@@ -52,7 +52,7 @@ _VIEWS = (
 
 
 def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
-    """Write a drawing of one eye as a picture, its kind told by the path's suffix (.png, .pdf, .svg).
+    """Write a drawing of one eye as a picture of the format that the path's suffix names (.png, .pdf, .svg).
 
     Surfaces are cut by the plane of the view through the nominal viewpoint, as far as their clear apertures go; the
     panel, the eye box and the rays, which start in that plane, are projected onto it.

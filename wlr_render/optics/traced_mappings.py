@@ -193,15 +193,15 @@ class TracedSeeThrough:
         lead = np.broadcast_shapes(point.shape[:-1], viewpoint.shape[:-1])
         wanted, eyes = _flat(point, lead), _flat(viewpoint, lead)
         ahead = wanted[:, 2] < eyes[:, 2]
-        sight = np.where(ahead[:, None], wanted - eyes, [0.0, 0.0, -1.0])
-        distance = np.linalg.norm(sight, axis=-1)
-        across = _across(sight / distance[:, None])
+        to_point = np.where(ahead[:, None], wanted - eyes, [0.0, 0.0, -1.0])
+        distance = np.linalg.norm(to_point, axis=-1)
+        across = _across(to_point / distance[:, None])
 
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
             past, _, _ = self._passing(dir_of_tangents(tangents), eyes[index], wanted[index])
             return np.asarray(np.einsum("mij,...mj->...mi", across[index], past) / distance[index, None])
 
-        cold = np.where(ahead[:, None], tangents_of_dir(sight / distance[:, None]), np.nan)
+        cold = np.where(ahead[:, None], tangents_of_dir(to_point / distance[:, None]), np.nan)
         tangents, converged = _shoot(miss, _start(warm_start, cold), _ANGLE_TOLERANCE)
         view_dir = dir_of_tangents(tangents)
         _, along, status = self._passing(view_dir, eyes, wanted)

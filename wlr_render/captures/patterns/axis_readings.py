@@ -27,7 +27,11 @@ _SURE = 2.0  # evidence over the noise of a difference
 _EDGE = 0.5  # of the contrast of the brightest neighbour, below which a pixel sees past an edge,
 _BESIDE_EDGE = 0.3  # or it does if its darkest neighbour has less than this of its own contrast
 _OVERHANG_PX = 0.5  # noise may carry a position over the panel's edge by this much
-_STRAY_PX, _STRAY_STEPS, _STRAY_SIGMAS = 0.75, 0.5, 4.0  # an outlier lies off its neighbours by more than all of these
+_OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = (
+    0.75,
+    0.5,
+    4.0,
+)  # an outlier lies off its neighbours by more than all of these
 _VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
 
@@ -133,7 +137,7 @@ def combine_axes(
     alone = rejection == Rejection.ACCEPTED
     step = typical_step(position, alone)
     valid = alone & agrees_with_neighbours(position, alone, step)
-    outlier = np.maximum(max(_STRAY_PX, _STRAY_STEPS * step), _STRAY_SIGMAS * np.sqrt(variance))
+    outlier = np.maximum(max(_OUTLIER_PX, _OUTLIER_STEPS * step), _OUTLIER_SIGMAS * np.sqrt(variance))
     valid &= np.all(np.abs(fit_planes(position, valid).value - position) <= outlier, axis=0)
     rejection[alone & ~valid] = Rejection.ISOLATED
     fit = fit_planes(position, valid)

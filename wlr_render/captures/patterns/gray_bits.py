@@ -49,7 +49,7 @@ class GrayAxis:
 
     Attributes:
         axis: "u" or "v".
-        cells: how many cells are told apart.
+        cells: number of cells.
     """
 
     axis: str

@@ -50,7 +50,7 @@ def design_board(
 
 
 def check_sizes(pitch_m: float, large_m: float, small_m: float, margin_m: float) -> None:
-    """Refuse a board whose dots could not be told apart.
+    """Refuse a board on which large and small dots could not be distinguished.
 
     Raises:
         BadInputError: the sentence has the sizes in millimetres and the remedy.

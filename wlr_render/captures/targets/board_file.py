@@ -65,7 +65,7 @@ def load_board(path: str | Path) -> DotBoard:
     """Read a board.
 
     Raises:
-        BadInputError: the file is missing or not as `save_board` writes it, or its dots cannot be told apart; the
+        BadInputError: the file is missing or not as `save_board` writes it, or its dots cannot be distinguished; the
             sentence has the key.
     """
     table = read_toml(path)

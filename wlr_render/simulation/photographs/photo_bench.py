@@ -241,7 +241,7 @@ def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
     for number, tilt in enumerate(_TILTS_DEG):
         for fill, side in zip(_FILL, (1, -1), strict=True):
             depth = float(np.max(board_m / np.array(camera.size_px) * camera.focal_px)) / fill
-            aside = 0.12 * side * depth * np.array(camera.size_px) / camera.focal_px
+            shift = 0.12 * side * depth * np.array(camera.size_px) / camera.focal_px
             turn = transforms.rotations_of_vectors(np.deg2rad([*tilt, 90.0 * (number % 4) + 11.0 * side]))
-            poses.append(transforms.rigid(turn, np.array([aside[0], aside[1] * (-1) ** number, depth])))
+            poses.append(transforms.rigid(turn, np.array([shift[0], shift[1] * (-1) ** number, depth])))
     return np.stack(poses)
