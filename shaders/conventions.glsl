@@ -1,4 +1,4 @@
-// Every flip and every half pixel of the GPU path (docs/conventions.md, "Pixels").
+// Projection, row flip and half pixel that the shaders share (docs/conventions.md, "Pixels" and "Rows").
 //
 // Images lie in memory with their top row first, on the GPU as in numpy. OpenGL's first row is its lowest, so the
 // projection turns y over and nothing else has to: window row 0 is the image's top row, and gl_FragCoord.xy is the

@@ -1,1 +1,1 @@
-"""Diagnoses of sessions in which the truth is known: right, wrong, and how sure they were."""
+"""Benchmark of diagnoses: simulated sessions with known hidden effects."""

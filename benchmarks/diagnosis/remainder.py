@@ -1,4 +1,4 @@
-"""What remains of a hidden effect once another single cause has matched it as well as it can."""
+"""Residual of a hidden effect after the best match by another single cause."""
 
 from collections.abc import Iterable, Sequence
 

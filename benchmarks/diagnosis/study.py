@@ -1,4 +1,4 @@
-"""How often a diagnosis is right and how sure it may be, over sessions in which an effect is hidden."""
+"""Success rates and error-bar coverage of diagnoses, over simulated sessions with hidden effects."""
 
 from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass

@@ -1,4 +1,4 @@
-"""What the outcomes of many trials come to."""
+"""Tables of the outcomes of many trials."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence

@@ -1,4 +1,4 @@
-"""One trial: hide effects in a session, diagnose it, and keep what was said beside what is true."""
+"""One trial: simulate a session with hidden effects, diagnose it, and compare with the truth."""
 
 import tempfile
 import time

@@ -1,4 +1,4 @@
-"""The sizes of hidden effects as the causes' parameters state them.
+"""True parameter values of hidden effects, in the parameters of the causes.
 
 The generator counts in millimetres along x right, y down, z forward; causes along x right, y up, z backward. Turning
 one frame into the other is half a turn about x, so that vectors and rotation vectors change alike.

@@ -1,1 +1,1 @@
-"""How good the reading of photographs is, where what they show is known: codes, boards, whole sessions."""
+"""Benchmark of reading simulated photographs: codes, boards, whole sessions."""

@@ -1,4 +1,4 @@
-"""A calibration from simulated photographs beside the truth, and beside the same calibration from exact numbers.
+"""Compare a calibration from simulated photographs with the truth, and with a calibration from exact numbers.
 
 The exact calibration has the same camera places, camera pixels and dots, and readings that scatter by the noise
 that the photographs' readings state; but it knows lenses, stage and target exactly, and has no other error.

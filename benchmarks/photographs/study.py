@@ -1,4 +1,4 @@
-"""How good the reading of photographs is: codes at a low signal, and a whole session if one is given."""
+"""Accuracy of reading photographs: codes at low signal, and a whole session if one is given."""
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path

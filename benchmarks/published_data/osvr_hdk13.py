@@ -1,4 +1,4 @@
-"""Traces of the OSVR HDK 1.3 lens by its designers: where on the screen each field angle falls, per eye relief."""
+"""Read traces of the OSVR HDK 1.3 lens by its designers: screen position of each field angle, per eye relief."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Factory calibration of a Vive headset, as its configuration file holds it: one radial polynomial per colour.
+"""Read the factory calibration of a Vive headset from its configuration file: one radial polynomial per colour.
 
 With r the distance from the lens' centre in units of half the eye's image width, a pixel at offset d from the centre
 is seen in the direction whose offset is d / (1 + k1 r^2 + k2 r^4 + k3 r^6) ("DISTORT_DPOLY3").

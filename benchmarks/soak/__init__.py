@@ -1,1 +1,1 @@
-"""A long run of frames for a moving wearer, as a real-time program would draw it."""
+"""Soak test: a long run of real-time frames for a moving wearer."""

@@ -1,4 +1,4 @@
-"""Draws the frames of a stream as an engine would, and notes what each took."""
+"""Draw the frames of a stream as an engine would, and record the time of each."""
 
 import time
 from collections.abc import Iterator, Sequence

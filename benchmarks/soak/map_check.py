@@ -1,4 +1,4 @@
-"""Whether a frame's map is that of its own viewpoint: against a start from nothing, and against the map before.
+"""Check that a frame's map belongs to its viewpoint: against a cold-started map, and against the previous map.
 
 Some frames of a stream are drawn again for this, each after the one before it. In the stream itself, fetching maps
 would cost time and memory that no real-time program spends.

@@ -1,4 +1,4 @@
-"""A stream in one picture: what the viewpoint did, what each frame took, and how much memory there was."""
+"""Plot of a stream: viewpoint, frame times and memory over time."""
 
 from collections.abc import Sequence
 from pathlib import Path

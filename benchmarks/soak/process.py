@@ -1,4 +1,4 @@
-"""What a frame costs the process besides time: processors, memory, Python's garbage collector."""
+"""Resources of the process: processor time, memory, garbage collections."""
 
 import gc
 import resource

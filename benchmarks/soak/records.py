@@ -1,4 +1,4 @@
-"""What a stream is made of, and what is noted of each of its frames."""
+"""Records of a stream and of each of its frames."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

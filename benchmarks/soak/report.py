@@ -1,4 +1,4 @@
-"""A stream told: tables, and a row of every frame."""
+"""Tables of a stream, and a CSV row for each frame."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""A made-up eye tracker: what it delivers of a known eye movement. For tests and demonstrations, not evidence."""
+"""Synthetic eye tracker for a known eye movement. For tests and demonstrations, not as evidence."""
 
 import numpy as np
 from numpy.random import Generator

@@ -1,4 +1,4 @@
-"""Who wears the headset in a stream: recorded or made-up trackers, and the viewpoints that follow from them."""
+"""Wearer of a stream: recorded or synthetic trajectories, and the viewpoints computed from them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How far composed frames are from ray-traced ones: where they land, what they cannot see, and what is left when late.
+"""Accuracy of composed frames against ray-traced frames: registration, disocclusion, late correction.
 
 A fitted model stands for the truth here: the question is what the compositor adds to it.
 """

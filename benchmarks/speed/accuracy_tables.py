@@ -1,4 +1,4 @@
-"""Tables of how exact composed frames are: their fields, where they land, and what is left when they come late."""
+"""Tables of the accuracy of composed frames: ray maps, registration, late correction."""
 
 from collections.abc import Iterator, Mapping, Sequence
 

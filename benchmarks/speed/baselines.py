@@ -1,4 +1,4 @@
-"""What a user would run without this package: raw Embree, and a bare OpenGL pass with a fixed warp map.
+"""Baselines without this package: raw Embree, and a bare OpenGL pass with a fixed warp map.
 
 For the benchmark only. These know their libraries directly, because a baseline that went through our own layers would
 measure those.

@@ -1,4 +1,4 @@
-"""Warps by a fixed map as runtimes do them today: Monado's two schemes in OpenGL, and cv2.remap.
+"""Baseline warps by a fixed map, as in today's runtimes: Monado's two schemes in OpenGL, and cv2.remap.
 
 For the benchmark only, straight on their libraries, as `baselines.py`. Both schemes read red, green and blue at places
 of their own. Monado (src/xrt/compositor/shaders: mesh.vert and mesh.frag; distortion_timewarp.comp) carries them to

@@ -1,4 +1,4 @@
-"""Our warp beside warps by a map that was computed once, of one picture: Monado's two schemes, and cv2.remap."""
+"""Compare our warp with warps by a fixed map on the same picture: Monado's two schemes, and cv2.remap."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager

@@ -1,4 +1,4 @@
-"""What a map that is computed once gets wrong: between its points, and when the pupil is elsewhere.
+"""Errors of a fixed map: interpolation between its points, and another pupil position.
 
 Runtimes such as Monado (src/xrt/auxiliary/util/u_distortion_mesh.c, src/xrt/compositor/shaders) compute a distortion
 map once: for points on the panel, where in the picture each colour is read. Between the points it is interpolated. The

@@ -1,4 +1,4 @@
-"""How the stages grow: with the display's pixels, with the terms of the display polynomial, with the triangles."""
+"""Scaling of the stages with display pixels, polynomial terms and triangles."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack

@@ -1,4 +1,4 @@
-"""The parts of a frame made offline: rays, raster and warp with read-back, the map for a new viewpoint, memory.
+"""Times of the stages of an offline frame: rays, raster and warp with read-back, map of a new viewpoint; memory.
 
 Each pair is timed alternately, so that a busy machine slows both sides alike; figures are medians.
 """

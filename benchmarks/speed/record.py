@@ -1,4 +1,4 @@
-"""Tables kept with the name of the machine's renderer, so that figures of several machines lie side by side."""
+"""Record tables in a file named after the machine's renderer."""
 
 import re
 from collections.abc import Sequence

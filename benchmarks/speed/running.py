@@ -1,4 +1,4 @@
-"""A compositor that runs on a workload, frame after frame."""
+"""Run a compositor on a workload, frame after frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

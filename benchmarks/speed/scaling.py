@@ -1,4 +1,4 @@
-"""How times grow with a size: a job prepared at several sizes, timed in turn, and the exponent of its growth."""
+"""Scaling of times with a size: a job timed at several sizes in turn, and the exponent."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a frame in real time takes, stage by stage."""
+"""Times of the stages of a real-time frame."""
 
 from benchmarks.speed.running import Running, later_pose
 from benchmarks.speed.timing import Run, alternately, in_ms

@@ -1,4 +1,4 @@
-"""How fast and how exact, offline and in real time, against what a user would run otherwise."""
+"""Speed and accuracy offline and in real time, against baselines."""
 
 import os
 import platform

@@ -1,4 +1,4 @@
-"""Times of runs that stand beside each other, their ratio, and how a time grows with a size."""
+"""Times of alternating runs, their ratios, and scaling exponents."""
 
 import time
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""What is timed: one fitted headset, one scene of about 100,000 triangles, viewpoints that differ in every round."""
+"""Workload of the speed benchmark: a fitted headset, about 100,000 triangles, a new viewpoint every round."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

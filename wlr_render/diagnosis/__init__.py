@@ -1,1 +1,1 @@
-"""Measured minus simulated: where they differ, why, and what is gained by knowing it."""
+"""Compare a measured session with its bench model and find the causes of the difference."""

@@ -1,4 +1,4 @@
-"""A suspected cause: a named, parametrised change of the bench.
+"""A cause: a named change of the bench model with parameters.
 
 A new cause is an entry in the tuple of its subject's file in `causes/`. Everything else (Jacobian, fit, ranking,
 report) follows from `perturb`.

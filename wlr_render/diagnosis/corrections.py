@@ -1,4 +1,4 @@
-"""Flexible smooth corrections of what is left over, each a function of one set of variables.
+"""Smooth corrections of the remaining residual, each a function of one set of variables.
 
 They tell where an effect lives. None of them is a cause: each is judged by what it gains on captures that it was not
 fitted to, and offered as a correction.

@@ -1,4 +1,4 @@
-"""From a session and the bench as its makers believe it to be, to a diagnosis.
+"""Diagnose a session with its nominal bench.
 
 Noise, outlier readings, selection of causes, captures that moved, comparison of the candidates for each place, and what
 stays unexplained; in that order. Generic over causes: nothing here knows any of them.

@@ -1,1 +1,1 @@
-"""What users run: one module or folder for each verb, with its options, its function and its report."""
+"""The jobs of the verbs: one module or folder each, with options, function and report."""

@@ -1,4 +1,4 @@
-"""The error that rasterisation brings: the same frame rastered and ray traced, compared pixel by pixel."""
+"""Measure the error of rasterisation against ray tracing, pixel by pixel."""
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The one picture that explains the project: what the eye sees with each way of drawing, with a close-up."""
+"""Picture of the demo: the eye's view with each drawing method, with a close-up."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Frames for a moving wearer: head poses and eye positions over time, one PNG per eye and moment.
+"""Draw frames for a still or moving wearer, one PNG per eye and time stamp.
 
 Frames are written atomically, so that an interrupted sequence resumes where it stopped; `sequence.json` beside them
 holds the options of the job, and the time stamp, viewpoint and head pose of each frame.

@@ -1,4 +1,4 @@
-"""What a lab prints and shows: dot boards, and the pictures of panel codes."""
+"""Write dot boards and pictures of panel codes for printing and showing."""
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path

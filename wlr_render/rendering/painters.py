@@ -1,4 +1,4 @@
-"""Frames of one eye: what its panel must show for a viewpoint and a head pose, by ray tracing or by raster and warp."""
+"""Draw panel images of one eye for a viewpoint and a head pose, by ray tracing or by raster and warp."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

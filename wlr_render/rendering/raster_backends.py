@@ -1,4 +1,4 @@
-"""Drawing an intermediate image and warping it, by whichever backend works here.
+"""Backends that draw an intermediate image and warp it, and the choice of one that works.
 
 All backends give the same picture: within 3 codes of 255 in every channel, but for silhouettes, where a pixel's
 centre may fall on either side (tests/rendering/test_raster_backends.py holds them to it).

@@ -1,4 +1,4 @@
-"""What is fixed for all frames of one eye: the camera of the intermediate image, its position, warp grid and filter.
+"""Settings of one eye that all frames share: the camera of the intermediate image, its position, warp grid and filter.
 
 A raster camera at the viewpoint does not see along the bent rays, which pass beside it by up to millimetres; behind an
 edge it misses what they meet. Most of that offset is common to all rays: a thick see-through element makes the eye

@@ -1,4 +1,4 @@
-"""Image interpolation at sub-pixel positions; only this module knows that OpenCV's pixel centres are integers.
+"""Image interpolation at sub-pixel positions with OpenCV, whose pixel centres are integers.
 
 Everywhere else (0, 0) is the outer corner of the top-left pixel and centres lie at +0.5. `cv2.remap` has full
 precision only for float32 and uint8 images of 1, 3 or 4 channels (OpenCV 5); others are refused here.

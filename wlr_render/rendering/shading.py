@@ -1,4 +1,4 @@
-"""The one shading model, in numpy; shaders/shading.glsl is its twin. Normals and albedo come from tables per triangle.
+"""The shading model in numpy, as in shaders/shading.glsl. Normals and albedo come from tables per triangle.
 
 Attributes lie component by component, (k, n), because numpy works fastest along long contiguous rows.
 

@@ -1,4 +1,4 @@
-"""Between linear light and 8-bit sRGB (IEC 61966-2-1), by table."""
+"""Convert between linear light and 8-bit sRGB (IEC 61966-2-1), by table."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""One pool of threads for the whole process; numpy, OpenCV and Embree let go of the GIL while they work."""
+"""One thread pool for the whole process; numpy, OpenCV and Embree release the GIL."""
 
 import functools
 import os

@@ -1,4 +1,4 @@
-"""What the calibrate verbs share: options of the fit, and what the fits say of themselves."""
+"""Shared parts of the calibrate verbs: options of the fit, and tables of fit quality."""
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass

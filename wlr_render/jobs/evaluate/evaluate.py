@@ -1,4 +1,4 @@
-"""How accurate the models of a device are, and how many camera positions its calibration needs."""
+"""Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs."""
 
 from dataclasses import asdict
 

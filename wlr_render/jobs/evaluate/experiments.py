@@ -1,4 +1,4 @@
-"""The experiments: each asks for the outcomes of trials and returns tables, plots and sentences."""
+"""Experiments of `evaluate`: each runs trials and returns tables, plots and sentences."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Options of `evaluate`, and what its experiments share."""
+"""Options of `evaluate`, and shared parts of its experiments."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace

@@ -1,1 +1,1 @@
-"""`verify`: draw the target over itself and measure how far the drawn dots lie from the real ones."""
+"""`verify`: measure the misalignment of dots drawn over a real target."""

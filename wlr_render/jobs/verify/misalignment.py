@@ -1,4 +1,4 @@
-"""Pairs of photographs, display off and on: how far their dots differ, as tables and pictures."""
+"""Tables and pictures of the misalignment in pairs of photographs, display off and on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Judge pairs of photographs that a lab has taken of its own headset: display off and on, from the same position."""
+"""Measure the misalignment in a lab's photographs, display off and on, from the same position."""
 
 import re
 from dataclasses import KW_ONLY, dataclass

@@ -1,4 +1,4 @@
-"""The calibration target as a scene, and which of its dots a panel can show whole."""
+"""The calibration target as a scene, and the dots that a panel can show completely."""
 
 from dataclasses import replace
 
