@@ -1,8 +1,7 @@
 """Errors of a mapping against exact optics, in arcminutes and panel pixels.
 
 Exact answers are computed once, as *observations*, and compared with any number of mappings, because exact tracing
-is far slower than a fitted model. Observations with another `viewpoint` are experiments: `displaced` for errors of eye
-tracking, `moved_back` for viewpoints on the same rays but farther away.
+is far slower than a fitted model.
 """
 
 from dataclasses import dataclass, replace
@@ -135,27 +134,6 @@ def straight_error(observations: SeeThroughObservations) -> FloatArray:
 def displaced(observations: DisplayObservations, offset: FloatArray) -> DisplayObservations:
     """The same observations with viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
     return replace(observations, viewpoint=observations.viewpoint + offset)
-
-
-def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
-    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
-    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
-
-
-def self_inconsistency_arcmin(
-    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
-) -> FloatArray:
-    """Self-inconsistency of a mapping along its own rays.
-
-    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
-    farther back on the same ray, where it must be the same.
-
-    Returns:
-        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
-    """
-    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
-    behind = viewpoint - np.asarray(distance_m)[..., None] * first
-    return directions.arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
 
 
 def _rows(array: FloatArray, kept: NDArray[np.bool_], width: int) -> FloatArray:

@@ -1,34 +1,42 @@
-"""Options of `evaluate`, and shared parts of its experiments."""
+"""Shared parts of experiments in simulation: options, trials of an eye, and the run that makes their report."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
 from wlr_render.jobs.evaluate.trials import (
+    TEST_RAYS,
+    TEST_VIEWPOINTS,
     AnyTrial,
     DisplayTrial,
     EvaluatedEye,
-    Measure,
     Outcome,
     SeeThroughTrial,
     Trial,
+    run_trials,
+    truth,
 )
-from wlr_render.jobs.options import BoxSize, Degree, Eyes, OnlyWith, Options, Range, Seed, Workers, described
-from wlr_render.report.blocks import Block, Cell
+from wlr_render.jobs.options import BoxSize, Eyes, Options, Seed, Workers, described, eyes_of
+from wlr_render.optics.device_file import device_path, load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.progress import Progress
+from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.plots import curves
+from wlr_render.report.save import save_report
 
-ExperimentName = Literal[
-    "camera-positions", "dense", "noise", "position-errors", "depth", "eye-box", "field", "see-through"
-]
-NOT_NEGATIVE = Range(at_least=0)
 AnyOwnTrial = TypeVar("AnyOwnTrial", bound=Trial)
+Lines = dict[str, tuple[Sequence[float], Sequence[float]]]
+"""Curves by name."""
 
 
 @dataclass(frozen=True)
-class EvaluateOptions(Options):
-    """Options of `evaluate`."""
+class StudyOptions(Options):
+    """Options of every study."""
 
     device: Annotated[tuple[str, ...], described("Shipped devices or device files (.toml).", many=True)] = (
         "northstar",
@@ -38,48 +46,6 @@ class EvaluateOptions(Options):
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to evaluate.")] = "right"
     box: BoxSize = None
-    experiment: Annotated[
-        tuple[ExperimentName, ...], described("Experiments to run, one or more (default: all).", flag=True, many=True)
-    ] = get_args(ExperimentName)
-    degrees: Annotated[
-        tuple[int, ...],
-        described("Polynomial degrees of the display model.", many=True),
-        Degree,
-        OnlyWith("experiment", ("camera-positions", "dense", "depth")),
-    ] = (3, 4, 5)
-    counts: Annotated[
-        tuple[int, ...],
-        described("Numbers of camera positions to compare.", many=True),
-        Range(at_least=1, at_most=1000),
-        OnlyWith("experiment", ("camera-positions",)),
-    ] = (12, 16, 21, 25, 36, 49, 81, 121)
-    goal_arcmin: Annotated[
-        float | None,
-        described("RMS error in arcmin that suffices (default: at most 10 % above the smallest error found)."),
-        Range(above=0),
-        OnlyWith("experiment", ("camera-positions",)),
-    ] = None
-    noise_arcmin: Annotated[
-        float | None,
-        described("Camera noise of your bench in arcmin per axis (default: none; 1' in see-through)."),
-        NOT_NEGATIVE,
-        OnlyWith("experiment", ("camera-positions", "noise", "see-through")),
-    ] = None
-    stage_error_mm: Annotated[
-        float | None,
-        described("Camera position error of your bench in mm per axis (default: none; 0.05 in position-errors)."),
-        NOT_NEGATIVE,
-        OnlyWith("experiment", ("camera-positions", "position-errors")),
-    ] = None
-    tracking_error_mm: Annotated[
-        float,
-        described("Error of eye tracking in mm per axis."),
-        NOT_NEGATIVE,
-        OnlyWith("experiment", ("position-errors",)),
-    ] = 0.05
-    repeats: Annotated[
-        int, described("Repetitions of each trial with random errors."), Range(at_least=1, at_most=1000)
-    ] = 3
     seed: Seed = 1
     workers: Workers = None
     out: Annotated[Path, described("Output folder.")] = Path("out/evaluate")
@@ -104,15 +70,11 @@ class Findings:
 
 @dataclass(frozen=True)
 class Study:
-    """Options and eyes of a study, and the outcomes of its trials.
+    """Eyes of a study, the outcomes of its trials, and the number of repetitions of trials with random errors."""
 
-    An experiment is a function of a study. It is called twice: first with `outcome_of` recording the trials that it
-    needs and returning empty outcomes, then with their true outcomes.
-    """
-
-    options: EvaluateOptions
     eyes: Sequence[EvaluatedEye]
     outcome_of: Callable[[AnyTrial], Outcome]
+    repeats: int = 1
 
     def display(self, eye: EvaluatedEye, kind: str, degree: int, count: int) -> Outcome:
         """The outcome of an error-free trial of the display model."""
@@ -120,8 +82,80 @@ class Study:
 
     def repeated(self, trial: DisplayTrial | SeeThroughTrial) -> list[Outcome]:
         """Outcomes of a trial's repetitions; a trial without random errors runs once."""
-        times = self.options.repeats if trial.has_random_errors else 1
+        times = self.repeats if trial.has_random_errors else 1
         return [self.outcome_of(replace(trial, repeat=k)) for k in range(times)]
+
+
+Experiment = Callable[[Study], Findings]
+"""Called twice: first with `outcome_of` recording the trials that it needs, then with their true outcomes."""
+
+
+def run_study(
+    title: str,
+    options: StudyOptions,
+    experiments: Mapping[str, Experiment],
+    stem: str,
+    progress: Progress,
+    repeats: int = 1,
+) -> Report:
+    """Run experiments by name and save their report; trials that several of them need run once.
+
+    Raises:
+        BadInputError: an empty option, a faulty device, an eye that it does not have, or a folder that cannot be
+            written.
+    """
+    for each in fields(options):
+        if getattr(options, each.name) == ():
+            raise BadInputError(f"{each.name} is empty; give at least one.")
+    eyes = _evaluated_eyes(options)
+    folder = output_folder(options.out)
+    needed: list[AnyTrial] = []
+
+    def record(trial: AnyTrial) -> Outcome:
+        needed.append(trial)
+        return Outcome({})
+
+    for experiment in experiments.values():
+        experiment(Study(eyes, record, repeats))
+    outcomes = run_trials(needed, options.seed, options.workers, progress)
+    study = Study(eyes, outcomes.__getitem__, repeats)
+    found = {name: experiment(study) for name, experiment in experiments.items()}
+    blocks: list[Block] = [_conditions(eyes)]
+    for name, findings in found.items():
+        blocks.append(Section(name.replace("-", " ").capitalize()))
+        blocks += [Text("", findings.verdict)] if findings.verdict else []
+        blocks += findings.blocks
+    records = {name: findings.record for name, findings in found.items() if findings.record is not None}
+    report = Report(
+        f"{title} of {', '.join(dict.fromkeys(eye.name for eye in eyes))}",
+        verdict=" ".join(next((findings.verdict for findings in found.values() if findings.verdict), ())),
+        advice=[sentence for findings in found.values() for sentence in findings.advice],
+        blocks=blocks,
+        inputs=[device_path(device) for device in dict.fromkeys(options.device)],
+        record={"options": asdict(options), **records},
+    )
+    return save_report(report, folder, stem)
+
+
+def _evaluated_eyes(options: StudyOptions) -> list[EvaluatedEye]:
+    found = []
+    for spec in dict.fromkeys(options.device):
+        device = load_device(spec)
+        for eye in eyes_of(options.eye):
+            width, height, depth = np.round(1e3 * traced_eye(device, eye).eye_box.size, 9).tolist()
+            found.append(EvaluatedEye(spec, eye, options.box or (width, height, depth), name=device.name))
+    return found
+
+
+def _conditions(eyes: Sequence[EvaluatedEye]) -> ReportTable:
+    rows: list[list[Cell]] = [
+        [str(eye), box_text(eye.eye_box_mm), str(truth(eye).field or "whole panel")] for eye in eyes
+    ]
+    notes = (
+        "Captures are taken and errors are stated in this field. It is a choice, and they depend on it.",
+        f"Each rms is over {TEST_RAYS} rays from each of {TEST_VIEWPOINTS} random viewpoints in the eye box.",
+    )
+    return ReportTable("Conditions", ["eye", "eye box", "field, horizontal x vertical"], rows, notes)
 
 
 def trial_at(
@@ -132,20 +166,30 @@ def trial_at(
     return trial(eye.device, kind, degree, count, eye.eye_box_mm, **where, **errors)
 
 
-def pooled(outcomes: Sequence[Outcome], measure: Measure) -> float:
+def pooled(outcomes: Sequence[Outcome], measure: str) -> float:
     """Root mean square over repetitions of equal size."""
     return float(np.sqrt(np.mean([outcome.rms(measure) ** 2 for outcome in outcomes])))
 
 
-def pooled_cell(outcomes: Sequence[Outcome], measure: Measure) -> Cell:
+def pooled_cell(outcomes: Sequence[Outcome], measure: str) -> Cell:
     """`pooled` for a table, or why there is no model."""
     return outcomes[0].refused or pooled(outcomes, measure)
 
 
-def spread_note(groups: Sequence[Sequence[Outcome]], measure: Measure) -> str:
+def spread_note(groups: Sequence[Sequence[Outcome]], measure: str) -> str:
     """How much repetitions differ, in words."""
     repeated = [[outcome.rms(measure) for outcome in group] for group in groups if len(group) > 1]
     if not repeated:
         return "Random errors were drawn once: raise the number of repetitions to see the spread."
     worst = max(np.std(values, ddof=1) / np.mean(values) for values in repeated)
     return f"Over {len(repeated[0])} repetitions each rms varies by at most {100 * worst:.2g} % (standard deviation)."
+
+
+def error_curves(title: str, x_title: str, lines: Lines) -> Plot:
+    """Forward errors on a logarithmic scale; names are "EYE, MODEL"."""
+    return curves(title, lines, (x_title, "forward rms (arcmin)"), log_y=True, grouped=True)
+
+
+def box_text(box: Sequence[float]) -> str:
+    """Edge lengths in words, e.g. "10 x 8 x 6 mm"."""
+    return " x ".join(f"{edge:g}" for edge in box) + " mm"

@@ -17,7 +17,6 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.designs import camera_positions
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
 from wlr_render.numerics.polynomial import term_count
@@ -42,8 +41,6 @@ TEST_RAYS = 64
 """From each test viewpoint."""
 NEAREST_M, FARTHEST_M = 0.3, 5.0
 """Distances of real points."""
-BACK_M = 0.010
-"""How far viewpoints are moved back along their own rays in the depth experiment."""
 
 
 @dataclass(frozen=True)
@@ -125,16 +122,12 @@ def see_through_observations(at: EvaluatedEye, seed: int) -> mapping_error.SeeTh
 class Measure(StrEnum):
     """A kind of error, always at random viewpoints of the eye box.
 
-    FORWARD: direction of a pixel. BACKWARD: pixel of a direction. MOVED_BACK: as FORWARD, from `BACK_M` farther back
-    along the same rays. ALONG_RAY: angle between the model's answers at two points of one of its rays, the eye box's
-    depth apart. REAL_POINT: direction of a real point. REAL_RAY: direction of the real ray of a view direction. MISS:
-    distance of that ray from the real point.
+    FORWARD: direction of a pixel. BACKWARD: pixel of a direction. REAL_POINT: direction of a real point. REAL_RAY:
+    direction of the real ray of a view direction. MISS: distance of that ray from the real point.
     """
 
     FORWARD = "forward (arcmin)"
     BACKWARD = "backward (px)"
-    MOVED_BACK = "moved back (arcmin)"
-    ALONG_RAY = "along a ray (arcmin)"
     REAL_POINT = "real point (arcmin)"
     REAL_RAY = "real ray (arcmin)"
     MISS = "miss (mm)"
@@ -144,18 +137,14 @@ class Measure(StrEnum):
 class Outcome:
     """Result of a trial: errors, or why no model could be fitted."""
 
-    errors: Mapping[Measure, Summary]
+    errors: Mapping[str, Summary]
     refused: str = ""
 
-    def rms(self, measure: Measure) -> float:
+    def rms(self, measure: str) -> float:
         """Root mean square error; NaN without a model."""
         return self.errors[measure].rms if measure in self.errors else float("nan")
 
-    def p95(self, measure: Measure) -> float:
-        """95th percentile of an error; NaN without a model."""
-        return self.errors[measure].p95 if measure in self.errors else float("nan")
-
-    def cell(self, measure: Measure) -> Cell:
+    def cell(self, measure: str) -> Cell:
         """`rms` for a table, or why there is none."""
         return self.refused or self.rms(measure)
 
@@ -239,29 +228,14 @@ class DisplayTrial(Trial):
             model, _ = fit_display(captures, self.kind, self.degree)
         except BadInputError as fault:
             return self.refusal(fault)
-        return Outcome(self._errors(model, rng, seed))
+        return Outcome(self.errors(model, rng, seed))
 
-    def _errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[Measure, Summary]:
+    def errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
+        """Errors of a fitted model."""
         observations = display_observations(self.at, seed)
         offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, observations.viewpoint.shape)
         error = mapping_error.display_error(model, mapping_error.displaced(observations, offset))
-        back = mapping_error.moved_back(observations, BACK_M)
-        shown_back = model.view_dir_of_pixel(back.pixel, back.viewpoint).value
-        return {
-            Measure.FORWARD: summary(error.forward_arcmin),
-            Measure.BACKWARD: summary(error.backward_px),
-            Measure.MOVED_BACK: summary(arcmin_between(shown_back, back.view_dir)),
-            Measure.ALONG_RAY: summary(_along_ray(model, observations, 1e-3 * self.eye_box_mm[2])),
-        }
-
-
-def _along_ray(
-    model: DisplayMapping, observations: mapping_error.DisplayObservations, depth_m: float
-) -> NDArray[np.float64]:
-    """Self-contradiction from half a depth before each viewpoint to half behind it, arcminutes (n,)."""
-    through = depth_m / -observations.view_dir[:, 2]
-    front = mapping_error.moved_back(observations, -0.5 * through).viewpoint
-    return mapping_error.self_inconsistency_arcmin(model, front, observations.pixel, through)
+        return {Measure.FORWARD: summary(error.forward_arcmin), Measure.BACKWARD: summary(error.backward_px)}
 
 
 @dataclass(frozen=True)
