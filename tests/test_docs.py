@@ -1,6 +1,7 @@
-"""Files, verbs and options that the documents and messages name exist."""
+"""Files, classes, constants, verbs and options that the documents and messages name exist."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,10 @@ PLACES = [
 ]
 PROGRAM = r"(?:\./wlr|wlr-render)(?: |$)"
 SPAN = re.compile(r"`([^`\n]+)`")
+CODE_SUFFIXES = {".py", ".glsl", ".frag", ".vert"}
+CLASS_OR_CONSTANT = re.compile(r"\b(?:[A-Z]+_[A-Z_]+|[A-Z][a-z]+[A-Z]\w*)\b")
+# Of environments and of other programs.
+THEIR_NAMES = {"OPENBLAS_NUM_THREADS", "OffscreenRenderer", "PYOPENGL_PLATFORM", "WLR_DATA"}
 WORDS_OF_THE_SCRIPT = {"test", "check", "docs", "bench"}
 PLACEHOLDERS = {"VERB", "NAME"}
 VERBS, BENCHMARKS = make_app(), make_benchmarks()
@@ -118,6 +123,23 @@ def fault_of_span(span):
         return fault_of_command(match[1], complete=False, of_script=span.startswith("./wlr"))
     is_verb = app_of(VERBS, span.split())[0] is not VERBS and " --" in span
     return fault_of_command(span, complete=False, of_script=False) if is_verb else ""
+
+
+@cache
+def sources():
+    """All source files of the program as one text."""
+    folders = (ROOT / name for name in ("wlr_render", "benchmarks", "shaders", "tests/oracle"))
+    return "".join(
+        path.read_text("utf-8") for folder in folders for path in folder.rglob("*.*") if path.suffix in CODE_SUFFIXES
+    )
+
+
+@pytest.mark.parametrize("text", [text for text in TEXTS if text.name != "CHANGELOG.md"], ids=name_of)
+def test_classes_and_constants_that_a_text_names_exist(text):
+    names = {
+        name for span in SPAN.findall(text.read_text(encoding="utf-8")) for name in CLASS_OR_CONSTANT.findall(span)
+    }
+    assert {name for name in names - THEIR_NAMES if not re.search(rf"\b{name}\b", sources())} == set()
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=name_of)
