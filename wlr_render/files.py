@@ -55,20 +55,20 @@ def shipped_names(folder: str, suffix: str) -> list[str]:
     return sorted(path.stem for path in resource(folder).glob(f"*{suffix}"))
 
 
-def named_or_path(folder: str, spec: str | Path, suffix: str = ".toml") -> Path:
+def named_or_path(folder: str, spec: str | Path) -> Path:
     """Path of a shipped file by its name, or of any file by its path.
 
     Raises:
         BadInputError: there is no such file; the sentence lists the shipped names.
     """
     path = Path(spec)
-    if path.suffix == suffix or len(path.parts) > 1:
+    if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
             raise BadInputError(f"{path}: there is no such file.")
         return path
-    names = shipped_names(folder, suffix)
+    names = shipped_names(folder, ".toml")
     if str(spec) in names:
-        return resource(folder, f"{spec}{suffix}")
+        return resource(folder, f"{spec}.toml")
     close = difflib.get_close_matches(str(spec), names, 1)
     hint = f" Did you mean {close[0]}?" if close else ""
     raise BadInputError(f"'{spec}' is neither a file nor one of the shipped {folder} ({', '.join(names)}).{hint}")
@@ -267,9 +267,9 @@ class Table:
             raise self.fail(f"'{key}' must be a list of numbers, not {value!r}.")
         return np.array([self._number(item, key) for item in value])
 
-    def vectors(self, key: str, size: int, default: Sequence[Sequence[float]] | None = None) -> NDArray[np.float64]:
+    def vectors(self, key: str, size: int) -> NDArray[np.float64]:
         """A list of lists of `size` finite numbers each, shape (n, size) with n >= 1."""
-        value = self._get(key) if default is None or self.has(key) else [list(row) for row in default]
+        value = self._get(key)
         whole = isinstance(value, list) and value and all(isinstance(row, list) and len(row) == size for row in value)
         if not whole:
             raise self.fail(f"'{key}' must be a list of lists of {size} numbers each, not {value!r}.")

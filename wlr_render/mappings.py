@@ -31,25 +31,15 @@ class Status(IntEnum):
 
     OK = 0
     OUTSIDE_FIT = 1
+    """The query lies outside the box that the model was fitted on; its value is an extrapolation."""
     NOT_CONVERGED = 2
+    """The solve did not converge."""
     MISS = 3
+    """The ray misses a surface."""
     CLIPPED = 4
+    """The ray falls outside a clear aperture or the panel."""
     TOTAL_REFLECTION = 5
-
-    @property
-    def sentence(self) -> str:
-        """The status in words."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    Status.OK: "the query has an answer",
-    Status.OUTSIDE_FIT: "the query lies outside the box that the model was fitted on; its value is an extrapolation",
-    Status.NOT_CONVERGED: "the solve did not converge",
-    Status.MISS: "the ray misses a surface",
-    Status.CLIPPED: "the ray falls outside a clear aperture or the panel",
-    Status.TOTAL_REFLECTION: "the ray is totally reflected where it should be refracted",
-}
+    """The ray is totally reflected where it should be refracted."""
 
 
 def worst_status(*statuses: StatusArray) -> StatusArray:

@@ -11,7 +11,7 @@ from benchmarks.soak.report import costs
 from wlr_render.files import write_figure
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import cell_text
-from wlr_render.tracking.tracked_viewpoint import TrackingState
+from wlr_render.tracking.viewpoint_filter import TrackingState
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.tracking.tracked_viewpoint import TrackingState
+from wlr_render.tracking.viewpoint_filter import TrackingState
 
 SACCADE_MM = 1.0
 """A viewpoint that moves farther than this from one frame to the next has jumped."""

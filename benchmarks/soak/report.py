@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.soak.records import SACCADE_MM, Cost, EyeMoment, FrameNote, MapCheck, Stream
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.tracking.tracked_viewpoint import TrackingState
+from wlr_render.tracking.viewpoint_filter import TrackingState
 
 _PERCENTILES = (50, 95, 99)
 _NAMED_DROPS = 5

@@ -135,10 +135,6 @@ def test_a_display_and_a_camera_of_new_sizes_are_followed(gl_context, busy_pictu
     assert warp.warp(image, straight()).colour.shape == (80, 96, 3)
 
 
-def test_every_status_has_a_sentence():
-    assert len({status.sentence for status in WarpStatus}) == len(WarpStatus)
-
-
 def test_the_cpu_path_finds_the_same_sources(gl_context, busy_picture):
     slope_offset = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
     slope_offset[:, 3:9, 5:8] = np.nan

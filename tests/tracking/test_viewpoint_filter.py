@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wlr_render.errors import BadInputError
-from wlr_render.tracking.tracked_viewpoint import TrackingState
-from wlr_render.tracking.viewpoint_filter import LID_S, ViewpointFilter
+from wlr_render.tracking.viewpoint_filter import LID_S, TrackingState, ViewpointFilter
 
 NOMINAL = np.array([0.032, 0.0, -0.03])
 HOLD_S, FADE_S = 0.05, 0.08
@@ -195,7 +194,6 @@ def test_the_counts_are_of_the_states_that_were_returned():
     assert dict(viewpoint_filter.counts.by_state) == {TRACKED: 84, HELD: 2, FADING: 1, LOST: 3}
     assert viewpoint_filter.counts.sentence == "90 updates: 84 tracked, 2 held, 1 fading, 3 lost"
     assert before.total == 84
-    assert len({state.sentence for state in TrackingState}) == 4
 
 
 @pytest.mark.parametrize(

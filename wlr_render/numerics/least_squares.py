@@ -1,4 +1,4 @@
-"""Linear least squares, weighted, column-scaled and rank-checked."""
+"""Linear least squares, column-scaled and rank-checked."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class Solution:
     Attributes:
         coefficients: (columns, outputs).
         condition: condition number of the scaled design.
-        residual: (rows, outputs) observed minus fitted, unweighted.
+        residual: (rows, outputs) observed minus fitted.
     """
 
     coefficients: FloatArray
@@ -31,15 +31,12 @@ class Solution:
     residual: FloatArray
 
 
-def solve(
-    design: FloatArray, observed: FloatArray, weight: FloatArray | None = None, tolerance: float = 1e-9
-) -> Solution:
-    """Minimise sum of weight^2 * |observed - design @ c|^2.
+def solve(design: FloatArray, observed: FloatArray, tolerance: float = 1e-9) -> Solution:
+    """Minimise |observed - design @ c|^2.
 
     Args:
         design: (rows, columns).
         observed: (rows, outputs).
-        weight: (rows,) inverse standard deviations, or None for equal weights.
         tolerance: singular values below this fraction of the largest count as zero.
 
     Raises:
@@ -49,16 +46,13 @@ def solve(
     rows, columns = design.shape
     if rows < columns:
         raise RankDeficientError(rows, columns)
-    weighted, target = design, observed
-    if weight is not None:
-        weighted, target = design * weight[:, None], observed * weight[:, None]
-    scale = np.linalg.norm(weighted, axis=0)
+    scale = np.linalg.norm(design, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     # R of a QR has the design's singular values at a fraction of the cost of an SVD of all rows.
-    q, r = np.linalg.qr(weighted / scale)
+    q, r = np.linalg.qr(design / scale)
     u, singular, vt = np.linalg.svd(r)
     rank = int(np.sum(singular > tolerance * singular[0]))
     if rank < columns:
         raise RankDeficientError(rank, columns)
-    coefficients = (vt.T @ ((u.T @ (q.T @ target)) / singular[:, None])) / scale[:, None]
+    coefficients = (vt.T @ ((u.T @ (q.T @ observed)) / singular[:, None])) / scale[:, None]
     return Solution(coefficients, float(singular[0] / singular[-1]), observed - design @ coefficients)

@@ -27,17 +27,13 @@ def term_count(variables: int, degree: int) -> int:
 
 
 @lru_cache(maxsize=64)
-def _exponents(variables: int, degree: int) -> IntArray:
+def exponents(variables: int, degree: int) -> IntArray:
+    """(terms, variables) orders of the Chebyshev factors of each term, ordered by total degree; read-only."""
     rows = [e for e in itertools.product(range(degree + 1), repeat=variables) if sum(e) <= degree]
     rows.sort(key=lambda e: (sum(e), e))
     table = np.array(rows, dtype=np.int64).reshape(-1, variables)
     table.setflags(write=False)
     return table
-
-
-def exponents(variables: int, degree: int) -> IntArray:
-    """(terms, variables) orders of the Chebyshev factors of each term, ordered by total degree."""
-    return _exponents(variables, degree)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,9 @@ _BINDING = {_TEXTURE_2D: 0x8069, _MULTISAMPLED: 0x9104}
 _OF_TEXTURE, _OF_RENDERBUFFER = (0x1000, 0x1001, 0x1003), (0x8D42, 0x8D43, 0x8D44)  # width, height, internal format
 _SAMPLES = 0x80A9
 _COMPLETE = 0x8CD5
+_READ_BUFFER = 0x0C02
+_DEPTH_COMPONENT, _UNSIGNED_INT = 0x1902, 0x1405
+_COLOUR_AND_DEPTH, _NEAREST = 0x4100, 0x2600
 
 
 class FramebufferQueries:
@@ -96,12 +99,6 @@ def _three(read: Callable[[int, int], None], enums: tuple[int, int, int]) -> tup
     for k, enum in enumerate(enums):
         read(enum, ctypes.addressof(numbers) + k * ctypes.sizeof(_INT))
     return numbers[0], numbers[1], numbers[2]
-
-
-_UINT, _INT = ctypes.c_uint, ctypes.c_int
-_TEXTURE_2D, _READ_BUFFER = 0x0DE1, 0x0C02
-_DEPTH_COMPONENT, _UNSIGNED_INT = 0x1902, 0x1405
-_COLOUR_AND_DEPTH, _NEAREST = 0x4100, 0x2600
 
 
 @dataclass(frozen=True, eq=False)

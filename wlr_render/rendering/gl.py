@@ -300,7 +300,8 @@ def open_context(backend: str = "auto") -> GlContext:
     reasons = []
     for name in _in_order() if backend == "auto" else (backend,):
         try:
-            save = EglBinding().save if name == "egl" else _save_nothing
+            # The buffer that an OSMesa context is current with is not known here: there is nothing to save.
+            save = EglBinding().save if name == "egl" else lambda: lambda: None
             restore = save()
             try:
                 with _default_context_kept():
@@ -349,11 +350,6 @@ def adopt_context(context: moderngl.Context | None = None) -> GlContext:
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
     return GlContext(ctx, current, AdoptedContext(current, state, ctx), context)
-
-
-def _save_nothing() -> Callable[[], None]:
-    """Does nothing: the buffer that an OSMesa context is current with is not known here."""
-    return lambda: None
 
 
 def _check_version(found: tuple[int, int]) -> None:

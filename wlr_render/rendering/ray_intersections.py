@@ -4,7 +4,7 @@ World frame. The tree is built once per scene with one geometry per instance, so
 works in float32; `SceneTracer.hit_positions` meets the hit triangle again in float64, for references.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,34 +34,19 @@ class Intersections:
     barycentric_v: Float32Array
 
     @classmethod
-    def misses(cls, shape: tuple[int, ...]) -> "Intersections":
-        """Rays that meet nothing, to be filled in."""
-        return cls(
-            np.full(shape, np.inf, np.float32),
-            np.full(shape, -1, np.int32),
-            np.full(shape, -1, np.int32),
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
-        )
+    def misses(cls, count: int) -> "Intersections":
+        """Rays that meet nothing, (count,), to be filled in."""
+        nothing, zero = np.full((2, count), -1, np.int32), np.zeros((2, count), np.float32)
+        return cls(np.full(count, np.inf, np.float32), *nothing, *zero)
 
-    @property
-    def flat(self) -> "Intersections":
-        """Views of shape (n,)."""
-        return Intersections(
-            self.distance.reshape(-1),
-            self.instance.reshape(-1),
-            self.triangle.reshape(-1),
-            self.barycentric_u.reshape(-1),
-            self.barycentric_v.reshape(-1),
-        )
+    def reshaped(self, shape: tuple[int, ...]) -> "Intersections":
+        """Views of another shape."""
+        return Intersections(*(getattr(self, field.name).reshape(shape) for field in fields(self)))
 
     def fill(self, where: slice | NDArray[np.intp], hits: "Intersections") -> None:
         """Write `hits` into some places."""
-        self.distance[where] = hits.distance
-        self.instance[where] = hits.instance
-        self.triangle[where] = hits.triangle
-        self.barycentric_u[where] = hits.barycentric_u
-        self.barycentric_v[where] = hits.barycentric_v
+        for field in fields(self):
+            getattr(self, field.name)[where] = getattr(hits, field.name)
 
 
 class SceneTracer:
@@ -93,19 +78,18 @@ class SceneTracer:
             Intersections of shape (...); a ray with a NaN or an infinity is a miss.
         """
         origin, direction, shape = _flat(origin, direction)
-        hits = Intersections.misses(shape)
-        flat = hits.flat
+        hits = Intersections.misses(len(direction))
 
         def trace(block: slice) -> None:
             finite = _finite_rays(origin[block], direction[block])
             if finite is None:
-                flat.fill(block, self._run(origin[block], direction[block]))
+                hits.fill(block, self._run(origin[block], direction[block]))
             else:
                 chosen = finite + block.start
-                flat.fill(chosen, self._run(origin[chosen], direction[chosen]))
+                hits.fill(chosen, self._run(origin[chosen], direction[chosen]))
 
         for_blocks(trace, len(direction), _RAYS_PER_BLOCK)
-        return hits
+        return hits.reshaped(shape)
 
     def _run(self, origin: Float32Array, direction: Float32Array) -> Intersections:
         distance = np.full(len(direction), np.inf, np.float32)

@@ -59,23 +59,13 @@ class WarpStatus(IntEnum):
     """What a display pixel shows."""
 
     SEEN = 0
+    """The bent ray meets a surface, or the background, that the intermediate image shows."""
     DISOCCLUDED = 1
+    """The bent ray meets what an edge hides from the intermediate image; the farther side of that edge is shown."""
     OUTSIDE = 2
+    """The bent ray leads outside the intermediate image."""
     NO_RAY = 3
-
-    @property
-    def sentence(self) -> str:
-        """The status in words."""
-        return _SENTENCES[self]
-
-
-_SENTENCES = {
-    WarpStatus.SEEN: "the bent ray meets a surface, or the background, that the intermediate image shows",
-    WarpStatus.DISOCCLUDED: "the bent ray passes an edge that hides from the intermediate image what it meets behind; "
-    "the farther side of that edge stands in",
-    WarpStatus.OUTSIDE: "the bent ray leads outside the intermediate image",
-    WarpStatus.NO_RAY: "the display pixel has no ray into the world",
-}
+    """The display pixel has no ray into the world."""
 
 
 @dataclass(frozen=True, eq=False)

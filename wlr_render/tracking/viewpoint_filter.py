@@ -24,6 +24,9 @@ clamp or refuse it.
 
 import math
 from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
 from statistics import median
 
 import numpy as np
@@ -32,7 +35,6 @@ from numpy.typing import ArrayLike
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.minimum_jerk import minimum_jerk
-from wlr_render.tracking.tracked_viewpoint import StreamCounts, TrackedViewpoint, TrackingState
 
 BLINK_GAP_S = 0.075
 """After a gap longer than this (Kret & Sjak-Shie 2019) the first samples may be dragged by a lid."""
@@ -44,6 +46,54 @@ MEMORY_S = 0.05
 """How much time the trusted viewpoint is the median of: a part of one fixation, which lasts 200 ms and longer."""
 
 _Point = tuple[float, float, float]
+
+
+class TrackingState(IntEnum):
+    """State of eye tracking at an update, in the order of the time since the last good sample."""
+
+    TRACKED = 0
+    """The viewpoint is the tracker's sample."""
+    HELD = 1
+    """There is no good sample; the viewpoint is the last one."""
+    FADING = 2
+    """There has been no good sample for a while; the viewpoint moves to the last trusted one."""
+    LOST = 3
+    """The eye is lost; the viewpoint is the last trusted one, or the nominal one if there was none."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedViewpoint:
+    """Viewpoint for a frame, with its tracking state.
+
+    Attributes:
+        viewpoint: (3,) entrance pupil, device frame, metres; finite in every state.
+        state: of eye tracking.
+    """
+
+    viewpoint: FloatArray
+    state: TrackingState
+
+
+@dataclass(frozen=True)
+class StreamCounts:
+    """Number of updates in each state.
+
+    Attributes:
+        by_state: number of updates, for every state.
+    """
+
+    by_state: Mapping[TrackingState, int]
+
+    @property
+    def total(self) -> int:
+        """Number of all updates."""
+        return sum(self.by_state.values())
+
+    @property
+    def sentence(self) -> str:
+        """The counts in words."""
+        counts = ", ".join(f"{self.by_state[state]} {state.name.lower()}" for state in TrackingState)
+        return f"{self.total} updates: {counts}"
 
 
 class ViewpointFilter:

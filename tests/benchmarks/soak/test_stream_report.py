@@ -10,7 +10,7 @@ from benchmarks.__main__ import main
 from benchmarks.soak import report, study
 from benchmarks.soak.records import Cost, EyeMoment, FrameNote, MapCheck, Stream, StreamFrame
 from wlr_render.progress import Progress
-from wlr_render.tracking.tracked_viewpoint import TrackingState
+from wlr_render.tracking.viewpoint_filter import TrackingState
 
 
 class Heard(Progress):

@@ -5,7 +5,7 @@ from streamed import BOX, RATE_HZ, fixations, recorded
 from benchmarks.soak.wearer import GAP, Wearer, in_gap
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox
-from wlr_render.tracking.tracked_viewpoint import TrackingState
+from wlr_render.tracking.viewpoint_filter import TrackingState
 
 HELD, FADING, LOST, TRACKED = (TrackingState[name] for name in ("HELD", "FADING", "LOST", "TRACKED"))
 
