@@ -102,6 +102,16 @@ def options_of(verb):
     return typing.get_type_hints(inspect.unwrap(job))["options"]
 
 
+def fields_of(options):
+    """Fields with their notes, those of options within options among them: (options, field, type, notes)."""
+    hints = typing.get_type_hints(options, include_extras=True)
+    for field in dataclasses.fields(options):
+        if dataclasses.is_dataclass(hints[field.name]):
+            yield from fields_of(hints[field.name])
+        else:
+            yield options, field, typing.get_args(hints[field.name])[0], hints[field.name].__metadata__
+
+
 @every_verb
 def test_every_verb_explains_itself(verb, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
@@ -109,12 +119,11 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
     assert text.startswith(f"Usage: wlr-render {verb.words} ")
     assert verb.help in text
     assert "default: None" not in text
-    hints = typing.get_type_hints(options_of(verb), include_extras=True)
-    for field in dataclasses.fields(options_of(verb)):
-        notes = [note for note in hints[field.name].__metadata__ if isinstance(note, Parameter)]
-        assert notes[0].help[0].isupper(), field.name
-        assert notes[0].help.endswith("."), field.name
-        assert notes[0].help in text, field.name
+    for _, field, _, notes in fields_of(options_of(verb)):
+        (described,) = (note for note in notes if isinstance(note, Parameter))
+        assert described.help[0].isupper(), field.name
+        assert described.help.endswith("."), field.name
+        assert described.help in text, field.name
 
 
 STAND_IN = '#!/bin/sh\nprintf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo\n'
@@ -158,7 +167,8 @@ def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_pat
 @every_verb
 def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    sentence = refused([*verb.words.split(), "--nonsense"], capsys)
+    needed = ["--panel", "64x48"] if verb.words == "pattern" else []
+    sentence = refused([*verb.words.split(), *needed, "--nonsense"], capsys)
     assert sentence.startswith("wlr-render: Unknown option: --nonsense.")
     assert not list(tmp_path.iterdir())
 
@@ -166,24 +176,27 @@ def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monk
 @every_verb
 def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    options = options_of(verb)
-    hints = typing.get_type_hints(options, include_extras=True)
-    fields = dataclasses.fields(options)
-    choices = {field.name: typing.get_args(typing.get_args(hints[field.name])[0]) for field in fields}
-    choices = {name: values for name, values in choices.items() if all(isinstance(value, str) for value in values)}
-    required = [field.name for field in fields if field.default is field.default_factory is dataclasses.MISSING]
-    good = {name: (choices[name] or [name])[0] for name in required}
-    for field in fields:
-        limits = [note for note in hints[field.name].__metadata__ if isinstance(note, Range)]
-        if limits and "tuple" not in str(hints[field.name]):
+    fields = list(fields_of(options_of(verb)))
+    good, named = {}, []
+    for options, field, kind, _ in fields:
+        if field.default is field.default_factory is dataclasses.MISSING:
+            value = (
+                (typing.get_args(kind) or [field.name])[0] if typing.get_origin(kind) is typing.Literal else field.name
+            )
+            if field.kw_only:
+                named += [flag_of(options, field.name), "64x48"]
+            else:
+                good[field.name] = value
+    for options, field, kind, notes in fields:
+        if any(isinstance(note, Range) for note in notes) and "tuple" not in str(kind):
             wrong, sentence = "-1", "is -1"
-        elif choices.get(field.name):
+        elif typing.get_origin(kind) is typing.Literal and isinstance(typing.get_args(kind)[0], str):
             wrong, sentence = "nonsense", 'Invalid value "nonsense"'
         else:
             continue
-        flag = [] if field.name in required else [flag_of(options, field.name), wrong]
-        positional = (good | {field.name: wrong} if field.name in required else good).values()
-        assert sentence in refused([*verb.words.split(), *positional, *flag], capsys), field.name
+        flag = [] if field.name in good else [flag_of(options, field.name), wrong]
+        positional = (good | {field.name: wrong} if field.name in good else good).values()
+        assert sentence in refused([*verb.words.split(), *positional, *named, *flag], capsys), field.name
     assert not list(tmp_path.iterdir())
 
 

@@ -13,9 +13,9 @@ def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp
     record = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     (cause,) = record["causes"]
     assert cause["name"] == "see_through_plate"
-    assert record["noise"][0]["is_believable"]
+    assert record["noise_floors"][0]["is_believable"]
     assert main(["hold-out", str(session), "--out", str(tmp_path / "held")]) == 0
-    captures, *distances = json.loads((tmp_path / "held" / "hold-out.json").read_text())["tables"][0]["rows"]
+    captures, *distances = json.loads((tmp_path / "held" / "report.json").read_text())["tables"][0]["rows"]
     assert captures["bench as described (arcmin)"] > 5.0
     assert captures["corrected (arcmin)"] < 0.45
     assert len(distances) >= 2
