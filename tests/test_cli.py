@@ -386,7 +386,7 @@ def test_compare_prints_its_table(tmp_path, capsys):
     assert main(arguments) == 0
     assert "raster + warp" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "report.json").read_text())
-    np.testing.assert_allclose(record["record"]["viewpoint_in_device_m"]["right"], [0.001, -0.001, 0.0005])
+    np.testing.assert_allclose(record["viewpoint_in_device_m"]["right"], [0.001, -0.001, 0.0005])
 
 
 def options_given_by(arguments):

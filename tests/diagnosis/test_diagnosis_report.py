@@ -53,15 +53,27 @@ def test_the_report_has_the_verdict_the_values_to_type_and_the_evidence(report, 
 def test_the_files_hold_the_record(report, explained, tmp_path):
     saved = save_report(report, tmp_path, "diagnosis")
     assert [path.name for path in saved.files] == ["diagnosis.html", "diagnosis.md", "diagnosis.json"]
-    record = json.loads((tmp_path / "diagnosis.json").read_text())["record"]["diagnosis"]
+    record = json.loads((tmp_path / "diagnosis.json").read_text())
     assert record["verdict"] == "explained"
     cause = next(each for each in record["causes"] if each["name"] == "target_scale")
     found = next(each for each in explained.causes if each.name == "target_scale")
-    assert cause["parameters"][0]["value"] == found.parameters[0].value
+    first = found.parameters[0]
+    assert cause["parameters"][first.name] | {"prior_sigma": 0} == {
+        "name": first.name,
+        "value": first.value,
+        "sigma": first.sigma,
+        "unit": first.unit,
+        "prior_sigma": 0,
+    }
+    assert (cause["held_out_gain"], cause["gain_sigma"]) == (found.improvement.percent, found.improvement.sigma)
+    assert cause["overlaps_with"] == [other.name for other in found.degenerate]
+    assert record["outliers"] == [3]
+    assert record["after"]["seethrough_noise_floor_arcmin"] == explained.noise.see_through_rms_arcmin
+    assert record["before"]["display_rms_px"] == explained.before.display_rms_px
     assert cause["improvement"]["percent"] == found.improvement.percent
     assert record["excluded"][0]["capture"]["capture"] == 3
     assert record["noise_floors"][0]["is_believable"] is True
-    assert record["after"]["over_noise"] == pytest.approx(1.0, abs=0.05)
+    assert record["after"]["rms_over_noise"] == pytest.approx(1.0, abs=0.05)
     assert not {"observations", "residual_before", "used", "corrected"} & set(record)
     page = (tmp_path / "diagnosis.html").read_text()
     assert "Session session" not in page

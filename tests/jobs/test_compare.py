@@ -59,7 +59,7 @@ def test_the_report_says_from_where_and_what_came_out(comparison, model_file):
     report, folder = comparison
     record = json.loads((folder / "report.json").read_text())
     centre = open_eye(model_file).eye_box.centre
-    np.testing.assert_allclose(record["record"]["viewpoint_in_device_m"]["right"], centre + [0.003, -0.002, 0.001])
+    np.testing.assert_allclose(record["viewpoint_in_device_m"]["right"], centre + [0.003, -0.002, 0.001])
     assert len(record["tables"][0]["rows"]) == 4
     assert record["provenance"]["inputs"][0]["name"] == model_file
     plain = rows_by_method(report.tables[0])["raster + warp"]

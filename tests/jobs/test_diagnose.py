@@ -56,9 +56,9 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
         "diagnosis.json",
         "diagnosis.md",
     ]
-    record = json.loads((out / "diagnosis.json").read_text())["record"]
-    (cause,) = record["diagnosis"]["causes"]
-    for found in cause["parameters"]:
+    record = json.loads((out / "diagnosis.json").read_text())
+    (cause,) = record["causes"]
+    for found in cause["parameters"].values():
         assert found["unit"] == "%"
         assert abs(found["value"] - SCALE_PERCENT) < 4 * found["sigma"]
     assert record["in_use"]["see_through"]["improvement"]["percent"] > 20
@@ -78,9 +78,9 @@ def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_go
     status, printed = run(capsys, corrected, "--out", out, "--json", elsewhere)
     assert status == 0
     assert "No effect found" in printed.out
-    record = json.loads(elsewhere.read_text())["record"]
-    assert (record["diagnosis"]["verdict"], record["diagnosis"]["causes"], record["in_use"]) == ("no effect", [], None)
-    assert {limit["cause"] for limit in record["diagnosis"]["detection_limits"]} == set(FEW)
+    record = json.loads(elsewhere.read_text())
+    assert (record["verdict"], record["causes"], record["in_use"]) == ("no effect", [], None)
+    assert {limit["cause"] for limit in record["detection_limits"]} == set(FEW)
     assert not (out / "diagnosis.json").exists()
     assert not (out / "corrected" / "bench.toml").exists()
 

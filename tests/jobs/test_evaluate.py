@@ -233,6 +233,6 @@ def test_the_page_has_its_plots_and_the_json_their_points(tmp_path):
     planar = record["tables"][1]["rows"][0]
     points = [planar["10 positions (arcmin)"], planar["12 positions (arcmin)"]]
     assert record["plots"][0]["data"][0]["y"] == pytest.approx(points, rel=1e-3)
-    assert record["record"]["camera-positions"]["camera_positions_needed"][0]["positions"] == 10
-    assert record["record"]["options"]["degrees"] == [3]
+    assert record["camera-positions"]["camera_positions_needed"][0]["positions"] == 10
+    assert record["options"]["degrees"] == [3]
     assert record["verdict"].startswith("birdbath28 (right): 10 camera positions suffice: 0.1")

@@ -14,11 +14,11 @@ def traced(device, folder, eye="right"):
 
 def test_figures_and_drawing_of_an_eye_are_written(tmp_path, straight_device):
     report = traced(straight_device, tmp_path / "out", "left")
-    names = ["no_optics-left.png", "no_optics.html", "no_optics.json", "no_optics.md"]
+    names = ["no_optics-left.png", "report.html", "report.json", "report.md"]
     assert sorted(path.name for path in report.files) == names
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     assert read_png(tmp_path / "out" / "no_optics-left.png").std() > 5
-    record = json.loads((tmp_path / "out" / "no_optics.json").read_text())
+    record = json.loads((tmp_path / "out" / "report.json").read_text())
     rows = {row["figure"]: row for row in record["tables"][0]["rows"]}
     # Without optics nothing is bent or coloured, and 1 mm is 6.9 arcmin at the panel's half metre.
     assert rows["see-through deviation at infinity"]["max (arcmin)"] < 1e-9

@@ -4,6 +4,7 @@ import dataclasses
 import enum
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from wlr_render.report.records import to_jsonable
 from wlr_render.report.save import markdown_table, save_report
 
 TABLE = ReportTable("Errors", ["name", "error (arcmin)"], [["a", 0.24321], ["b|<i>", np.nan], ["c", 3e-6]], ["A note."])
-CURVE = Plot("Curve", [{"type": "scatter", "x": np.arange(3), "y": [1.0, np.nan, 2.0]}], {"xaxis": {"title": "x"}})
+CURVE = Plot(
+    "Curve", [{"type": "scatter", "x": np.arange(3), "y": [1.0, np.nan, 2.0]}], {"xaxis": {"title": "time (s)"}}
+)
 
 
 @pytest.fixture
@@ -44,7 +47,7 @@ def test_three_files_are_written_and_named(saved, tmp_path):
 
 def test_json_holds_the_record_full_precision_and_provenance(saved, tmp_path):
     record = json.loads(saved.files[2].read_text())
-    assert record["record"] == {"sigma": 0.5}
+    assert record["sigma"] == 0.5
     assert record["tables"][0]["rows"][0] == {"name": "a", "error (arcmin)": 0.24321}
     assert record["tables"][0]["rows"][1]["error (arcmin)"] is None
     assert record["plots"][0]["data"][0]["y"] == [1.0, None, 2.0]
@@ -113,6 +116,7 @@ def test_the_page_opens_in_a_browser_with_every_figure(saved, tmp_path):
     assert page.console == []
     assert page.plots == 1
     assert 'data-plots="1"' in page.dom
+    assert re.search(r'class="xtitle"[^>]*>time \(s\)<', page.dom)
 
 
 @needs_browser

@@ -62,3 +62,11 @@ def test_only_the_terminal_module_prints():
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             assert not (isinstance(node, ast.Name) and node.id == "print"), f"{path}:{node.lineno}: call terminal.say"
+
+
+def test_long_tables_are_cut_and_say_so(capsys):
+    print_report(Report("", blocks=[ReportTable("T", ["n"], [[f"row {n}"] for n in range(30)])]))
+    printed = capsys.readouterr().out
+    assert "row 19 " in printed
+    assert "row 20 " not in printed
+    assert "10 more rows are in the report's files." in printed

@@ -1,24 +1,59 @@
 """The report of a diagnosis: verdict and advice first, then the evidence as text, tables and plots."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wlr_render.diagnosis import explain, plots, tables
-from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text
+from wlr_render.report.records import fields_of
 
 CORRECTED = "corrected"
 """Folder of the corrected session, beside the report."""
 
 
-@dataclass(frozen=True, eq=False)
-class DiagnosisRecord:
-    """What the JSON file holds beside the tables."""
+def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = None) -> dict[str, Any]:
+    """The record for the JSON file.
 
-    diagnosis: Diagnosis
-    in_use: ImprovementInUse | None
+    Scripts of others read these keys, which stay as they are: `verdict`, `causes` (`name`, `parameters` by name,
+    `held_out_gain`, `gain_sigma`, `overlaps_with`), `outliers`, `before` and `after` (`display_rms_px`,
+    `seethrough_rms_arcmin`, `runtime_rms_arcmin` and their noise floors), `unexplained` (`part`, `bound_to`,
+    `rms_over_noise`).
+    """
+    left = diagnosis.unexplained
+    return {
+        **fields_of(diagnosis),
+        "causes": [_cause_record(cause) for cause in diagnosis.causes],
+        "outliers": [moved.capture.capture for moved in diagnosis.excluded],
+        "before": _residual_record(diagnosis.before, diagnosis.noise),
+        "after": _residual_record(diagnosis.after, diagnosis.noise),
+        "unexplained": {**fields_of(left), "bound_to": left.depends_on} if left else None,
+        "in_use": in_use,
+    }
+
+
+def _cause_record(cause: FoundCause) -> dict[str, Any]:
+    return {
+        **fields_of(cause),
+        "parameters": {parameter.name: parameter for parameter in cause.parameters},
+        "held_out_gain": cause.improvement.percent,
+        "gain_sigma": cause.improvement.sigma,
+        "overlaps_with": [other.name for other in cause.degenerate],
+    }
+
+
+def _residual_record(residual: ResidualSummary, noise: ResidualSummary) -> dict[str, float | None]:
+    return {
+        "display_rms_px": residual.display_rms_px,
+        "display_noise_floor_px": noise.display_rms_px,
+        "seethrough_rms_arcmin": residual.see_through_rms_arcmin,
+        "seethrough_noise_floor_arcmin": noise.see_through_rms_arcmin,
+        "runtime_rms_arcmin": residual.run_time_rms_arcmin,
+        "runtime_noise_floor_arcmin": noise.run_time_rms_arcmin,
+        "rms_over_noise": residual.over_noise,
+    }
 
 
 def diagnosis_report(
@@ -44,7 +79,7 @@ def diagnosis_report(
         explain.warnings(diagnosis),
         [block for block in blocks if not isinstance(block, ReportTable) or block.rows],
         inputs,
-        record=DiagnosisRecord(diagnosis, in_use),
+        record=diagnosis_record(diagnosis, in_use),
     )
 
 

@@ -97,7 +97,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
         files=files,
         record={"viewpoint_in_device_m": viewpoints},
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)
 
 
 def _compare_eye(

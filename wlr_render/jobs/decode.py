@@ -121,7 +121,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
         files=[arrays, *(picture.path for picture in pictures)],
         record=options,
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)
 
 
 def _photographs(options: DecodeVerbOptions) -> CodePhotographs:

@@ -140,7 +140,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
         files=files,
         record={"device": device.name, "seed": options.seed},
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)
 
 
 def _verdict(overall: ReportTable, what: str) -> str:

@@ -64,7 +64,7 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
         blocks=[table],
         inputs=[options.session],
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)
 
 
 def _sentences(table: ReportTable) -> Iterator[str]:

@@ -68,7 +68,7 @@ def import_session(options: ImportOptions, *, progress: ProgressArgument = SILEN
         inputs=[options.folder],
         files=[folder],
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)
 
 
 def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:

@@ -145,7 +145,7 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
         for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
             pass
     videos = [_video(folder, eye, moments, options) for eye in channels] if options.video else []
-    return save_report(_report(options, moments, len(missing), [sequence, *videos]), folder, "report")
+    return save_report(_report(options, moments, len(missing), [sequence, *videos]), folder)
 
 
 def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:

@@ -66,7 +66,7 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
         files=drawings,
         record=figures,
     )
-    return save_report(report, folder, device.name)
+    return save_report(report, folder)
 
 
 def _summary(name: str, eye: str, figures: DeviceFigures) -> str:

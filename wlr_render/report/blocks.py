@@ -99,7 +99,7 @@ class Report:
         blocks: the evidence.
         inputs: files and folders that the result depends on; pages state their SHA-256.
         files: files that the job wrote.
-        record: data for the JSON file beside the tables; any dataclass or mapping.
+        record: data for the JSON file, a dataclass or a mapping.
         faults: items that could not be used; the command line ends with status 2 if there are any.
     """
 
@@ -110,7 +110,7 @@ class Report:
     blocks: Sequence[Block] = ()
     inputs: Sequence[Path] = ()
     files: Sequence[Path] = ()
-    record: object = None
+    record: Any = field(default_factory=dict)
     faults: Sequence[str] = ()
 
     @property

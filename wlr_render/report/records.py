@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence, Set
 from pathlib import PurePath
+from typing import Any
 
 import numpy as np
 
@@ -32,13 +33,18 @@ def to_jsonable(value: object) -> object:
     if isinstance(value, PurePath):
         return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        kept = [field for field in dataclasses.fields(value) if field.metadata.get("json", True)]
-        return {field.name: to_jsonable(getattr(value, field.name)) for field in kept}
+        return {name: to_jsonable(item) for name, item in fields_of(value).items()}
     if isinstance(value, Mapping):
         return {str(key): to_jsonable(item) for key, item in value.items()}
     if isinstance(value, Sequence | Set):
         return [to_jsonable(item) for item in value]
     raise TypeError(f"cannot convert a {type(value).__name__} to JSON")
+
+
+def fields_of(record: Any) -> dict[str, Any]:
+    """Fields of a dataclass that go into its JSON, unconverted."""
+    kept = [field.name for field in dataclasses.fields(record) if field.metadata.get("json", True)]
+    return {name: getattr(record, name) for name in kept}
 
 
 def json_text(value: object) -> str:

@@ -14,7 +14,7 @@ from wlr_render import __version__
 from wlr_render.files import write_text
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.html import html_page
-from wlr_render.report.records import json_text
+from wlr_render.report.records import fields_of, json_text
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,10 @@ class Provenance:
     inputs: tuple[InputFile, ...]
 
 
-def save_report(report: Report, folder: Path, stem: str) -> Report:
+def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
     """Write FOLDER/STEM.html, .md and .json; returns the report with these files added.
+
+    The JSON file holds the fields of `report.record` beside what every report says.
 
     Raises:
         BadInputError: a file cannot be written.
@@ -48,17 +50,18 @@ def save_report(report: Report, folder: Path, stem: str) -> Report:
     record = {
         "provenance": origin,
         "title": report.title,
-        "verdict": report.verdict,
+        "sentence": report.verdict,
         "advice": report.advice,
         "warnings": report.warnings,
-        "record": report.record,
         "tables": [table_record(table) for table in report.tables],
         "plots": [{"title": plot.title, "data": plot.data} for plot in report.blocks if isinstance(plot, Plot)],
     }
+    own = fields_of(report.record) if dataclasses.is_dataclass(report.record) else dict(report.record)
+    assert not record.keys() & own.keys(), "a job's record must not hide what every report says"
     written = [
         write_text(folder / f"{stem}.html", html_page(report, origin)),
         write_text(folder / f"{stem}.md", markdown(report, folder)),
-        write_text(folder / f"{stem}.json", json_text(record)),
+        write_text(folder / f"{stem}.json", json_text(record | own)),
     ]
     return dataclasses.replace(report, files=(*report.files, *written))
 

@@ -20,6 +20,8 @@ from wlr_render.report.blocks import Report, ReportTable
 
 PIPE_WIDTH = 140
 """Columns of output that goes into a file or a pipe."""
+MAX_ROWS = 20
+"""Rows of a table that the terminal shows."""
 
 
 def escaped(text: str) -> str:
@@ -84,6 +86,8 @@ def print_report(report: Report) -> None:
     console = _console(width=None if sys.stdout.isatty() else PIPE_WIDTH)
     for table in report.tables:
         console.print(_drawn(table))
+        if len(table.rows) > MAX_ROWS:
+            console.print(f"{len(table.rows) - MAX_ROWS} more rows are in the report's files.", style="dim")
         for note in table.notes:
             console.print(escaped(note), style="dim", highlight=False)
     if report.files:
@@ -94,6 +98,6 @@ def _drawn(table: ReportTable) -> Table:
     drawn = Table(title=escaped(table.title), title_justify="left")
     for index, column in enumerate(table.columns):
         drawn.add_column(escaped(column), justify="left" if index == 0 else "right", overflow="fold")
-    for row in table.text_rows():
+    for row in table.text_rows()[:MAX_ROWS]:
         drawn.add_row(*("\n".join(map(escaped, cell.split("\n"))) for cell in row))
     return drawn

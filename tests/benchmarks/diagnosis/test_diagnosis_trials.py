@@ -154,8 +154,8 @@ def test_an_interrupted_study_keeps_what_is_finished(monkeypatch, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         study.run(study.DiagnosisOptions(trials=1, out=tmp_path))
     record = json.loads((tmp_path / "diagnosis.json").read_text())
-    assert [each["trial"]["effects"] for each in record["record"]["trials"]] == [[name] for name in list(CAUSES)[:3]]
-    assert record["record"]["seed"] == 1
+    assert [each["trial"]["effects"] for each in record["trials"]] == [[name] for name in list(CAUSES)[:3]]
+    assert record["seed"] == 1
     assert "right cause first" in (tmp_path / "diagnosis.md").read_text()
 
 

@@ -106,7 +106,7 @@ def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(straight_device, 
     assert given[0] == (6, "frames")
     assert sorted(found.files) == sorted(out.iterdir())
     assert all(each.title in (out / "soak.md").read_text() for each in found.tables)
-    assert json.loads((out / "soak.json").read_text())["record"]["size_px"] == [32, 18]
+    assert json.loads((out / "soak.json").read_text())["size_px"] == [32, 18]
     rows = list(csv.DictReader((out / "frames.csv").open()))
     assert [float(row["time_s"]) for row in rows] == pytest.approx([k / 90.0 for k in range(6)])
     assert {row["left_tracking"] for row in rows} | {row["right_tracking"] for row in rows} <= {

@@ -74,7 +74,7 @@ def test_written_files_are_read_back(calibrated):
     assert (model.device, model.mappings.eye) == ("birdbath28", "right")
     captures = load_captures(folder / "captures-right.npz")
     assert len(np.unique(captures.display.capture)) == 12
-    record = json.loads((folder / "report.json").read_text())["record"]
+    record = json.loads((folder / "report.json").read_text())
     options = record["options"]
     assert (options["viewpoints"], options["noise_px"], options["seed"]) == (12, 0.1, 4)
     assert record["fits"]["right"] == json.loads(json.dumps(model.report))

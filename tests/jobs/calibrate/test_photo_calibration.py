@@ -105,7 +105,7 @@ def test_the_report_tells_everything_in_the_order_of_the_procedure(found, photo_
     assert titles[0] == "What was read"
     assert [row[1:3] for row in report.tables[0].rows] == [[10, 10], [4, 4], [10, 10], [4, 4]]
     record = json.loads((photo_session.out / "report.json").read_text(encoding="utf-8"))
-    assert record["record"]["eye"] == "right"
+    assert record["eye"] == "right"
     assert "every check of the station passed" in report.verdict
     assert report.faults == ()
 

@@ -56,7 +56,7 @@ def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
     assert main(["verify", "pairs", str(pairs), board, *given]) == 0
     assert "drawn dots lie" in capsys.readouterr().out
     record = json.loads((tmp_path / "verified" / "report.json").read_text(encoding="utf-8"))
-    assert record["record"]["photographs"] == str(pairs)
+    assert record["photographs"] == str(pairs)
 
 
 def test_what_is_no_pair_is_named(photo_session, pairs, tmp_path):

@@ -48,7 +48,7 @@ def test_drawn_dots_cover_real_ones(options):
     assert all(path.is_file() and path.stat().st_size > 0 for path in result.files)
     assert {path.name for path in result.files} >= {"misalignment.png", "close_up.png", "report.html"}
     record = json.loads((options.out / "report.json").read_text(encoding="utf-8"))
-    assert record["record"]["session"] == str(options.session)
+    assert record["session"] == str(options.session)
 
 
 def test_photographs_of_an_earlier_verification_are_taken_again(options):

@@ -57,4 +57,4 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
         files=[model],
         record={"options": options, "device": fit.device, "fits": {fit.mappings.eye: fit.model().report}},
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)

@@ -65,4 +65,4 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
         faults=found.faults,
         record={"options": options, "device": session.device, "eye": session.eye, "fit": found.fit.model().report},
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)

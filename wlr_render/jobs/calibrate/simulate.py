@@ -80,7 +80,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
             "fits": {fit.mappings.eye: fit.model().report for fit in fits},
         },
     )
-    return save_report(report, folder, "report")
+    return save_report(report, folder)
 
 
 def simulate_captures(truth: EyeMappings, options: CalibrateSimulateOptions) -> EyeCaptures:
