@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from wlr_render.captures.session_columns import PARTS
 from wlr_render.captures.session_schema import DISPLAY, RUN_TIME, SCHEMAS, SEE_THROUGH, Kind
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
@@ -65,36 +64,35 @@ def test_columns_may_come_in_any_order_and_optional_groups_be_absent(tmp_path):
 
 
 @pytest.mark.parametrize("axes", [np.eye(3), OPENXR_FROM_OPENCV], ids=["openxr", "opencv"])
-@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.plan)
-def test_plans_and_readings_become_the_columns_they_came_from(part, axes):
-    columns = random_columns(part.schema, np.random.default_rng(5))
-    found = part.to_file(*part.of_file(columns, axes), axes)
-    for quaternion in part.schema.unit_vectors:  # q and -q are one rotation
+@pytest.mark.parametrize("schema", SCHEMAS, ids=lambda schema: schema.name)
+def test_plans_and_readings_become_the_columns_they_came_from(schema, axes):
+    columns = random_columns(schema, np.random.default_rng(5))
+    found = schema.to_file(*schema.of_file(columns, axes), axes)
+    for quaternion in schema.unit_vectors:  # q and -q are one rotation
         sign = np.sign(sum(found[name] * columns[name] for name in quaternion))
         found |= {name: sign * found[name] for name in quaternion}
     assert_columns(found, columns)
 
 
 def test_frame_unit_and_pixel_become_ours():
-    display, see_through, run_time = PARTS
     rng = np.random.default_rng(6)
     columns = random_columns(DISPLAY, rng) | {
         f"stage_{axis}_mm": np.full(12, v) for axis, v in zip("xyz", (1, 2, 3), strict=True)
     }
-    plan, pixel = display.of_file(columns, OPENXR_FROM_OPENCV)
+    plan, pixel = DISPLAY.of_file(columns, OPENXR_FROM_OPENCV)
     np.testing.assert_allclose(plan.stage[0], [0.001, -0.002, -0.003], atol=1e-15)
     np.testing.assert_allclose(plan.camera_pixel[:, 0], columns["camera_u"] + 0.5)
     np.testing.assert_array_equal(pixel[:, 1], columns["pixel_v"])
 
     columns = random_columns(SEE_THROUGH, rng)
-    plan, pixel = see_through.of_file(columns, OPENXR_FROM_OPENCV)
+    plan, pixel = SEE_THROUGH.of_file(columns, OPENXR_FROM_OPENCV)
     np.testing.assert_allclose(plan.dot, np.stack([columns["target_x_mm"], -columns["target_y_mm"]], axis=1) / 1000)
     np.testing.assert_allclose(pixel[:, 1], columns["camera_v"] + 0.5)
     in_file = Rotation.from_quat(np.stack([columns[f"camera_q{axis}"] for axis in "xyzw"], axis=1)).as_rotvec()
     np.testing.assert_allclose(Rotation.from_matrix(plan.orientation).as_rotvec(), in_file * [1, -1, -1], atol=1e-12)
 
     columns = random_columns(RUN_TIME, rng)
-    plan, _ = run_time.of_file(columns, OPENXR_FROM_OPENCV)
+    plan, _ = RUN_TIME.of_file(columns, OPENXR_FROM_OPENCV)
     np.testing.assert_allclose(plan.head_rate[:, 2], -columns["head_rate_z_rad_s"])
     np.testing.assert_allclose(plan.head_velocity[:, 1], -columns["head_velocity_y_mm_s"] / 1000)
     np.testing.assert_allclose(plan.gaze[:, 2], -columns["gaze_z"])

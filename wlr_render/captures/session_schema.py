@@ -1,11 +1,78 @@
-"""Schema of the tables of a bench session: columns with units. Reading, writing, checks and documentation use it.
+"""Tables of a bench session: columns, their units and checks, and their conversion to plans and readings and back.
 
-Lengths and directions are in the frame that bench.toml states, camera pixels have their centres at integers,
-panel pixels are 0 at the panel's outer edge. `session_columns` turns them into this library's conventions.
+Reading, writing, checking and docs/bench-session.md follow `SCHEMAS`.
+
+`device_from_file` (3, 3) turns the axes that bench.toml states into the device frame's: the identity for "openxr",
+diag(1, -1, -1) for "opencv". It applies alike to the device, the world, the camera and the printed target, so that a
+rotation R of the file becomes `device_from_file @ R @ device_from_file.T`. Camera pixels have their centres at whole
+numbers in the file and half a pixel further here; panel pixels are the same in both.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
+from wlr_render.geometry.directions import normalised
+from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
+from wlr_render.numerics.arrays import FloatArray
+
+Columns = dict[str, FloatArray]
+"""Columns (n,) by their names, in the units and the frame of the file."""
+
+Conversion = Callable[[Any, FloatArray], Any]
+
+MM = 1e-3
+"""One millimetre in metres."""
+HALF_PIXEL = 0.5
+"""From a pixel's whole-numbered centre in a file to our pixels, which count from the image's outer corner."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A kind of quantity, by how it changes between a session's files and this library.
+
+    Attributes:
+        of_file: (what a few columns (n, k) or a key hold, device_from_file) -> what a plan or a bench holds.
+        to_file: the inverse.
+    """
+
+    of_file: Conversion = lambda value, _: value
+    to_file: Conversion = lambda value, _: value
+
+
+def _rotation_of_file(xyzw: FloatArray, device_from_file: FloatArray) -> FloatArray:
+    return np.asarray(device_from_file @ rotation_of_quaternion(normalised(xyzw)) @ device_from_file.T)
+
+
+def _rotation_to_file(rotation: FloatArray, device_from_file: FloatArray) -> FloatArray:
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(device_from_file.T @ rotation @ device_from_file).as_quat())
+
+
+def _pose_of_file(pose: FloatArray, device_from_file: FloatArray) -> FloatArray:
+    rotation = _rotation_of_file(pose[:, 3:], device_from_file)
+    return rigid(rotation, _POINT.of_file(pose[:, :3], device_from_file))
+
+
+def _pose_to_file(pose: FloatArray, device_from_file: FloatArray) -> FloatArray:
+    position = _POINT.to_file(pose[:, :3, 3], device_from_file)
+    return np.concatenate([position, _rotation_to_file(pose[:, :3, :3], device_from_file)], axis=1)
+
+
+_NUMBER = Quantity(lambda value, _: value[:, 0], lambda value, _: value[:, None])
+_WHOLE = Quantity(lambda value, _: value[:, 0].astype(np.int64), lambda value, _: value[:, None])
+CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
+_POINT = Quantity(lambda value, axes: MM * value @ axes.T, lambda value, axes: value @ axes / MM)
+_FLAT_POINT = Quantity(lambda value, axes: MM * value @ axes[:2, :2].T, lambda value, axes: value @ axes[:2, :2] / MM)
+_VECTOR = Quantity(lambda value, axes: value @ axes.T, lambda value, axes: value @ axes)
+_DIRECTION = Quantity(lambda value, axes: normalised(value) @ axes.T, lambda value, axes: value @ axes)
+_ROTATION = Quantity(_rotation_of_file, _rotation_to_file)
+_POSE = Quantity(_pose_of_file, _pose_to_file)
 
 
 class Kind(StrEnum):
@@ -39,24 +106,73 @@ class Column:
 
 
 @dataclass(frozen=True)
+class Field:
+    """Columns that together hold one attribute of a plan, or its reading.
+
+    Attributes:
+        attribute: of the plan, or of `Readings`.
+        quantity: how the columns, (n, k), are converted.
+        columns: k of them; all optional or none.
+    """
+
+    attribute: str
+    quantity: Quantity
+    columns: tuple[Column, ...]
+
+    def stacked(self, columns: Columns) -> FloatArray:
+        """(n, k)."""
+        return np.stack([columns[column.name] for column in self.columns], axis=1)
+
+
+@dataclass(frozen=True)
 class Schema:
-    """One table.
+    """One table, a part of a session.
 
     Attributes:
         name: the file's name without its suffix.
-        title: what a row is.
-        columns: in the order in which they are written; a file may have them in any order.
-        capture_key: the columns that identify the capture of a row.
-        setup: the columns that are constant in a capture, and differ between captures.
-        unit_vectors: groups of columns that form a unit vector.
+        title: of what it has one row each.
+        plan: the attribute of a `SessionPlan`; `plan_type`: its type.
+        reading: the attribute of `Readings`.
+        fields: in the order in which their columns are written; a file may have columns in any order.
+        capture_key: the columns that together say which capture a row belongs to.
+        setup: the columns that are the same in all rows of a capture, and differ from one capture to the next.
+        unit_vectors: columns that together are a vector of length 1.
     """
 
     name: str
     title: str
-    columns: tuple[Column, ...]
+    plan: str
+    plan_type: type
+    reading: str
+    fields: tuple[Field, ...]
     capture_key: tuple[str, ...]
     setup: tuple[str, ...]
     unit_vectors: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """All columns, in the order in which they are written."""
+        return tuple(column for field in self.fields for column in field.columns)
+
+    def of_file(self, columns: Columns, device_from_file: FloatArray) -> tuple[Any, FloatArray]:
+        """The plan, and its readings; dots are still in camera pixels."""
+        values = {
+            field.attribute: field.quantity.of_file(field.stacked(columns), device_from_file)
+            for field in self.fields
+            if field.columns[0].name in columns
+        }
+        reading = values.pop(self.reading)
+        return self.plan_type(**values), reading
+
+    def to_file(self, plan: Any, reading: FloatArray, device_from_file: FloatArray) -> Columns:
+        """The inverse of `of_file`."""
+        columns: Columns = {}
+        for field in self.fields:
+            value = reading if field.attribute == self.reading else getattr(plan, field.attribute)
+            if value is not None:
+                names = (column.name for column in field.columns)
+                columns |= dict(zip(names, field.quantity.to_file(value, device_from_file).T, strict=True))
+        return columns
 
 
 def _triple(name: str, unit: str, suffix: str, meaning: str) -> tuple[Column, ...]:
@@ -71,72 +187,114 @@ def _pixel(name: str, meaning: str, group: str = "") -> tuple[Column, ...]:
     return tuple(Column(f"{name}_{axis}", "px", f"{meaning}, {axis}", group=group) for axis in "uv")
 
 
-def names(prefix: str, endings: str, suffix: str = "") -> tuple[str, ...]:
-    """Column names such as stage_x_mm, stage_y_mm, stage_z_mm."""
-    return tuple(f"{prefix}{ending}{suffix}" for ending in endings)
+def _index(name: str, meaning: str, kind: Kind = Kind.INDEX) -> Field:
+    return Field(name, _WHOLE, (Column(name, "", meaning, kind),))
 
 
-_TIME = Column("time_s", "s", "time since the start of the session")
-_STAGE = _triple("stage", "mm", "_mm", "stage reading of the camera's centre of projection")
-STAGE = names("stage_", "xyz", "_mm")
-CAMERA_QUATERNION = names("camera_q", "xyzw")
-HEAD_QUATERNION = names("head_q", "xyzw")
-GAZE = names("gaze_", "xyz")
+_TIME = Field("time_s", _NUMBER, (Column("time_s", "s", "time since the start of the session"),))
+_STAGE = Field("stage", _POINT, _triple("stage", "mm", "_mm", "stage reading of the camera's centre of projection"))
+_STAGE_NAMES = tuple(f"stage_{axis}_mm" for axis in "xyz")
+_CAMERA_QUATERNION = tuple(f"camera_q{axis}" for axis in "xyzw")
+_HEAD_QUATERNION = tuple(f"head_q{axis}" for axis in "xyzw")
+_GAZE = tuple(f"gaze_{axis}" for axis in "xyz")
 
 DISPLAY = Schema(
     "display",
     "decoded camera pixel",
+    "display",
+    DisplayPlan,
+    "panel_pixel",
     (
-        Column("capture", "", "index of the photograph", Kind.INDEX),
+        _index("capture", "index of the photograph"),
         _TIME,
-        Column("travel", "", "direction of the stage's last move in x", Kind.SIGN),
-        *_STAGE,
-        Column("channel", "", "0 red, 1 green, 2 blue", Kind.CHANNEL),
-        *_pixel("camera", "camera pixel"),
-        *_pixel("pixel", "decoded panel position"),
+        Field("travel", _NUMBER, (Column("travel", "", "direction of the stage's last move in x", Kind.SIGN),)),
+        _STAGE,
+        _index("channel", "0 red, 1 green, 2 blue", Kind.CHANNEL),
+        Field("camera_pixel", CAMERA_PIXEL, _pixel("camera", "camera pixel")),
+        Field("panel_pixel", Quantity(), _pixel("pixel", "decoded panel position")),
     ),
     ("capture",),
-    ("time_s", "travel", *STAGE),
+    ("time_s", "travel", *_STAGE_NAMES),
 )
 
 SEE_THROUGH = Schema(
     "seethrough",
     "dot of the printed target found in a photograph",
+    "see_through",
+    SeeThroughPlan,
+    "dot_pixel",
     (
-        Column("target_pose", "", "index of the [[target_pose]] in bench.toml", Kind.INDEX),
-        Column("capture", "", "index of the photograph, counted from 0 at every target pose", Kind.INDEX),
+        _index("target_pose", "index of the [[target_pose]] in bench.toml"),
+        _index("capture", "index of the photograph, counted from 0 at every target pose"),
         _TIME,
-        *_STAGE,
-        *(Column(f"target_{axis}_mm", "mm", f"position of the dot on the printed target, {axis}") for axis in "xy"),
-        *_pixel("camera", "position of the dot in the photograph, through the optics"),
-        Column("travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, "travel", 1.0),
-        *_quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q"),
-        *_pixel("bare", "position of the dot photographed from the same place without the headset", "bare"),
+        _STAGE,
+        Field(
+            "dot",
+            _FLAT_POINT,
+            tuple(
+                Column(f"target_{axis}_mm", "mm", f"position of the dot on the printed target, {axis}") for axis in "xy"
+            ),
+        ),
+        Field("dot_pixel", CAMERA_PIXEL, _pixel("camera", "position of the dot in the photograph, through the optics")),
+        Field(
+            "travel",
+            _NUMBER,
+            (Column("travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, "travel", 1.0),),
+        ),
+        Field(
+            "orientation",
+            _ROTATION,
+            _quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q"),
+        ),
+        Field(
+            "bare_pixel",
+            CAMERA_PIXEL,
+            _pixel("bare", "position of the dot photographed from the same place without the headset", "bare"),
+        ),
     ),
     ("target_pose", "capture"),
-    ("time_s", "travel", *STAGE, *CAMERA_QUATERNION),
-    (CAMERA_QUATERNION,),
+    ("time_s", "travel", *_STAGE_NAMES, *_CAMERA_QUATERNION),
+    (_CAMERA_QUATERNION,),
 )
 
 RUN_TIME = Schema(
     "runtime",
     "time at which a real dot and the virtual dot drawn over it were observed",
+    "run_time",
+    RunTimePlan,
+    "seen",
     (
-        Column("capture", "", "index of the recording; a recording has many rows", Kind.INDEX),
+        _index("capture", "index of the recording; a recording has many rows"),
         _TIME,
-        *_triple("head", "mm", "_mm", "origin of the device frame in the world"),
-        *_quaternion("head", "world_from_device"),
-        *_triple("head_velocity", "mm/s", "_mm_s", "velocity of that origin, world frame"),
-        *_triple("head_rate", "rad/s", "_rad_s", "angular velocity of the head, world frame"),
-        *_triple("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame"),
-        *_triple("gaze", "", "", "unit gaze direction, device frame"),
-        *_triple("dot", "mm", "_mm", "the real dot, world frame"),
-        *_pixel("virtual", "position of the virtual dot in the eyeball camera's image"),
-        *_pixel("real", "position of the real dot in that image"),
+        Field(
+            "world_from_device",
+            _POSE,
+            (
+                *_triple("head", "mm", "_mm", "origin of the device frame in the world"),
+                *_quaternion("head", "world_from_device"),
+            ),
+        ),
+        Field(
+            "head_velocity", _POINT, _triple("head_velocity", "mm/s", "_mm_s", "velocity of that origin, world frame")
+        ),
+        Field(
+            "head_rate", _VECTOR, _triple("head_rate", "rad/s", "_rad_s", "angular velocity of the head, world frame")
+        ),
+        Field("viewpoint", _POINT, _triple("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame")),
+        Field("gaze", _DIRECTION, _triple("gaze", "", "", "unit gaze direction, device frame")),
+        Field("dot", _POINT, _triple("dot", "mm", "_mm", "the real dot, world frame")),
+        Field(
+            "seen",
+            CAMERA_PIXEL,
+            (
+                *_pixel("virtual", "position of the virtual dot in the eyeball camera's image"),
+                *_pixel("real", "position of the real dot in that image"),
+            ),
+        ),
     ),
     ("capture",),
     (),
-    (HEAD_QUATERNION, GAZE),
+    (_HEAD_QUATERNION, _GAZE),
 )
 
 SCHEMAS = (DISPLAY, SEE_THROUGH, RUN_TIME)

@@ -12,13 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.session_schema import Column, Kind, Schema
+from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
 from wlr_render.numerics.arrays import FloatArray
-
-Columns = dict[str, FloatArray]
-"""Columns (n,) by their names, in the units and the frame of the file."""
 
 _UNIT_TOLERANCE = 1e-3
 _UNIT_SUFFIX = re.compile(r"(_(mm|cm|m|um|inch|deg|rad|mrad|arcmin|px|s|ms|us|min|h))+$")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.session_columns import MM
+from wlr_render.captures.session_schema import MM
 from wlr_render.errors import BadInputError
 from wlr_render.files import Table, read_toml, shipped_names, write_toml
 from wlr_render.geometry.transforms import FRAMES, rigid

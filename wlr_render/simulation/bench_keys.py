@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.session_columns import CAMERA_PIXEL, MM, Quantity
+from wlr_render.captures.session_schema import CAMERA_PIXEL, MM, Quantity
 from wlr_render.files import Table
 from wlr_render.geometry.transforms import is_rotation
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import bench as parts
 
-# `axes` is device_from_file (3, 3), as in session_columns.
+# `axes` is device_from_file (3, 3), as in session_schema.
 PLAIN = Quantity()
 LENGTH = Quantity(lambda value, _: MM * value, lambda value, _: value / MM)
 POINT = Quantity(lambda value, axes: MM * axes @ value, lambda value, axes: axes.T @ value / MM)

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
-from wlr_render.captures.session_columns import PARTS
 from wlr_render.captures.session_schema import SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
@@ -47,11 +46,11 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
         bench = _other_bench(bench_file, bench, folder)
     plans: dict[str, Any] = {}
     readings: dict[str, FloatArray] = {}
-    for part in PARTS:
-        table = _table_path(folder, part.schema)
+    for schema in SCHEMAS:
+        table = _table_path(folder, schema)
         if table is not None:
-            plan, reading = part.of_file(read_table(table, part.schema), axes)
-            plans[part.plan], readings[part.reading] = plan, reading
+            plan, reading = schema.of_file(read_table(table, schema), axes)
+            plans[schema.plan], readings[schema.reading] = plan, reading
     if not plans:
         expected = ", ".join(f"{schema.name}.csv" for schema in SCHEMAS)
         raise BadInputError(f"{folder}: has none of the tables {expected} (plain or .gz); add at least one.")
@@ -76,8 +75,8 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
         BadInputError: the folder holds a table that is not this session's, and would be read with it.
     """
     folder = Path(folder)
-    present = [part for part in PARTS if getattr(session.plan, part.plan) is not None]
-    written = {part.schema.name: folder / f"{part.schema.name}.csv.gz" for part in present}
+    present = [schema for schema in SCHEMAS if getattr(session.plan, schema.plan) is not None]
+    written = {schema.name: folder / f"{schema.name}.csv.gz" for schema in present}
     for schema in SCHEMAS:
         for other in _tables(folder, schema):
             if other != written.get(schema.name):
@@ -85,12 +84,12 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
                     f"{other}: is not of the session to be written; remove it or choose another folder."
                 )
     save_bench(bench, folder / "bench.toml")
-    for part in present:
-        plan, reading = getattr(session.plan, part.plan), getattr(session.readings, part.reading)
+    for schema in present:
+        plan, reading = getattr(session.plan, schema.plan), getattr(session.readings, schema.reading)
         seen = np.isfinite(reading).all(axis=1)
-        in_file = _pixels_seen(bench.camera, reading[seen]) if part.reading == "seen" else reading[seen]
-        columns = part.to_file(select_rows(plan, seen), in_file, FRAMES[WRITTEN_FRAME])
-        write_table(written[part.schema.name], part.schema, columns)
+        in_file = _pixels_seen(bench.camera, reading[seen]) if schema.reading == "seen" else reading[seen]
+        columns = schema.to_file(select_rows(plan, seen), in_file, FRAMES[WRITTEN_FRAME])
+        write_table(written[schema.name], schema, columns)
     return folder
 
 
@@ -101,10 +100,10 @@ def check_enough_captures(session: Session) -> None:
         BadInputError: there are fewer than `FEWEST_CAPTURES` of them, all tables together.
     """
     count = 0
-    for part in PARTS:
-        plan = getattr(session.plan, part.plan)
+    for schema in SCHEMAS:
+        plan = getattr(session.plan, schema.plan)
         if plan is not None:
-            keys = [getattr(plan, name) for name in part.schema.capture_key]
+            keys = [getattr(plan, name) for name in schema.capture_key]
             count += np.unique(np.stack(keys), axis=1).shape[1]
     if count < FEWEST_CAPTURES:
         raise BadInputError(
