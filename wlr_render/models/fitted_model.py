@@ -70,20 +70,16 @@ def answer_in_chunks(
             answer = query(subject[rows], viewpoint[rows], None if start is None else start[rows])
             parts.append(_mapped(answer, subject[rows], viewpoint[rows], eye_box))
     value = np.concatenate([part.value for part in parts])
+    starts = [part.warm_start for part in parts if part.warm_start is not None]
     return QueryResult(
         value.reshape(*lead, value.shape[1]),
         np.concatenate([part.status for part in parts]).reshape(lead),
-        _joined_starts(parts, lead),
+        np.concatenate(starts).reshape(*lead, 2) if starts else None,
     )
 
 
 def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
     return np.broadcast_to(array, (*lead, array.shape[-1])).reshape(-1, array.shape[-1])
-
-
-def _joined_starts(parts: list[QueryResult], lead: tuple[int, ...]) -> FloatArray | None:
-    starts = [part.warm_start for part in parts if part.warm_start is not None]
-    return np.concatenate(starts).reshape(*lead, 2) if starts else None
 
 
 def _mapped(answer: Answer, subject: FloatArray, viewpoint: FloatArray, eye_box: EyeBox) -> QueryResult:
@@ -113,37 +109,32 @@ Forms = dict[str, tuple[int, int]]
 """Of a model's polynomials, by attribute: the numbers of variables and outputs."""
 
 
-def require_forms(model: object, forms: Forms) -> None:
-    """Check the numbers of variables, outputs and terms of a model's polynomials.
-
-    Raises:
-        BadInputError: wrong numbers of variables, outputs or terms, or coefficients that are not finite.
-    """
-    for name, (variables, outputs) in forms.items():
-        polynomial: Polynomial = getattr(model, name)
-        expected = (term_count(variables, polynomial.degree), outputs)
-        if polynomial.box.low.shape != (variables,) or polynomial.coefficients.shape != expected:
-            raise BadInputError(
-                f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected}, "
-                f"not {len(polynomial.box.low)} and {polynomial.coefficients.shape}."
-            )
-        if not np.isfinite(polynomial.coefficients).all():
-            raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
-
-
 class FittedModel(ABC):
     """Base of models made of polynomials; a subclass is a frozen dataclass and implements the two formulas.
 
     Attributes:
         FORMS: variables and outputs of each polynomial, by attribute name.
         eye_box: box of valid viewpoints; a viewpoint outside is OUTSIDE_FIT.
+
+    Raises:
+        BadInputError: a polynomial has wrong numbers of variables, outputs or terms, or coefficients that are not
+            finite.
     """
 
     FORMS: ClassVar[Forms]
     eye_box: EyeBox
 
     def __post_init__(self) -> None:
-        require_forms(self, self.FORMS)
+        for name, (variables, outputs) in self.FORMS.items():
+            polynomial: Polynomial = getattr(self, name)
+            expected = (term_count(variables, polynomial.degree), outputs)
+            if polynomial.box.low.shape != (variables,) or polynomial.coefficients.shape != expected:
+                raise BadInputError(
+                    f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected}, "
+                    f"not {len(polynomial.box.low)} and {polynomial.coefficients.shape}."
+                )
+            if not np.isfinite(polynomial.coefficients).all():
+                raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
 
     @abstractmethod
     def _forward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:

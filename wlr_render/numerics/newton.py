@@ -12,6 +12,9 @@ Residual = Callable[[FloatArray, NDArray[np.int64]], tuple[FloatArray, FloatArra
 """(unknown (m, 2), index (m,) into the batch) -> residual (m, 2), Jacobian (m, 2, 2)."""
 
 
+MAX_ITERATIONS = 30
+
+
 @dataclass(frozen=True)
 class Root:
     """Result of `solve_2x2`.
@@ -27,7 +30,7 @@ class Root:
     iterations: int
 
 
-def solve_2x2(residual: Residual, start: FloatArray, tolerance: float, max_iterations: int = 30) -> Root:
+def solve_2x2(residual: Residual, start: FloatArray, tolerance: float) -> Root:
     """Solve residual(unknown) = 0 for n independent problems.
 
     Steps that do not reduce the residual are halved, up to six times, so that divergence is detected. An element
@@ -37,7 +40,6 @@ def solve_2x2(residual: Residual, start: FloatArray, tolerance: float, max_itera
         residual: returns residual and Jacobian of the elements in an index array.
         start: (n, 2) first guess; rows with NaN never converge.
         tolerance: on the residual's norm.
-        max_iterations: Newton steps at most.
     """
     unknown = np.array(start, dtype=np.float64)
     index = np.flatnonzero(np.isfinite(unknown).all(axis=1))
@@ -50,7 +52,7 @@ def solve_2x2(residual: Residual, start: FloatArray, tolerance: float, max_itera
         converged[index[done]] = True
         going = ~done & np.isfinite(size)
         index, value, jacobian, size = index[going], value[going], jacobian[going], size[going]
-        if index.size == 0 or iterations == max_iterations:
+        if index.size == 0 or iterations == MAX_ITERATIONS:
             return Root(unknown, converged, iterations)
         iterations += 1
         step = _step(jacobian, value)

@@ -9,6 +9,7 @@ import ctypes
 import os
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -206,6 +207,38 @@ class GlContext:
     def _tracked(self, made: _Object) -> _Object:
         self._objects.add(made)
         return made
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A framebuffer and its textures, in the order of the shader's outputs."""
+
+    framebuffer: Framebuffer
+    textures: tuple[Texture, ...]
+
+
+class TargetCache:
+    """Targets by name; a target is made once for each size, and the next drawing overwrites it."""
+
+    def __init__(self, context: GlContext) -> None:
+        self._context = context
+        self._targets: dict[str, Target] = {}
+
+    def get(self, name: str, size: tuple[int, int], *formats: tuple[int, str], with_depth: bool = False) -> Target:
+        """The target of a name and size (width, height).
+
+        Args:
+            name: of the target, which keeps its formats.
+            size: (width, height) in pixels.
+            formats: components and dtype of each texture, as in `GlContext.target`.
+            with_depth: attach a depth texture.
+        """
+        target = self._targets.get(name)
+        if target is None or target.framebuffer.size != size:
+            textures = [self._context.target(size, *each) for each in formats]
+            depth = self._context.depth_target(size) if with_depth else None
+            target = self._targets[name] = Target(self._context.framebuffer(textures, depth), tuple(textures))
+        return target
 
 
 def _free_dropped(ctx: moderngl.Context) -> None:

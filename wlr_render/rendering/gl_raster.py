@@ -5,8 +5,6 @@ origin costs no precision. Both sides of every triangle are drawn, without multi
 centre sees.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,13 +19,6 @@ NEAR_M = 0.05
 """Nothing nearer to the viewpoint than this is drawn."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Targets:
-    framebuffer: gl.Framebuffer
-    colour: gl.Texture
-    inverse_depth: gl.Texture
-
-
 class GlRaster:
     """Draws one scene from any view; the meshes are uploaded once, instances of a mesh share them."""
 
@@ -36,7 +27,7 @@ class GlRaster:
         self._scene = scene
         self._lamps = [light for light in scene.lights if light.kind == "point"]
         self._suns = [light for light in scene.lights if light.kind == "directional"]
-        self._targets: dict[str, _Targets] = {}
+        self._targets = gl.TargetCache(context)
         lights = {"POINT_LIGHTS": len(self._lamps), "DIRECTIONAL_LIGHTS": len(self._suns)}
         with context.drawing():
             self._program = context.program("scene.vert", "scene.frag", **lights)
@@ -51,10 +42,11 @@ class GlRaster:
     def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
         """Draw and leave the picture on the GPU; the next drawing of the same name overwrites it."""
         with self._context.drawing():
-            targets = self._targets_for(view, name)
-            targets.framebuffer.use()
+            size = view.camera.width_px, view.camera.height_px
+            target = self._targets.get(name, size, (4, "f1"), (1, "f4"), with_depth=True)
+            target.framebuffer.use()
             # Only the depth matters here: the background is drawn last, at infinity, over what nothing has covered.
-            targets.framebuffer.clear(depth=1.0)
+            target.framebuffer.clear(depth=1.0)
             self._context.depth_test()
             self._set_view(view)
             for instance in self._scene.instances:
@@ -65,17 +57,7 @@ class GlRaster:
                 self._meshes[instance.mesh].render()
             gl.set_uniforms(self._background.program, background=_triple(encode_srgb(self._scene.background) / 255))
             self._background.render(vertices=3)
-        return GpuImage(self._context, view.camera, targets.colour, targets.inverse_depth)
-
-    def _targets_for(self, view: View, name: str) -> _Targets:
-        size = view.camera.width_px, view.camera.height_px
-        old = self._targets.get(name)
-        if old is not None and old.framebuffer.size == size:
-            return old
-        colour, inverse_depth = self._context.target(size, 4, "f1"), self._context.target(size, 1, "f4")
-        framebuffer = self._context.framebuffer([colour, inverse_depth], self._context.depth_target(size))
-        self._targets[name] = _Targets(framebuffer, colour, inverse_depth)
-        return self._targets[name]
+        return GpuImage(self._context, view.camera, *target.textures)
 
     def _set_view(self, view: View) -> None:
         program, scene, camera = self._program, self._scene, view.camera

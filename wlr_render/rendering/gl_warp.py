@@ -86,7 +86,7 @@ class GlWarp:
         self._context, self._channels = context, channels
         self._ranges = GlDepthRanges(context)
         self._textures: dict[str, gl.Texture] = {}
-        self._outputs: dict[bool, tuple[GpuWarped, gl.Framebuffer]] = {}
+        self._targets = gl.TargetCache(context)
         self._passes: dict[tuple[tuple[str, int], ...], gl.VertexArray] = {}
 
     def draw(
@@ -115,11 +115,13 @@ class GlWarp:
             BadInputError: the number of ray maps or the shape of the transforms does not fit.
         """
         with self._context.drawing():
-            warped, framebuffer = self._outputs_for(size_px, with_source)
-            target = WarpTarget(framebuffer, (0, 0), size_px, True)
+            source_format = [(2, "f4")] if with_source else []
+            made = self._targets.get(f"source {with_source}", size_px, (4, "f1"), (1, "u1"), *source_format)
+            target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
             constants = {"SAMPLES_PER_AXIS": samples_per_axis, "WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
             self._draw(image, ray_maps, image_from_ray_map, target, background, **constants)
-        return warped
+        colour, status, *source = made.textures
+        return GpuWarped(self._context, colour, status, source[0] if source else None)
 
     def draw_into(
         self,
@@ -216,15 +218,6 @@ class GlWarp:
                 "warp.frag", "warp.vert", "", CHANNELS=self._channels, **_CONSTANTS, **constants
             )
         return self._passes[key]
-
-    def _outputs_for(self, size_px: tuple[int, int], with_source: bool) -> tuple[GpuWarped, gl.Framebuffer]:
-        outputs = self._outputs.get(with_source)
-        if outputs is None or outputs[0].colour.size != size_px:
-            colour, status = self._context.target(size_px, 4, "f1"), self._context.target(size_px, 1, "u1")
-            source = self._context.target(size_px, 2, "f4") if with_source else None
-            framebuffer = self._context.framebuffer([colour, status, *([source] if source else [])])
-            outputs = self._outputs[with_source] = GpuWarped(self._context, colour, status, source), framebuffer
-        return outputs
 
     def _camera_matrices_texture(self, matrices: FloatArray) -> gl.Texture:
         texture = self._texture("camera_matrices", (3, len(matrices)), 4, "f4")

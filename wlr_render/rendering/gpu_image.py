@@ -58,18 +58,11 @@ class DepthRanges:
     coarse: gl.Texture
 
 
-@dataclass(frozen=True, eq=False)
-class _Target:
-    texture: gl.Texture
-    framebuffer: gl.Framebuffer
-
-
 class GlDepthRanges:
     """Computes `DepthRanges`; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
-        self._context = context
-        self._image_size: tuple[int, int] | None = None
+        self._targets = gl.TargetCache(context)
         with context.drawing():
             self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE, LOW=0, HIGH=0)
             self._of_blocks = context.full_screen("tile_range.frag", TILE=TILE, LOW=0, HIGH=1)
@@ -77,25 +70,20 @@ class GlDepthRanges:
 
     def of(self, image: GpuImage) -> DepthRanges:
         """Call within a `drawing` block."""
-        if self._image_size != image.inverse_depth.size:
-            self._image_size = image.inverse_depth.size
-            tiles = _tiles_of(self._image_size)
-            self._tiles, self._around, self._blocks = map(self._target, (tiles, tiles, _tiles_of(tiles)))
-        _draw(self._of_tiles, self._tiles, values=image.inverse_depth)
-        _draw(self._of_blocks, self._blocks, values=self._tiles.texture)
-        _draw(self._of_neighbours, self._around, ranges=self._tiles.texture)
-        return DepthRanges(self._around.texture, self._blocks.texture)
-
-    def _target(self, size: tuple[int, int]) -> _Target:
-        texture = self._context.target(size, 2, "f4")
-        return _Target(texture, self._context.framebuffer([texture]))
+        tiles = _tiles_of(image.inverse_depth.size)
+        sizes = {"tiles": tiles, "blocks": _tiles_of(tiles), "around": tiles}
+        of_tiles, of_blocks, around = (self._targets.get(name, size, (2, "f4")) for name, size in sizes.items())
+        _draw(self._of_tiles, of_tiles, values=image.inverse_depth)
+        _draw(self._of_blocks, of_blocks, values=of_tiles.textures[0])
+        _draw(self._of_neighbours, around, ranges=of_tiles.textures[0])
+        return DepthRanges(around.textures[0], of_blocks.textures[0])
 
 
 def _tiles_of(size: tuple[int, int]) -> tuple[int, int]:
     return -(-size[0] // TILE), -(-size[1] // TILE)
 
 
-def _draw(full_screen: gl.VertexArray, target: _Target, **textures: gl.Texture) -> None:
+def _draw(full_screen: gl.VertexArray, target: gl.Target, **textures: gl.Texture) -> None:
     target.framebuffer.use()
     gl.bind_textures(full_screen.program, **textures)
     full_screen.render(vertices=3)

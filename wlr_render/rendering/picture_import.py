@@ -1,7 +1,5 @@
 """Import of pictures that other programs rendered, as the GPU images that the warp reads."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,20 +11,13 @@ from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.stored_picture import DepthKind, Rows, StoredDepth, check_arrays
 
 
-@dataclass(frozen=True, eq=False)
-class _Targets:
-    framebuffer: gl.Framebuffer
-    colour: gl.Texture
-    inverse_depth: gl.Texture
-
-
 class PictureImport:
     """Converts other programs' pictures to GPU images; textures are reused, so each picture overwrites the last."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
         self._copy = FramebufferCopy(context)
-        self._targets: _Targets | None = None
+        self._targets = gl.TargetCache(context)
         self._uploads: dict[int, tuple[gl.Texture, gl.Texture]] = {}
         with context.drawing():
             self._import = context.full_screen("import_picture.frag")
@@ -96,8 +87,8 @@ class PictureImport:
     def _take(
         self, camera: Pinhole, colour: gl.Texture, depth: gl.Texture, stored: StoredDepth, rows: Rows
     ) -> GpuImage:
-        targets = self._targets_for((camera.width_px, camera.height_px))
-        targets.framebuffer.use()
+        target = self._targets.get("picture", (camera.width_px, camera.height_px), (4, "f1"), (1, "f4"))
+        target.framebuffer.use()
         program = self._import.program
         gl.bind_textures(program, stored_colour=colour, stored_depth=depth)
         gl.set_uniforms(
@@ -111,13 +102,7 @@ class PictureImport:
         self._import.render(vertices=3)
         for unit in range(2):
             self._sampler.clear(unit)
-        return GpuImage(self._context, camera, targets.colour, targets.inverse_depth)
-
-    def _targets_for(self, size: tuple[int, int]) -> _Targets:
-        if self._targets is None or self._targets.colour.size != size:
-            colour, inverse_depth = self._context.target(size, 4, "f1"), self._context.target(size, 1, "f4")
-            self._targets = _Targets(self._context.framebuffer([colour, inverse_depth]), colour, inverse_depth)
-        return self._targets
+        return GpuImage(self._context, camera, *target.textures)
 
     def _uploads_for(self, size: tuple[int, int], components: int) -> tuple[gl.Texture, gl.Texture]:
         old = self._uploads.get(components)

@@ -78,14 +78,14 @@ def open_raster_backend(scene: Scene, backend: str = "auto", materials: str = "o
         raise BadInputError("glTF materials need OpenGL: choose the backend egl or osmesa, or our own materials.")
     if backend != "cpu":
         try:
-            return _GlRasteriser(scene, backend, materials)
+            return _GlRasterBackend(scene, backend, materials)
         except MissingGlError:
             if backend != "auto" or materials == "gltf":
                 raise
-    return _CpuRasteriser(scene)
+    return EmbreeRaster(scene)
 
 
-class _GlRasteriser:
+class _GlRasterBackend:
     def __init__(self, scene: Scene, backend: str, materials: str) -> None:
         from wlr_render.rendering.gl import open_context
         from wlr_render.rendering.gl_warp import GlWarp
@@ -120,30 +120,6 @@ class _GlRasteriser:
         return _warped(warp, ray_maps, image.read() if with_geometry else None)
 
 
-class _CpuRasteriser:
-    backend = "cpu"
-
-    def __init__(self, scene: Scene) -> None:
-        self._background = _background_code(scene)
-        self._raster = EmbreeRaster(scene)
-
-    def draw(self, view: View) -> GeometryImage:
-        return self._raster.draw(view)
-
-    def draw_warped(
-        self, view: View, ray_maps: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
-    ) -> Warped:
-        from wlr_render.rendering.cpu_warp import warp_on_cpu
-
-        image = self._raster.draw(view)
-        moved = _image_from_rays(view, ray_maps[0])
-
-        def warp(slope_offsets: Sequence[Float32Array]) -> WarpedImage:
-            return warp_on_cpu(image, view.camera, slope_offsets, moved, self._background, samples_per_axis)
-
-        return _warped(warp, ray_maps, image if with_geometry else None)
-
-
 def _warped(
     warp: Callable[[Sequence[Float32Array]], WarpedImage],
     ray_maps: Sequence[RayMap],
@@ -168,10 +144,12 @@ def _background_code(scene: Scene) -> tuple[int, int, int]:
 
 
 class EmbreeRaster:
-    """Draws one scene from any view, as `gl_raster.GlRaster` does."""
+    """`RasterBackend` that draws one scene by ray tracing."""
+
+    backend = "cpu"
 
     def __init__(self, scene: Scene) -> None:
-        self._renderer = RayRenderer(scene)
+        self._renderer, self._background = RayRenderer(scene), _background_code(scene)
 
     def draw(self, view: View) -> GeometryImage:
         """Colour and inverse depth."""
@@ -179,6 +157,20 @@ class EmbreeRaster:
         traced = self._renderer.render_blocks(shape, lambda rows: _rays(view, rows))
         # The directions reach one metre along -z, so that the distance along them is the depth.
         return GeometryImage(traced.colour, np.reciprocal(traced.distance))
+
+    def draw_warped(
+        self, view: View, ray_maps: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False
+    ) -> Warped:
+        """See `RasterBackend`."""
+        from wlr_render.rendering.cpu_warp import warp_on_cpu
+
+        image = self.draw(view)
+        moved = _image_from_rays(view, ray_maps[0])
+
+        def warp(slope_offsets: Sequence[Float32Array]) -> WarpedImage:
+            return warp_on_cpu(image, view.camera, slope_offsets, moved, self._background, samples_per_axis)
+
+        return _warped(warp, ray_maps, image if with_geometry else None)
 
 
 def _rays(view: View, rows: slice) -> tuple[Float32Array, Float32Array]:

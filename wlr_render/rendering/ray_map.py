@@ -252,17 +252,17 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
     )
 
 
-def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005, samples: int = 150) -> RayMapPlan:
+def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005) -> RayMapPlan:
     """The least number of nodes that keeps the ray map within `tolerance_px` at the centre and corners of the eye box.
 
-    Judged on `samples` fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
+    Judged on 150 fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
     If no count reaches the tolerance the largest is taken: a map with kinks is not for interpolation, and
     `ray_map_error_px` says how far off it is.
     """
     panel, box = mappings.display.panel, mappings.eye_box
     rng = np.random.default_rng(20250102)
     corners = np.array([[u, v] for u in (1.0, panel.width_px - 0.5) for v in (1.0, panel.height_px - 0.5)])
-    pixel = np.concatenate([rng.uniform(1.0, panel.size_px - 0.5, (samples, 2)), corners])
+    pixel = np.concatenate([rng.uniform(1.0, panel.size_px - 0.5, (150, 2)), corners])
     viewpoints = [box.centre, box.at(np.array([1.0, 1.0, 1.0])), box.at(np.array([-1.0, -1.0, -1.0]))]
     axes = middle_axes(mappings)
     for count in NODE_COUNTS:

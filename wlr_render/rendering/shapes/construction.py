@@ -160,16 +160,17 @@ def box(size_m: Colour = (0.1, 0.1, 0.1), colour: Colour = (0.7, 0.7, 0.7)) -> M
 
 def sphere(radius_m: float = 0.05, colour: Colour = (0.7, 0.7, 0.7), segments: int = 64) -> Mesh:
     """A sphere, origin at its centre."""
-    return replace(_globe("sphere", radius_m, segments), base_colour=np.array(colour, np.float32))
+    return replace(globe("sphere", radius_m, segments), base_colour=np.array(colour, np.float32))
 
 
 def ball(radius_m: float = 0.06) -> Mesh:
     """A beach ball, origin at its centre."""
     skin = textures.stripes(("e4572e", "fdf6e3", "2e86ab", "fdf6e3", "f3a712", "fdf6e3"))
-    return replace(_globe("ball", radius_m, 64), texture=skin)
+    return replace(globe("ball", radius_m, 64), texture=skin)
 
 
-def _globe(name: str, radius: float, segments: int) -> Mesh:
+def globe(name: str, radius: float, segments: int) -> Mesh:
+    """A sphere about the origin, the top row of its texture at +y."""
     latitude = np.linspace(0.5 * np.pi, -0.5 * np.pi, segments // 2 + 1)
     longitude = np.linspace(0, 2 * np.pi, segments + 1)
     x = np.cos(latitude)[:, None] * np.sin(longitude)

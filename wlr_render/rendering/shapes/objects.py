@@ -166,18 +166,13 @@ def lamp(colour: Colour = (0.8, 0.4, 0.08)) -> Mesh:
     """A jointed desk lamp, about 0.45 m high, its head over +x."""
     joints = np.array([[0, 0.02, 0], [-0.1, 0.24, 0], [0.1, 0.43, 0]])
     arms = [tube("", np.linspace(joints[i], joints[i + 1], 3), 0.006) for i in (0, 1)]
-    knuckles = [moved(_ball(0.012), joint) for joint in joints]
+    knuckles = [moved(construction.globe("", 0.012, 24), joint) for joint in joints]
     base = revolved("", np.array([(0, 0.02), (0.075, 0.02), (0.08, 0.015), (0.08, 0), (0, 0)]))
     shade = np.array([(0, 0.07), (0.02, 0.068), (0.03, 0.05), (0.07, -0.02)])
     head = moved(turned(revolved("", shade, smooth=True), about_z=0.5), (0.12, 0.4, 0))
-    bulb = moved(_ball(0.026), (0.125, 0.392, 0))
+    bulb = moved(construction.globe("", 0.026, 24), (0.125, 0.392, 0))
     parts = [coloured(part, _METAL) for part in (*arms, *knuckles)]
     return merged("lamp", [*parts, coloured(base, colour), coloured(head, colour), coloured(bulb, (2.5, 2.3, 1.8))])
-
-
-def _ball(radius: float) -> Mesh:
-    latitude = np.linspace(0.5 * np.pi, -0.5 * np.pi, 13)
-    return revolved("", radius * np.stack([np.cos(latitude), np.sin(latitude)], axis=-1), 24, smooth=True)
 
 
 def plant(leaves: int = 26, height_m: float = 0.32) -> Mesh:
