@@ -5,16 +5,34 @@ report) follows from `perturb`.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
+from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
 
 Perturb = Callable[[Bench, FloatArray], Bench]
 """(bench, values of all parameters in their units) -> bench; the null values give the same bench back."""
+
+
+def turn(degrees: FloatArray) -> FloatArray:
+    """Rotation (3, 3) by angles (3,) in degrees about x, y and z, a rotation vector."""
+    return rotations_of_vectors(np.deg2rad(degrees))
+
+
+def changed(part: str, field: str, change: Callable[[Any, FloatArray], Any]) -> Perturb:
+    """A change of one field of one part of the bench: `change` maps its value and the parameters to the new value."""
+
+    def perturb(bench: Bench, values: FloatArray) -> Bench:
+        old = getattr(bench, part)
+        new = replace(old, **{field: change(getattr(old, field), values)})
+        return replace(bench, **{part: new})
+
+    return perturb
 
 
 class Role(Enum):

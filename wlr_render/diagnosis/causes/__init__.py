@@ -1,15 +1,8 @@
-"""All causes by name. A new cause is an entry in the tuple of its subject's file."""
+"""All causes by name. A new cause is an entry in the tuple of its subject."""
 
-from wlr_render.diagnosis.causes import camera, device, run_time, stage, target, tracking
+from wlr_render.diagnosis.causes.device import OPTICS, READOUT
+from wlr_render.diagnosis.causes.station import CAMERA, MOUNT, STAGE, TARGET
+from wlr_render.diagnosis.causes.tracking import RUN_TIME, TRACKING_CAMERA
 
-_IN_ORDER = (
-    *device.OPTICS,
-    *stage.STAGE,
-    *camera.CAUSES,
-    *target.CAUSES,
-    *tracking.CAUSES,
-    *stage.MOUNT,
-    *device.READOUT,
-    *run_time.CAUSES,
-)
+_IN_ORDER = (*OPTICS, *STAGE, *CAMERA, *TARGET, *TRACKING_CAMERA, *MOUNT, *READOUT, *RUN_TIME)
 CAUSES = {cause.name: cause for cause in _IN_ORDER}

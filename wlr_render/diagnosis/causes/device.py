@@ -1,86 +1,158 @@
-"""Causes in the headset: combiner, panel, media, and how the panel is read out."""
+"""Causes in the headset: combiner, panel, media, a plate before it, and how the panel is read out.
+
+Device frame, metres, radians unless said.
+"""
 
 from dataclasses import replace
+from functools import partial
+from typing import Literal
 
 import numpy as np
 
-from wlr_render.diagnosis.cause import Cause, Parameter, Role
-from wlr_render.diagnosis.causes.device_changes import (
-    combiner_middle,
-    combiner_shifted,
-    combiner_thickened,
-    combiner_turned,
-    index_shifted,
-    panel_moved,
-    panel_scaled,
-    plate_added,
-)
+from wlr_render.diagnosis.cause import Cause, Parameter, Role, changed, turn
+from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import (
+    ClearAperture,
+    EyeOptics,
+    Interaction,
+    Path,
+    PlacedPanel,
+    PlacedSurface,
+    Step,
+)
+from wlr_render.optics.media import AIR, FORMULAS, Medium
+from wlr_render.optics.surfaces import Conic, Offset
+from wlr_render.optics.tracer import trace
 from wlr_render.simulation.bench import Bench
 
 _UNITS = "spread (1.48 MAD) of 16 calibrated Project North Star units about their CAD"
+_PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
+_PLATE_APART = 0.05  # metres from one added plate to the next
+_PLATE_HALF_SIZE = 0.2  # metres
+_FORWARD = np.array([0.0, 0.0, -1.0])
+
+
+def _with_optics(bench: Bench, optics: EyeOptics) -> Bench:
+    """The bench with other optics before its eye."""
+    device = replace(bench.device, eyes={**bench.device.eyes, bench.eye: optics})
+    return replace(bench, device=device)
+
+
+def _combiner_middle(bench: Bench) -> FloatArray:
+    """Where the line of sight from the middle of the eye box meets the first surface, else its origin; (3,)."""
+    optics = bench.optics
+    if not optics.display.steps:
+        return optics.eye_box.centre
+    seen = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, bench.target_wavelength_um)
+    origin = optics.display.steps[0].surface.device_from_surface[:3, 3]
+    return np.where(np.isfinite(seen.origin), seen.origin, origin)
 
 
 def _combiner_turned(bench: Bench, tilt_deg: FloatArray) -> Bench:
-    return combiner_turned(bench, tilt_deg, combiner_middle(bench))
+    """All surfaces turned together about the combiner's middle by angles (3,) about x, y and z."""
+    rotation, pivot = turn(tilt_deg), _combiner_middle(bench)
+    return _surfaces_moved(bench, rigid(rotation, pivot - rotation @ pivot))
 
 
-def _combiner_shifted(bench: Bench, shift_mm: FloatArray) -> Bench:
-    return combiner_shifted(bench, 1e-3 * shift_mm)
+def _surfaces_moved(bench: Bench, moved_from_device: FloatArray) -> Bench:
+    def moved(surface: PlacedSurface) -> PlacedSurface:
+        return replace(surface, device_from_surface=moved_from_device @ surface.device_from_surface)
+
+    return _with_optics(bench, bench.optics.with_surfaces(moved))
 
 
-def _panel_shifted(bench: Bench, shift_mm: FloatArray) -> Bench:
-    return panel_moved(bench, shift=1e-3 * np.append(shift_mm, 0.0))
-
-
-def _panel_shifted_along_normal(bench: Bench, shift_mm: FloatArray) -> Bench:
-    return panel_moved(bench, shift=1e-3 * np.array([0.0, 0.0, shift_mm[0]]))
-
-
-def _panel_turned(bench: Bench, turn_deg: FloatArray) -> Bench:
-    return panel_moved(bench, turn=np.deg2rad(turn_deg))
+def _panel_moved(bench: Bench, panel_from_moved: FloatArray) -> Bench:
+    """The panel moved along its own axes."""
+    panel = bench.optics.panel
+    return _with_panel(bench, replace(panel, device_from_panel=panel.device_from_panel @ panel_from_moved))
 
 
 def _panel_scaled(bench: Bench, scale_percent: FloatArray) -> Bench:
-    return panel_scaled(bench, 1.0 + 1e-2 * float(scale_percent[0]))
+    panel = bench.optics.panel
+    return _with_panel(bench, replace(panel, size=panel.size * (1.0 + 1e-2 * float(scale_percent[0]))))
+
+
+def _with_panel(bench: Bench, panel: PlacedPanel) -> Bench:
+    return _with_optics(bench, replace(bench.optics, panel=panel))
 
 
 def _index_shifted(bench: Bench, index: FloatArray) -> Bench:
-    return index_shifted(bench, float(index[0]))
+    """All media but air with a larger index."""
+    return _with_optics(bench, bench.optics.with_media(lambda medium: medium.shifted(float(index[0]))))
 
 
-def _outer_along_axis(bench: Bench, thickness_mm: FloatArray) -> Bench:
-    return combiner_thickened(bench, 1e-3 * float(thickness_mm[0]), "outer", along_axis=True)
+def _combiner_thickened(
+    bench: Bench, thickness_mm: FloatArray, *, face: Literal["inner", "outer"], along_axis: bool = False
+) -> Bench:
+    """The first or last surface that the world is seen through moved so that what lies between is thicker.
+
+    It moves along its normals, or as a whole along the axis of its own frame, as the halves of a mould do.
+    """
+    steps, by = bench.optics.see_through.steps, 1e-3 * float(thickness_mm[0])
+    if len(steps) < 2:
+        return bench
+    chosen = steps[0 if face == "inner" else -1].surface
+    offset = _outward(bench, chosen, along_axis) * (-by if face == "inner" else by)
+
+    def thickened(surface: PlacedSurface) -> PlacedSurface:
+        if surface.name != chosen.name or offset == 0.0:
+            return surface
+        if along_axis:
+            along = rigid(np.eye(3), np.array([0.0, 0.0, offset]))
+            return replace(surface, device_from_surface=surface.device_from_surface @ along)
+        shape = surface.shape
+        if isinstance(shape, Offset):
+            return replace(surface, shape=replace(shape, distance=shape.distance + offset))
+        return replace(surface, shape=Offset(shape, offset))
+
+    return _with_optics(bench, bench.optics.with_surfaces(thickened))
 
 
-def _outer_along_normals(bench: Bench, thickness_mm: FloatArray) -> Bench:
-    return combiner_thickened(bench, 1e-3 * float(thickness_mm[0]), "outer")
+def _outward(bench: Bench, surface: PlacedSurface, along_axis: bool) -> float:
+    """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1."""
+    middle = _combiner_middle(bench)
+    pose = surface.surface_from_device
+    local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
+    normal = surface.shape.normal(local)[:, 0]
+    ahead = surface.device_from_surface[:3, :3] @ normal @ _FORWARD
+    return float(np.sign(ahead * normal[2] if along_axis else ahead)) or 1.0
 
 
-def _inner_along_normals(bench: Bench, thickness_mm: FloatArray) -> Bench:
-    return combiner_thickened(bench, 1e-3 * float(thickness_mm[0]), "inner")
+def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg: FloatArray) -> Bench:
+    """A plate of PMMA between the optics and the world, both its faces tilted about x and y, or the far one only.
+
+    A negative thickness stands for the opposite offset of rays, so that a fit may pass through zero.
+    """
+    if thickness == 0.0:
+        return bench
+    pmma = Medium("added_plate", FORMULAS["pmma_sultanova_2009"])
+    index = pmma.index(bench.target_wavelength_um)
+    medium = pmma if thickness > 0.0 else Medium.constant("added_plate", 1.0 / (2.0 - 1.0 / index))
+    near = _tilt(tilt_deg)
+    far = near @ _tilt(wedge_deg)
+    standing = sum(surface.name.startswith("added_plate") for surface in bench.optics.surfaces()) // 2
+    centre = bench.optics.eye_box.centre + (_PLATE_AHEAD + standing * _PLATE_APART) * _FORWARD
+    reach = _PLATE_HALF_SIZE * np.array([1.0, 1.0, np.inf])
+    aperture = ClearAperture(-reach, reach)
+    steps = []
+    number = len(bench.optics.surfaces())  # no name may be there twice
+    for side, rotation, along, into in (("near", near, 0.0, medium), ("far", far, abs(thickness), AIR)):
+        face = PlacedSurface(
+            f"added_plate_{number}_{side}", Conic(0.0), rigid(rotation, centre + along * near @ _FORWARD), aperture
+        )
+        steps.append(Step(face, Interaction.REFRACT, into))
+    path = Path(bench.optics.see_through.steps + tuple(steps))
+    return _with_optics(bench, replace(bench.optics, see_through=path))
 
 
-def _plate_tilted(bench: Bench, values: FloatArray) -> Bench:
-    return plate_added(bench, 1e-3 * float(values[0]), tilt_deg=values[1:])
+def _tilt(tilt_deg: FloatArray) -> FloatArray:
+    return rotation_about("x", np.deg2rad(tilt_deg[0])) @ rotation_about("y", np.deg2rad(tilt_deg[1]))
 
 
-def _plate_wedged(bench: Bench, values: FloatArray) -> Bench:
-    return plate_added(bench, 1e-3 * float(values[0]), wedge_deg=values[1:])
-
-
-def _colours_magnified(bench: Bench, scale_percent: FloatArray) -> Bench:
+def _colours_magnified(channel_scale: FloatArray, scale_percent: FloatArray) -> FloatArray:
     red, blue = 1e-2 * scale_percent
-    scale = bench.readout.channel_scale * (1.0 + np.array([red, 0.0, blue]))
-    return replace(bench, readout=replace(bench.readout, channel_scale=scale))
-
-
-def _panel_pixels_offset(bench: Bench, offset_px: FloatArray) -> Bench:
-    return replace(bench, readout=replace(bench.readout, origin_px=bench.readout.origin_px + offset_px))
-
-
-def _camera_pixels_offset(bench: Bench, offset_px: FloatArray) -> Bench:
-    return replace(bench, camera=replace(bench.camera, centre_px=bench.camera.centre_px + offset_px))
+    return channel_scale * (1.0 + np.array([red, 0.0, blue]))
 
 
 OPTICS = (
@@ -100,7 +172,7 @@ OPTICS = (
         tuple(Parameter(f"shift_{axis}", "mm", 1.5) for axis in "xyz"),
         source=f"{_UNITS}: 1.0, 2.0, 1.6 mm",
         separated_by="see-through captures of a near target, and display captures farther off the base plane",
-        variants={"as a whole": _combiner_shifted},
+        variants={"as a whole": lambda bench, mm: _surfaces_moved(bench, rigid(np.eye(3), 1e-3 * mm))},
     ),
     Cause(
         "panel_shift",
@@ -109,7 +181,7 @@ OPTICS = (
         tuple(Parameter(f"shift_{axis}", "mm", 1.0) for axis in "uv"),
         source=f"{_UNITS}: 0.7 and 2.5 mm",
         separated_by="a photograph of the bare panel against its frame; display captures farther off the base plane",
-        variants={"along u and v": _panel_shifted},
+        variants={"along u and v": lambda bench, mm: _panel_moved(bench, rigid(np.eye(3), 1e-3 * np.append(mm, 0.0)))},
     ),
     Cause(
         "panel_axial_shift",
@@ -118,7 +190,11 @@ OPTICS = (
         (Parameter("shift", "mm", 0.5),),
         source=f"{_UNITS}: 0.5 mm",
         separated_by="display captures over a deeper eye box: a magnified panel swims differently from a displaced one",
-        variants={"along the normal": _panel_shifted_along_normal},
+        variants={
+            "along the normal": lambda bench, mm: _panel_moved(
+                bench, rigid(np.eye(3), 1e-3 * np.array([0.0, 0.0, mm[0]]))
+            )
+        },
     ),
     Cause(
         "panel_rotation",
@@ -127,7 +203,7 @@ OPTICS = (
         (Parameter("about_u", "deg", 1.0), Parameter("about_v", "deg", 1.0), Parameter("roll", "deg", 1.0)),
         source=f"{_UNITS}: 1.3 to 2.4 deg of the normal",
         separated_by="a photograph of the bare panel against its frame",
-        variants={"about its centre": _panel_turned},
+        variants={"about its centre": lambda bench, deg: _panel_moved(bench, rigid(turn(deg), np.zeros(3)))},
     ),
     Cause(
         "panel_scale",
@@ -155,9 +231,9 @@ OPTICS = (
         source="usual tolerance of moulded plastic optics, 0.05 to 0.1 mm",
         separated_by="a calliper",
         variants={
-            "its outer face moves along its normals": _outer_along_normals,
-            "its outer face moves along its axis": _outer_along_axis,
-            "its inner face moves along its normals": _inner_along_normals,
+            "its outer face moves along its normals": partial(_combiner_thickened, face="outer"),
+            "its outer face moves along its axis": partial(_combiner_thickened, face="outer", along_axis=True),
+            "its inner face moves along its normals": partial(_combiner_thickened, face="inner"),
         },
     ),
     Cause(
@@ -172,8 +248,12 @@ OPTICS = (
         source="cover and prism plates of optical see-through headsets, 1 to 20 mm",
         separated_by="the target at more distances: the offset by a plate goes with 1 / distance, a lens's does not",
         variants={
-            "plane-parallel, tilted by the angles": _plate_tilted,
-            "facing the eye, a wedge of the angles": _plate_wedged,
+            "plane-parallel, tilted by the angles": lambda bench, v: _plate_added(
+                bench, 1e-3 * float(v[0]), v[1:], np.zeros(2)
+            ),
+            "facing the eye, a wedge of the angles": lambda bench, v: _plate_added(
+                bench, 1e-3 * float(v[0]), np.zeros(2), v[1:]
+            ),
         },
     ),
 )
@@ -185,7 +265,7 @@ READOUT = (
         (Parameter("red", "%", 0.3), Parameter("blue", "%", 0.3)),
         source="2.4 arcmin at 14 deg in a see-through headset, 20 arcmin at 44 deg in a lens of virtual reality",
         separated_by="captures in all three colours from the same positions",
-        variants={"about the panel's centre": _colours_magnified},
+        variants={"about the panel's centre": changed("readout", "channel_scale", _colours_magnified)},
     ),
     Cause(
         "pixel_origin",
@@ -194,7 +274,10 @@ READOUT = (
         (Parameter("offset_u", "px", 0.5), Parameter("offset_v", "px", 0.5)),
         source="conventions put the origin at the centre or at the corner of the first pixel",
         separated_by="a single lit pixel at a known place, decoded by the same software",
-        variants={"of the panel": _panel_pixels_offset, "of the camera": _camera_pixels_offset},
+        variants={
+            "of the panel": changed("readout", "origin_px", lambda old, px: old + px),
+            "of the camera": changed("camera", "centre_px", lambda old, px: old + px),
+        },
         whole_steps=0.5,
     ),
 )
