@@ -14,7 +14,7 @@ from browser import needs_browser, open_page
 from wlr_render import __version__
 from wlr_render.rendering.image_files import write_png
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
-from wlr_render.report.records import to_jsonable
+from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
 
 TABLE = ReportTable("Errors", ["name", "error (arcmin)"], [["a", 0.24321], ["b|<i>", np.nan], ["c", 3e-6]], ["A note."])
@@ -108,6 +108,13 @@ def test_records_become_json_by_their_fields():
     assert record == [{"path": "a/b", "verdict": "good"}, [None, True, 3], {"1": None}]
     with pytest.raises(TypeError, match="object"):
         to_jsonable(object())
+
+
+def test_numbers_of_a_list_share_a_line():
+    value = {"x": [1.0, 2.5], "y": [], "z": [{"a": ["[ b\n  c", "]"]}], "w": [[1, 2], [3, 4]]}
+    text = json_text(value)
+    assert json.loads(text) == value
+    assert '"x": [1.0, 2.5],' in text
 
 
 @needs_browser

@@ -4,6 +4,7 @@ import dataclasses
 import enum
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence, Set
 from pathlib import PurePath
 from typing import Any
@@ -48,5 +49,9 @@ def fields_of(record: Any) -> dict[str, Any]:
 
 
 def json_text(value: object) -> str:
-    """A record as indented JSON text that ends with a newline."""
-    return json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n"
+    """A record as indented JSON text that ends with a newline; lists of plain values stay on one line."""
+    text = json.dumps(to_jsonable(value), indent=2, allow_nan=False)
+    return _PLAIN_LIST.sub(lambda found: "[" + re.sub(r"\n\s+", " ", found[1]) + "]", text) + "\n"
+
+
+_PLAIN_LIST = re.compile(r"\[\n\s+([^][{}]*?)\n\s+\]")

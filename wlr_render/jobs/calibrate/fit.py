@@ -60,10 +60,9 @@ def fit_sentence(fit: EyeFit) -> str:
     parts = []
     for name, report in _reports(fit):
         held_out = report.held_out_at_degree()
-        predicted = f", {held_out.rms:.3g} arcmin at held-out camera positions" if held_out else ""
-        residual = report.residual_arcmin.rms
-        parts.append(f"{name} N={report.degree} leaves {residual:.3g} arcmin rms{predicted}")
-    return f"The {fit.mappings.eye} eye's {'; '.join(parts)}."
+        predicted = f" ({held_out.rms:.3g}' at held-out camera positions)" if held_out else ""
+        parts.append(f"{name} residual {report.residual_arcmin.rms:.3g}' rms{predicted} with N={report.degree}")
+    return f"{fit.mappings.eye.capitalize()} eye: {'; '.join(parts)}."
 
 
 def fit_blocks(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[str] = ()) -> list[Block]:

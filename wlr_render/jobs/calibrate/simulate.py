@@ -62,7 +62,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
         errors = truth_errors(fit.mappings, truth, options.seed)
         fits.append(fit)
         direction = errors["direction of a pixel (arcmin)"].rms
-        sentences.append(f"{fit_sentence(fit)} Against the traced device: {direction:.3g} arcmin rms.")
+        sentences.append(f"{fit_sentence(fit)} Display error against the traced device: {direction:.3g}' rms.")
         blocks += [Section(f"The {eye} eye"), *fit_blocks(fit, captures[eye]), _truth_table(errors)]
     folder = output_folder(options.out)
     model, notes = save_models(folder, fits)
