@@ -75,7 +75,9 @@ def _outliers(
 ) -> list[CaptureOutlier]:
     """Remove suspects one by one, since each biases the prediction of the others; then test them against the rest."""
     names = [int(name) for name in np.unique(group)]
-    rows = np.concatenate([_spread(np.flatnonzero(group == name)) for name in names])
+    rows = np.concatenate(
+        [own[:: max(1, len(own) // _ROWS)] for own in (np.flatnonzero(group == name) for name in names)]
+    )
     thinned, of = select(captures, rows), group[rows]
     suspects: list[int] = []
     while len(suspects) <= _MOST * len(names):
@@ -114,10 +116,6 @@ def _degree(places: int) -> int:
     """The highest degree that so many places determine with some to spare; 0 if none."""
     fit = [degree for degree in range(1, _TOP_DEGREE + 1) if _SPARE * term_count(2, degree) <= places]
     return fit[-1] if fit else 0
-
-
-def _spread(rows: IntArray) -> IntArray:
-    return rows[:: max(1, len(rows) // _ROWS)]
 
 
 def dot_inliers(captures: SeeThroughCaptures, photograph: NDArray[np.int64]) -> BoolArray:

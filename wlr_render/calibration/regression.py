@@ -126,7 +126,9 @@ def fit(regression: Regression, degree: int | None) -> Fitted:
     Raises:
         RankDeficientError: the samples do not determine the coefficients (with no degree given: not even of degree 1).
     """
-    box = _grown(Box.around(regression.inputs))
+    box = Box.around(regression.inputs)
+    margin = _BOX_MARGIN * (box.high - box.low)
+    box = Box(box.low - margin, box.high + margin)
     top = _highest_degree(regression) if degree is None else degree
     folds = [_compressed(regression, rows, top, box) for rows in _fold_rows(regression.group)]
     tried = range(1, top + 1) if degree is None else [degree]
@@ -138,11 +140,6 @@ def fit(regression: Regression, degree: int | None) -> Fitted:
     chosen = _lowest_good(cross_validated()) if degree is None else degree
     solution = _solved(regression, folds, top, chosen)
     return Fitted(_polynomial(regression, box, chosen, solution), solution.condition, cross_validated)
-
-
-def _grown(box: Box) -> Box:
-    margin = _BOX_MARGIN * (box.high - box.low)
-    return Box(box.low - margin, box.high + margin)
 
 
 def _highest_degree(regression: Regression) -> int:

@@ -1,6 +1,7 @@
 """Read device prescriptions (format: devices/README.md). Converts millimetres and degrees to metres and radians."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -83,23 +84,11 @@ def axes(table: Table, first: str, second: str) -> FloatArray:
     return np.stack([a, b, np.cross(a, b)], axis=1)
 
 
-def _conic(table: Table) -> Shape:
-    return Conic(1.0 / (MM * nonzero(table, "radius_mm")), table.number("conic", default=0.0))
-
-
-def _plane(_: Table) -> Shape:
-    return Conic(0.0)
-
-
 def _ellipsoid(table: Table) -> Shape:
     semi_axes = MM * table.vector("semi_axes_mm", 3)
     if not np.all(semi_axes > 0):
         raise table.fail("'semi_axes_mm' must be positive.")
     return Ellipsoid(semi_axes)
-
-
-def _toroid(table: Table) -> Shape:
-    return Toroid(MM * nonzero(table, "radius_x_mm"), MM * nonzero(table, "radius_y_mm"))
 
 
 def _xy_polynomial(table: Table) -> Shape:
@@ -139,11 +128,11 @@ def _anamorphic(table: Table) -> Shape:
     return AnamorphicAsphere((curvature[0], curvature[1]), (conic[0], conic[1]), tuple(terms))
 
 
-_SHAPES = {
-    "plane": _plane,
-    "conic": _conic,
+_SHAPES: dict[str, Callable[[Table], Shape]] = {
+    "plane": lambda _: Conic(0.0),
+    "conic": lambda table: Conic(1.0 / (MM * nonzero(table, "radius_mm")), table.number("conic", default=0.0)),
     "ellipsoid": _ellipsoid,
-    "toroid": _toroid,
+    "toroid": lambda table: Toroid(MM * nonzero(table, "radius_x_mm"), MM * nonzero(table, "radius_y_mm")),
     "xy_polynomial": _xy_polynomial,
     "anamorphic": _anamorphic,
 }

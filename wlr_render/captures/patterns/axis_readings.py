@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
-from wlr_render.captures.patterns.neighbours import agrees_with_neighbours, typical_step
 from wlr_render.captures.patterns.photometry import Grey, PanelLight
 from wlr_render.captures.photographs import Photograph
+from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
+
+Mask = NDArray[np.bool_]
+Slices = tuple[slice, slice]
 
 WINDOW = 3
 """Width of the window, camera pixels."""
@@ -34,6 +37,8 @@ _OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = (
 )  # an outlier lies off its neighbours by more than all of these
 _VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
+_NEEDED = 3  # neighbours that agree; fewer at the border of the picture
+_FEW = 400  # pairs that say nothing about the order of photographs
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +91,6 @@ def _sum(image: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatAr
     return np.asarray(cv2.sepFilter2D(image, -1, along_x, along_y, borderType=cv2.BORDER_CONSTANT))
 
 
-Mask = NDArray[np.bool_]
-
-
 @dataclass(frozen=True, eq=False)
 class AxisReading:
     """Decoded positions along one axis, each camera pixel by itself; all (h, w).
@@ -135,8 +137,8 @@ def combine_axes(
     variance = relative * np.mean([reading.noise_gain for reading in readings], axis=0)
     rejection = _rejected_alone(readings, light, peak, np.sqrt(relative), options, panel)
     alone = rejection == Rejection.ACCEPTED
-    step = typical_step(position, alone)
-    valid = alone & agrees_with_neighbours(position, alone, step)
+    step = _typical_step(position, alone)
+    valid = alone & _agrees_with_neighbours(position, alone, step)
     outlier = np.maximum(max(_OUTLIER_PX, _OUTLIER_STEPS * step), _OUTLIER_SIGMAS * np.sqrt(variance))
     valid &= np.all(np.abs(fit_planes(position, valid).value - position) <= outlier, axis=0)
     rejection[alone & ~valid] = Rejection.ISOLATED
@@ -199,3 +201,54 @@ def _pixel_structure(fit: LocalFit) -> FloatArray:
             left = np.sinc(n * WINDOW * slope[0]) * np.sinc(n * WINDOW * slope[1])
             variance += 0.25 * (left / (np.pi * n)) ** 2
     return variance
+
+
+def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
+    """Slices of a picture and of the neighbours at (dx, dy) of its pixels; dx is -1, 0 or 1, dy is 0 or 1."""
+    here, there = {0: (slice(None), slice(None)), 1: (slice(None, -1), slice(1, None))}[abs(dx)][
+        :: 1 if dx >= 0 else -1
+    ]
+    above, below = {0: (slice(None), slice(None)), 1: (slice(None, -1), slice(1, None))}[dy]
+    return (above, here), (below, there)
+
+
+def _typical_step(position: FloatArray, valid: Mask) -> float:
+    """Median over neighbours, side by side, of how far they lie apart on the panel, in panel pixels; 0 for no pairs.
+
+    Args:
+        position: (2, h, w).
+        valid: (h, w) which count.
+    """
+    steps = []
+    for offset in ((1, 0), (0, 1)):
+        here, there = neighbour_slices(*offset)
+        apart = np.abs(position[:, *there] - position[:, *here]).max(axis=0)
+        steps.append(apart[valid[here] & valid[there]])
+    found = np.concatenate(steps)
+    return float(np.median(found)) if found.size else 0.0
+
+
+def _agrees_with_neighbours(position: FloatArray, valid: Mask, step: float) -> Mask:
+    """(h, w) where at least three neighbours, and half of the valid ones, lie about one step away at most.
+
+    Raises:
+        BadInputError: most neighbours of most pixels lie elsewhere.
+    """
+    tolerance = 1 + 3 * step
+    there_are, agreeing, present = (np.zeros(valid.shape, dtype=np.uint8) for _ in range(3))
+    for offset in ((1, 0), (0, 1), (1, 1), (-1, 1)):  # each pair of neighbours once
+        here, there = neighbour_slices(*offset)
+        both = valid[here] & valid[there]
+        agree = both & np.all(np.abs(position[:, *there] - position[:, *here]) <= tolerance, axis=0)
+        for side in (here, there):
+            there_are[side] += 1
+            present[side] += both
+            agreeing[side] += agree
+    pairs = int(present.sum())
+    share = int(agreeing.sum()) / max(pairs, 1)
+    if pairs >= _FEW and share < 0.5:
+        raise BadInputError(
+            f"Neighbouring pixels contradict each other in {1 - share:.0%} of what was decoded: the photographs are "
+            "not in the order of showing, the camera moved between them, or they show another code or panel size."
+        )
+    return (agreeing >= np.minimum(_NEEDED, there_are)) & (2 * agreeing >= present)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
-from wlr_render.captures.patterns.neighbours import neighbour_slices
+from wlr_render.captures.patterns.axis_readings import neighbour_slices
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.patterns.photometry import (
     Grey,

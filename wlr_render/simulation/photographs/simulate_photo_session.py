@@ -5,6 +5,7 @@ take more photographs on the same bench. Calibration never opens it.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -116,36 +117,18 @@ def _poses(
     def camera_at(stage: FloatArray) -> FloatArray:
         return bench.camera_at(stage + rng.normal(0.0, 1e-6 * stage_error_um, 3))
 
+    pose = partial(CameraPose, board=bench.board, seed=seed, eye=bench.eye)
+    eyeball = partial(pose, bench.eyeball, bench.eyeball_sensor)
+    tracking = partial(pose, bench.tracking, bench.tracking_sensor, optics=None)
     for number, stage in enumerate(plan.sweep):
         boards = [_on_bench(each, bench) for each in session.see_through if np.array_equal(each.stage, stage)]
-        panels = (PanelShots(session.display[number].folder, session.pattern),)
-        yield _eyeball(bench, camera_at(stage), tuple(boards), panels, seed, through=True)
+        panels = [PanelShots(session.display[number].folder, session.pattern)]
+        yield eyeball(camera_at(stage), bench.optics, boards=boards, panels=panels)
     for each in session.bare:
-        yield _eyeball(bench, camera_at(each.stage), (_on_bench(each, bench),), (), seed, through=False)
-    eyeball_shots = _shots(session.eyeball_camera, plan.eyeball_boards)
-    yield _eyeball(bench, np.eye(4), eyeball_shots, (), seed, through=False)
-    tracked = tuple(_on_bench(each, bench) for each in session.tracking)
-    for pose, shots in (
-        (bench.device_from_tracking, tracked),
-        (np.eye(4), _shots(session.tracking_camera, plan.tracking_boards)),
-    ):
-        yield CameraPose(
-            bench.tracking, bench.tracking_sensor, pose, None, bench.board, shots, seed=seed, eye=bench.eye
-        )
-
-
-def _eyeball(
-    bench: PhotoBench,
-    frame_from_camera: FloatArray,
-    boards: tuple[BoardShot, ...],
-    panels: tuple[PanelShots, ...],
-    seed: int,
-    through: bool,
-) -> CameraPose:
-    optics = bench.optics if through else None
-    return CameraPose(
-        bench.eyeball, bench.eyeball_sensor, frame_from_camera, optics, bench.board, boards, panels, seed, bench.eye
-    )
+        yield eyeball(camera_at(each.stage), None, boards=[_on_bench(each, bench)])
+    yield eyeball(np.eye(4), None, boards=_shots(session.eyeball_camera, plan.eyeball_boards))
+    yield tracking(bench.device_from_tracking, boards=[_on_bench(each, bench) for each in session.tracking])
+    yield tracking(np.eye(4), boards=_shots(session.tracking_camera, plan.tracking_boards))
 
 
 def _on_bench(photograph: BoardPhotograph, bench: PhotoBench) -> BoardShot:
