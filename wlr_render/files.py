@@ -7,6 +7,7 @@ renamed: readers never find a partial file, and a full disk or a failed run leav
 import contextlib
 import difflib
 import io
+import json
 import math
 import os
 import re
@@ -246,6 +247,13 @@ class Table:
             return default
         return self._number(self._get(key), key)
 
+    def whole(self, key: str, least: int = 0) -> int:
+        """A whole number of `least` or more."""
+        value = self.number(key)
+        if value < least or value != int(value):
+            raise self.fail(f"'{key}' must be a whole number of {least} or more, not {value:g}.")
+        return int(value)
+
     def _number(self, value: Any, key: str) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.fail(f"'{key}' must be a number, not {value!r}.")
@@ -291,6 +299,10 @@ class Table:
             raise self.fail(f"'{key}' must be an array of tables, written [[{key}]].")
         return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
 
+    def unchecked(self, key: str) -> Any:
+        """A value of any type; None if it is absent."""
+        return self._get(key) if self.has(key) else None
+
     def free(self, key: str) -> dict[str, Any]:
         """A sub-table whose content is not checked; empty if it is absent."""
         value = self._get(key) if self.has(key) else {}
@@ -318,6 +330,24 @@ class Table:
                 close = difflib.get_close_matches(key, sorted(self._read | self._asked_for), 1)
                 remedy = f"did you mean '{close[0]}'?" if close else "remove it."
                 raise self.fail(f"unknown key '{key}'; {remedy}")
+
+
+def read_json(path: str | Path, kind: str, remedy: str = "write it again") -> Table:
+    """Open a JSON file as a `Table`.
+
+    Raises:
+        BadInputError: the file cannot be read or is not a JSON object; the sentence says that it is not `kind`, and
+            the remedy.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror}); {remedy}.") from error
+    except ValueError as error:
+        raise BadInputError(f"{path}: is not {kind}, or is cut short ({error}); {remedy}.") from error
+    if not isinstance(content, dict):
+        raise BadInputError(f"{path}: is not {kind} (its JSON is not an object); {remedy}.")
+    return Table(content, str(path))
 
 
 def read_toml(path: str | Path) -> Table:

@@ -13,7 +13,7 @@ import numpy as np
 from wlr_render.calibration.poses import Pose
 from wlr_render.calibration.station import Station
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, write_text
+from wlr_render.files import Table, read_json, write_text
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
@@ -99,13 +99,7 @@ def load_station(path: str | Path) -> SavedStation:
     Raises:
         BadInputError: there is none, or it is of another kind.
     """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}); `calibrate photos` writes it.") from error
-    except ValueError as error:
-        raise BadInputError(f"{path}: is not valid JSON ({error}).") from error
-    table = Table(content if isinstance(content, dict) else {}, str(path))
+    table = read_json(path, "a station file", "`calibrate photos` writes it")
     table.text("format", choices=[FORMAT])
     if table.number("version") != VERSION:
         raise table.fail(f"has another version than {VERSION}; write it again.")
@@ -116,12 +110,13 @@ def load_station(path: str | Path) -> SavedStation:
         table.vectors("device_from_tracking", 4),
         stage.vector("reference_m", 3),
         stage.table("device_from_camera").vectors("matrix", 4),
-        _axes(stage, content["stage"].get("axes_in_device")),
+        _axes(stage),
     )
 
 
-def _axes(stage: Table, columns: Any) -> FloatArray:
+def _axes(stage: Table) -> FloatArray:
     """Of axes that were never moved the file has null."""
+    columns = stage.unchecked("axes_in_device")
     try:
         axes = np.array([[np.nan] * 3 if column is None else column for column in columns], dtype=np.float64)
     except (TypeError, ValueError):

@@ -62,7 +62,7 @@ def load_captures(path: str | Path) -> EyeCaptures:
     panel = header.table("panel")
     common = {"device": header.text("device"), "eye": header.text("eye")}
     display_parts = _parts("display", DisplayCaptures, arrays, path) | common
-    display_parts["panel"] = Panel(int(panel.number("width_px")), int(panel.number("height_px")))
+    display_parts["panel"] = Panel(panel.whole("width_px", 1), panel.whole("height_px", 1))
     display_parts["eye_box"] = _box(header.table("eye_box"))
     try:
         display = DisplayCaptures(**display_parts)

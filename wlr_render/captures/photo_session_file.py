@@ -75,11 +75,11 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
 
 def _pattern(file: Table) -> tuple[Pattern, dict[str, float]]:
     size = file.table("panel")
-    panel = Panel(_count(size, "width_px"), _count(size, "height_px"))
+    panel = Panel(size.whole("width_px", 1), size.whole("height_px", 1))
     size.finish()
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
-    numbers = {key: _count(table, key) for key in pattern_keys(name) if table.has(key)}
+    numbers = {key: table.whole(key, 1) for key in pattern_keys(name) if table.has(key)}
     decoding = {key: table.number(key) for key in ("min_contrast", "min_confidence") if table.has(key)}
     table.finish()
     try:
@@ -109,7 +109,7 @@ def _tracking_camera(file: Table, root: Path, axes: FloatArray) -> tuple[Session
 
 
 def _camera(table: Table, root: Path) -> SessionCamera:
-    size, bits = (_count(table, "width_px"), _count(table, "height_px")), _count(table, "bits")
+    size, bits = (table.whole("width_px", 1), table.whole("height_px", 1)), table.whole("bits", 1)
     if not 8 <= bits <= 16:
         raise table.fail(f"'bits' is {bits}; it must be 8 to 16.")
     if table.has("intrinsics") == table.has("focal_px"):
@@ -126,7 +126,7 @@ def _camera(table: Table, root: Path) -> SessionCamera:
 
 
 def _board_photograph(table: Table, root: Path, axes: FloatArray, on_stage: bool = True) -> BoardPhotograph:
-    name, pose = str(Path(table.text("photograph"))), _count(table, "target_pose", least=0)
+    name, pose = str(Path(table.text("photograph"))), table.whole("target_pose")
     stage = _stage(table, axes) if on_stage else np.zeros(3)
     table.finish()
     return BoardPhotograph(root, name, pose, stage)
@@ -140,13 +140,6 @@ def _code_set(table: Table, root: Path, axes: FloatArray) -> CodeSet:
 
 def _stage(table: Table, axes: FloatArray) -> FloatArray:
     return np.asarray(_MM * axes @ table.vector("stage_mm", 3))
-
-
-def _count(table: Table, key: str, least: int = 1) -> int:
-    value = table.number(key)
-    if value < least or value != int(value):
-        raise table.fail(f"'{key}' is {value:g}; it must be a whole number of {least} or more.")
-    return int(value)
 
 
 def _check_range(table: Table, key: str, value: FloatArray | float, limits: tuple[float, float]) -> None:

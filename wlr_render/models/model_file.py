@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, write_text
+from wlr_render.files import Table, read_json, write_text
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, EyeMappings, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
@@ -134,7 +134,7 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
     Raises:
         BadInputError: the file cannot be read, is truncated, has another format or version, or lacks a key.
     """
-    table = Table(_read_json(path), str(path))
+    table = read_json(path, "a model file")
     version = _check_header(table)
     device = table.text("device")
     eyes = [table] if version == 1 else table.tables("eyes")
@@ -171,18 +171,6 @@ def _eye_model(table: Table, device: str) -> EyeModel:
     )
     report = table.free("report")
     return EyeModel(mappings, device, report)
-
-
-def _read_json(path: str | Path) -> dict[str, Any]:
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{path}: is not a model file, or is cut short ({error}); write it again.") from error
-    if not isinstance(content, dict):
-        raise BadInputError(f"{path}: is not a model file (its JSON is not an object).")
-    return content
 
 
 def _check_header(table: Table) -> int:
@@ -237,7 +225,7 @@ def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox) -> Any:
 def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomial:
     part: Panel | BasePlane | Polynomial
     if name == "panel":
-        part = Panel(_whole(table, "width_px"), _whole(table, "height_px"))
+        part = Panel(table.whole("width_px"), table.whole("height_px"))
     elif name == "base_plane":
         part = BasePlane(table.number("z_m"))
     else:
@@ -247,7 +235,7 @@ def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomi
 
 
 def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
-    degree = _whole(table, "degree")
+    degree = table.whole("degree")
     box = Box(table.vector("low", variables), table.vector("high", variables))
     if not np.all(box.low < box.high):
         raise table.fail("'low' must be less than 'high' on every axis.")
@@ -259,10 +247,3 @@ def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
     if not np.array_equal(orders, exponents(variables, degree)):
         raise table.fail(f"'terms' must be all those of total degree up to {degree}, ordered by it and by 'orders'.")
     return Polynomial(degree, box, np.array([term.vector("values", outputs) for term in terms]))
-
-
-def _whole(table: Table, key: str) -> int:
-    value = table.number(key)
-    if value != int(value) or value < 0:
-        raise table.fail(f"'{key}' must be a whole number from 0, not {value}.")
-    return int(value)
