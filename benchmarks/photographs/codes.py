@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.intervals import INTERVAL, interval_percent
 from wlr_render.captures.decoded import Decoded
-from wlr_render.captures.patterns import PATTERNS, make_pattern
+from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.captures.photographs import photographs_in, read_each, write_photograph
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns import make_pattern
+from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
 from wlr_render.captures.photographs import write_photograph

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.patterns import make_pattern
+from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photographs import photographs_in, read_photograph
 from wlr_render.captures.targets.board_design import design_board
 from wlr_render.captures.targets.board_file import load_board

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns import PATTERNS, make_pattern, pattern_keys
+from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photographs import photographs_in

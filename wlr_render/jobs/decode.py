@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
 from wlr_render.captures.importers.procam_graycode import read_procam_graycode
-from wlr_render.captures.patterns import make_pattern
+from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_strengths
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.patterns.pattern import Pattern

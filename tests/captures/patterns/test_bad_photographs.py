@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
-from wlr_render.captures.patterns import PATTERNS, make_pattern
+from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import DecodeOptions, Rejection
-from wlr_render.captures.patterns import PATTERNS, make_pattern
+from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.mappings import Panel
 
 PANEL = Panel(221, 175)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wlr_render.captures.patterns import PATTERNS, make_pattern
+from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.mappings import Panel
 
 # Pictures have 8 bits: a fringe of 16 px rounds to about 16 / (2 pi) * 1 / 127 px.

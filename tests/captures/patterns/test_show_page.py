@@ -5,7 +5,7 @@ import re
 import cv2
 import numpy as np
 
-from wlr_render.captures.patterns import make_pattern
+from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import write_show_page
 from wlr_render.captures.photographs import photographs_in, read_each
 from wlr_render.mappings import Panel

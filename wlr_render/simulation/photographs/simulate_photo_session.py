@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns import make_pattern
+from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
