@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.scene_source import SceneSource
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.evaluation.disocclusion import hidden_from
 from wlr_render.evaluation.metrics import summary
-from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
+from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
@@ -160,3 +160,29 @@ def _in_device(row_poses: FloatArray, position: NDArray[np.floating]) -> FloatAr
     """World points (rows, columns, 3) as they lie before the headset when their row lights up."""
     rotation, translation = row_poses[:, :3, :3], row_poses[:, None, :3, 3]
     return np.asarray(np.matmul(position - translation, rotation))
+
+
+EDGE_STEP = 0.02
+"""Relative difference of inverse distance between neighbouring pixels from which they belong to different surfaces."""
+
+
+def near_silhouettes(
+    position: NDArray[np.floating], eye_in_world: NDArray[np.float64], reach_px: int
+) -> NDArray[np.bool_]:
+    """Mask of pixels near edges between surfaces at different distances.
+
+    Args:
+        position: (height, width, 3) world points that a frame shows, NaN where nothing.
+        eye_in_world: (3,) the viewpoint.
+        reach_px: distance from the edge, along rows and columns.
+
+    Returns:
+        (height, width). Neighbours belong to different surfaces if their inverse distances differ by more than
+        `EDGE_STEP` of the larger; background is at infinity.
+    """
+    distance = np.linalg.norm(np.asarray(position, np.float64) - eye_in_world, axis=-1)
+    nearness = np.where(np.isfinite(distance), 1.0 / distance, 0.0).astype(np.float32)
+    square = np.ones((3, 3), np.uint8)
+    low, high = np.asarray(cv2.erode(nearness, square)), np.asarray(cv2.dilate(nearness, square))
+    edge = (high - low > EDGE_STEP * high).astype(np.uint8)
+    return np.asarray(cv2.dilate(edge, np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8))) > 0

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.scene_source import SceneSource
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
 from wlr_render.compositing.backend import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.eye_camera import EyeCamera
-from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl

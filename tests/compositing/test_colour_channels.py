@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from composing import CONTEXTS, HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
 
-from wlr_render.compositing.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.rendering.ray_tracing import RayRenderer
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from composing import HEAD, SMALL, draw, scene, viewpoint
 
-from wlr_render.compositing.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.rendering.native_contexts import OsMesaContext
 

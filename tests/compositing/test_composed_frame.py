@@ -5,7 +5,7 @@ import pytest
 from composing import CONTEXTS, HEAD, SMALL, clear_of_edges, draw, misplaced_arcmin, planar, scene, traced, viewpoint
 from gl_scenes import at
 
-from wlr_render.compositing.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.rendering.ray_tracing import RayRenderer
 

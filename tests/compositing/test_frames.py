@@ -11,8 +11,8 @@ from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 from gl_caller import Caller
 from gl_scenes import at
 
+from benchmarks.scene_source import SceneSource
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
 

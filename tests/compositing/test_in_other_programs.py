@@ -8,8 +8,8 @@ import pytest
 from composing import HEAD, SMALL, draw, scene, viewpoint
 from gl_caller import assert_same, run
 
+from benchmarks.scene_source import SceneSource
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 
 pytestmark = pytest.mark.gl

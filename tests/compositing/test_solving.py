@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 
-from wlr_render.compositing.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.mappings import QueryResult, Status
 from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, CpuPixelSolver

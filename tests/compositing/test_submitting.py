@@ -7,7 +7,7 @@ import pytest
 from composing import CONTEXTS, HEAD, draw, scene, viewpoint
 from gl_scenes import at
 
-from wlr_render.compositing.scene_source import SceneSource
+from benchmarks.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.gl_raster import GlRaster

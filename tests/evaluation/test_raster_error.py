@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.evaluation.raster_error import near_silhouettes, raster_error
+from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.view import View
@@ -57,17 +57,3 @@ def test_angles_are_those_at_the_eye_wherever_the_image_was_drawn_from(view):
         raster_error(points, shifted, place).registration_arcmin[40, 50] for place in (eye, view.viewpoint_in_world)
     )
     np.testing.assert_allclose([at_eye, at_camera], [1e-3 / directions.ARCMIN, 0.5e-3 / directions.ARCMIN], rtol=1e-3)
-
-
-def test_silhouettes_are_where_distance_jumps_and_not_where_it_slopes(view):
-    depth = np.full((80, 100, 1), 2.0)
-    depth[:, :40] = 1.0
-    depth *= np.linspace(1.0, 1.2, 80)[:, None, None]  # a slope of a fifth of a percent per row
-    points = points_at(view, depth)
-    points[:10] = np.nan
-    near = near_silhouettes(points, view.viewpoint_in_world, 2)
-    expected = np.zeros((80, 100), bool)
-    expected[:, 37:43] = True  # the two columns at the edge, and two more on each side
-    expected[:10] = False
-    expected[7:13] = True
-    np.testing.assert_array_equal(near, expected)

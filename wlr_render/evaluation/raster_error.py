@@ -5,14 +5,10 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import directions
-
-EDGE_STEP = 0.02
-"""Relative difference of inverse distance between neighbouring pixels from which they belong to different surfaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,25 +43,3 @@ def raster_error(
         directions.normalised(warped[both] - eye_in_world), directions.normalised(traced[both] - eye_in_world)
     )
     return RasterError(angle, has_warped != has_traced)
-
-
-def near_silhouettes(
-    position: NDArray[np.floating], eye_in_world: NDArray[np.float64], reach_px: int
-) -> NDArray[np.bool_]:
-    """Mask of pixels near edges between surfaces at different distances.
-
-    Args:
-        position: (height, width, 3) world points that a frame shows, NaN where nothing.
-        eye_in_world: (3,) the viewpoint.
-        reach_px: distance from the edge, along rows and columns.
-
-    Returns:
-        (height, width). Neighbours belong to different surfaces if their inverse distances differ by more than
-        `EDGE_STEP` of the larger; background is at infinity.
-    """
-    distance = np.linalg.norm(np.asarray(position, np.float64) - eye_in_world, axis=-1)
-    nearness = np.where(np.isfinite(distance), 1.0 / distance, 0.0).astype(np.float32)
-    square = np.ones((3, 3), np.uint8)
-    low, high = np.asarray(cv2.erode(nearness, square)), np.asarray(cv2.dilate(nearness, square))
-    edge = (high - low > EDGE_STEP * high).astype(np.uint8)
-    return np.asarray(cv2.dilate(edge, np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8))) > 0

@@ -210,21 +210,23 @@ class GlContext:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class RenderTarget:
     """A framebuffer and its textures, in the order of the shader's outputs."""
 
     framebuffer: Framebuffer
     textures: tuple[Texture, ...]
 
 
-class TargetCache:
+class RenderTargets:
     """Targets by name; a target is made once for each size, and the next drawing overwrites it."""
 
     def __init__(self, context: GlContext) -> None:
         self._context = context
-        self._targets: dict[str, Target] = {}
+        self._targets: dict[str, RenderTarget] = {}
 
-    def get(self, name: str, size: tuple[int, int], *formats: tuple[int, str], with_depth: bool = False) -> Target:
+    def get(
+        self, name: str, size: tuple[int, int], *formats: tuple[int, str], with_depth: bool = False
+    ) -> RenderTarget:
         """The target of a name and size (width, height).
 
         Args:
@@ -237,7 +239,7 @@ class TargetCache:
         if target is None or target.framebuffer.size != size:
             textures = [self._context.target(size, *each) for each in formats]
             depth = self._context.depth_target(size) if with_depth else None
-            target = self._targets[name] = Target(self._context.framebuffer(textures, depth), tuple(textures))
+            target = self._targets[name] = RenderTarget(self._context.framebuffer(textures, depth), tuple(textures))
         return target
 
 

@@ -27,7 +27,7 @@ class GlRaster:
         self._scene = scene
         self._lamps = [light for light in scene.lights if light.kind == "point"]
         self._suns = [light for light in scene.lights if light.kind == "directional"]
-        self._targets = gl.TargetCache(context)
+        self._targets = gl.RenderTargets(context)
         lights = {"POINT_LIGHTS": len(self._lamps), "DIRECTIONAL_LIGHTS": len(self._suns)}
         with context.drawing():
             self._program = context.program("scene.vert", "scene.frag", **lights)

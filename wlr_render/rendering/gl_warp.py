@@ -85,8 +85,7 @@ class GlWarp:
         """Prepare for one ray map, or for 3: one per colour channel (red, green, blue)."""
         self._context, self._channels = context, channels
         self._ranges = GlDepthRanges(context)
-        self._textures: dict[str, gl.Texture] = {}
-        self._targets = gl.TargetCache(context)
+        self._targets = gl.RenderTargets(context)
         self._passes: dict[tuple[tuple[str, int], ...], gl.VertexArray] = {}
 
     def draw(
@@ -165,7 +164,7 @@ class GlWarp:
     def _uploaded(self, name: str, slope_offset: NDArray[np.float32]) -> RayTexture:
         _, height, width = slope_offset.shape
         with self._context.drawing():
-            texture = self._texture(name, (width, height), 4, "f4")
+            texture = self._targets.get(name, (width, height), (4, "f4")).textures[0]
             # One read of four components costs the shader much less than four reads.
             texture.write(cv2.merge(list(slope_offset)))
         return RayTexture(WarpGrid.of_pixels(Panel(width, height)), texture)
@@ -220,14 +219,8 @@ class GlWarp:
         return self._passes[key]
 
     def _camera_matrices_texture(self, matrices: FloatArray) -> gl.Texture:
-        texture = self._texture("camera_matrices", (3, len(matrices)), 4, "f4")
+        texture = self._targets.get("camera_matrices", (3, len(matrices)), (4, "f4")).textures[0]
         texture.write(np.ascontiguousarray(matrices, np.float32))
-        return texture
-
-    def _texture(self, name: str, size: tuple[int, int], components: int, dtype: str) -> gl.Texture:
-        texture = self._textures.get(name)
-        if texture is None or texture.size != size:
-            texture = self._textures[name] = self._context.target(size, components, dtype)
         return texture
 
 

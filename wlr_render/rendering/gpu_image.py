@@ -62,7 +62,7 @@ class GlDepthRanges:
     """Computes `DepthRanges`; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
-        self._targets = gl.TargetCache(context)
+        self._targets = gl.RenderTargets(context)
         with context.drawing():
             self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE, LOW=0, HIGH=0)
             self._of_blocks = context.full_screen("tile_range.frag", TILE=TILE, LOW=0, HIGH=1)
@@ -83,7 +83,7 @@ def _tiles_of(size: tuple[int, int]) -> tuple[int, int]:
     return -(-size[0] // TILE), -(-size[1] // TILE)
 
 
-def _draw(full_screen: gl.VertexArray, target: gl.Target, **textures: gl.Texture) -> None:
+def _draw(full_screen: gl.VertexArray, target: gl.RenderTarget, **textures: gl.Texture) -> None:
     target.framebuffer.use()
     gl.bind_textures(full_screen.program, **textures)
     full_screen.render(vertices=3)

@@ -17,8 +17,7 @@ class PictureImport:
     def __init__(self, context: gl.GlContext) -> None:
         self._context = context
         self._copy = FramebufferCopy(context)
-        self._targets = gl.TargetCache(context)
-        self._uploads: dict[int, tuple[gl.Texture, gl.Texture]] = {}
+        self._targets = gl.RenderTargets(context)
         with context.drawing():
             self._import = context.full_screen("import_picture.frag")
             self._sampler = context.plain_sampler()
@@ -35,10 +34,11 @@ class PictureImport:
         size = camera.width_px, camera.height_px
         check_arrays(colour, depth, size)
         with self._context.drawing():
-            textures = self._uploads_for(size, colour.shape[2])
+            components = colour.shape[2]
+            textures = self._targets.get(f"{components} uploaded", size, (components, "f1"), (1, "f4")).textures
             for texture, pixels in zip(textures, (colour, depth), strict=True):
                 texture.write(np.ascontiguousarray(pixels), alignment=1)
-            return self._take(camera, *textures, stored, rows)
+            return self._take(camera, textures[0], textures[1], stored, rows)
 
     def from_textures(
         self,
@@ -103,15 +103,6 @@ class PictureImport:
         for unit in range(2):
             self._sampler.clear(unit)
         return GpuImage(self._context, camera, *target.textures)
-
-    def _uploads_for(self, size: tuple[int, int], components: int) -> tuple[gl.Texture, gl.Texture]:
-        old = self._uploads.get(components)
-        if old is None or old[0].size != size:
-            self._uploads[components] = (
-                self._context.target(size, components, "f1"),
-                self._context.target(size, 1, "f4"),
-            )
-        return self._uploads[components]
 
 
 def _check_context(context: gl.GlContext, name: str, thing: gl.Texture | gl.Framebuffer) -> None:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from streamed import BOX, RATE_HZ, fixations, recorded
 
+from benchmarks.scene_source import SceneSource
 from benchmarks.soak import study
 from benchmarks.soak.drawing import draw_frames
 from benchmarks.soak.map_check import CHECKED, frames_to_check
 from benchmarks.soak.process import CollectorTime
 from benchmarks.soak.wearer import Wearer
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import MissingGlError
 from wlr_render.mappings import QueryResult, Status
 from wlr_render.rendering.scene_file import load_scene

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import accuracy_tables
-from benchmarks.speed.accuracy import Moment, disoccluded_at_pupil, landing, subject, truth
+from benchmarks.speed.accuracy import Moment, disoccluded_at_pupil, landing, near_silhouettes, subject, truth
 from benchmarks.speed.workload import bench_model
 from wlr_render.geometry import transforms
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
 from wlr_render.rendering.choose_warp_grid import warp_grid_error_arcmin
 from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
@@ -125,3 +126,18 @@ def test_the_field_table_has_a_bound_where_there_is_a_lattice(gl_context, small_
     assert every_pixel[1] is None
     assert warp_grid[1] >= 0
     assert max(every_pixel[3], warp_grid[3]) <= accuracy_tables.SHADER_GOAL_ARCMIN
+
+
+def test_silhouettes_are_where_distance_jumps_and_not_where_it_slopes():
+    depth = np.full((80, 100, 1), 2.0)
+    depth[:, :40] = 1.0
+    depth *= np.linspace(1.0, 1.2, 80)[:, None, None]  # a slope of a fifth of a percent per row
+    tangents = Pinhole(100, 80, np.array([-0.5, -0.4]), np.array([0.5, 0.4])).pixel_centre_tangents()
+    eye = np.array([1.0, 1.6, -0.2])
+    points = eye + np.insert(tangents, 2, -1.0, axis=-1) * depth
+    points[:10] = np.nan
+    expected = np.zeros((80, 100), bool)
+    expected[:, 37:43] = True  # the two columns at the edge, and two more on each side
+    expected[:10] = False
+    expected[7:13] = True
+    np.testing.assert_array_equal(near_silhouettes(points, eye, 2), expected)
