@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from wlr_render.diagnosis.candidates import best_fit, hypotheses, screen
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.search import best_fit, hypotheses, screen
 
 _OTHERS = 6
 _WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.candidates import screen, times_between_captures
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.search import screen, times_between_captures
 from wlr_render.simulation.simulate_session import simulate
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, measured
 
-from wlr_render.diagnosis import evidence
-from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.fit import fit, is_physical, minus_two_log_evidence, p_value, reduced_chi_squared
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 
@@ -17,7 +16,7 @@ def fits(observations, *starts):
 
 
 def costs(observations, *starts):
-    return [evidence.minus_two_log_evidence(found) for found in fits(observations, *starts)]
+    return [minus_two_log_evidence(found) for found in fits(observations, *starts)]
 
 
 @pytest.fixture(scope="module")
@@ -27,15 +26,15 @@ def tilted(bench, plan):
 
 def test_reduced_chi_squared_is_one_at_the_noise_and_more_above(tilted):
     nothing, tilt = fits(tilted, Explanation(), explanation(combiner_tilt=[0, 0, 0]))
-    assert evidence.reduced_chi_squared(nothing) > 100
-    assert evidence.reduced_chi_squared(tilt) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (2 * len(tilted))))
+    assert reduced_chi_squared(nothing) > 100
+    assert reduced_chi_squared(tilt) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (2 * len(tilted))))
 
 
 @pytest.mark.parametrize("richer", [{"panel_rotation": [0, 0, 0]}, {"stage_tilt": [0, 0, 0]}, {"target_bow": [0, 0]}])
 def test_a_true_cause_costs_less_than_one_that_nests_it(tilted, richer):
     true, more = fits(tilted, explanation(combiner_tilt=[0, 0, 0]), explanation(combiner_tilt=[0, 0, 0], **richer))
     assert more.chi_squared < true.chi_squared
-    assert evidence.minus_two_log_evidence(true) < evidence.minus_two_log_evidence(more) - 4
+    assert minus_two_log_evidence(true) < minus_two_log_evidence(more) - 4
 
 
 def test_a_true_cause_costs_less_than_its_spurious_matches_and_than_nothing(tilted):
@@ -87,22 +86,22 @@ def test_one_part_explained_wholly_is_worth_more_than_a_little_of_both(tilted):
     (base,) = fits(tilted, Explanation())
     wholly = replace(base, by_part=((1000, 9_000.0), (1000, 1_000.0)), chi_squared=10_000.0)
     little = replace(base, by_part=((1000, 4_500.0), (1000, 4_500.0)), chi_squared=9_000.0)
-    assert evidence.minus_two_log_evidence(wholly) < evidence.minus_two_log_evidence(little)
+    assert minus_two_log_evidence(wholly) < minus_two_log_evidence(little)
 
 
 @pytest.mark.parametrize(("thickness_mm", "physical"), [(2.0, True), (-2.0, False)])
 def test_a_negative_thickness_is_not_physical_beyond_its_error(bench, plan, thickness_mm, physical):
     observations = measured(bench, plan, SIGMA_PX, seed=10, see_through_plate=[thickness_mm, 0, 0])
     (found,) = fits(observations, explanation(see_through_plate=[0.5, 0, 0]))
-    assert evidence.is_physical(found) is physical
+    assert is_physical(found) is physical
 
 
 def test_chance_is_the_tail_of_chi_squared_times_the_tries():
-    assert evidence.p_value(10.83, 1, 1) == pytest.approx(1e-3, rel=0.01)  # textbook quantiles
-    assert evidence.p_value(18.47, 4, 1) == pytest.approx(1e-3, rel=0.01)
-    assert evidence.p_value(10.83, 1, 30) == pytest.approx(0.03, rel=0.01)
-    assert evidence.p_value(1.0, 3, 40) == 1.0
-    assert evidence.p_value(-5.0, 3, 1) == 1.0
+    assert p_value(10.83, 1, 1) == pytest.approx(1e-3, rel=0.01)  # textbook quantiles
+    assert p_value(18.47, 4, 1) == pytest.approx(1e-3, rel=0.01)
+    assert p_value(10.83, 1, 30) == pytest.approx(0.03, rel=0.01)
+    assert p_value(1.0, 3, 40) == 1.0
+    assert p_value(-5.0, 3, 1) == 1.0
 
 
 def test_the_evidence_is_the_marginal_likelihood_of_a_linear_model(tilted):
@@ -128,4 +127,4 @@ def test_the_evidence_is_the_marginal_likelihood_of_a_linear_model(tilted):
     )
     covariance = np.eye(count) + flat @ flat.T
     expected = measured_values @ np.linalg.solve(covariance, measured_values) + np.linalg.slogdet(covariance)[1]
-    assert evidence.minus_two_log_evidence(linear) == pytest.approx(expected, rel=1e-9)
+    assert minus_two_log_evidence(linear) == pytest.approx(expected, rel=1e-9)

@@ -7,8 +7,8 @@ import pytest
 
 from wlr_render.diagnosis import tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
-from wlr_render.diagnosis.evidence import HeldOutImprovement
 from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence, warnings
+from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, hypothesis, measured
 
-from wlr_render.diagnosis.evidence import held_out_improvement, held_out_squares
-from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.fit import fit, held_out_improvement, held_out_squares
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 

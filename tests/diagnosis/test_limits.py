@@ -7,7 +7,7 @@ from small_session import SIGMA_PX, explanation, measured
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.summary import detection_limits
+from wlr_render.diagnosis.procedure import detection_limits
 
 
 @pytest.fixture(scope="module")

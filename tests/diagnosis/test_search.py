@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, hypothesis, measured
 
-from wlr_render.diagnosis import evidence
-from wlr_render.diagnosis.candidates import hypotheses
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.fit import fit, reduced_chi_squared
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.search import Search
+from wlr_render.diagnosis.search import Search, hypotheses
 from wlr_render.diagnosis.settings import Settings
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")
@@ -51,7 +49,7 @@ def test_causes_are_added_until_nothing_more_gains_than_chance(two):
     selection = searching(two).select()
     assert set(names_of(selection)) == {"combiner_tilt", "target_scale"}
     assert selection.reason == "no other cause gains more than chance would"
-    assert evidence.reduced_chi_squared(selection.fit) == pytest.approx(1.0, abs=0.1)
+    assert reduced_chi_squared(selection.fit) == pytest.approx(1.0, abs=0.1)
 
 
 def test_nothing_is_added_to_noise(clean_and_noisy):

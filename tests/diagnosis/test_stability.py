@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, measured
 
-from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.evidence import instability
-from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.fit import fit, instability, reduced_chi_squared
 from wlr_render.diagnosis.prediction import Predictor
 
 STABLE, UNSTABLE = 0.1, 0.35
@@ -37,13 +35,13 @@ def tilted_and_waved(bench, plan):
 
 def test_a_true_cause_is_stable_down_at_the_noise(tilted):
     change, found = of(tilted, combiner_tilt=[0, 0, 0])
-    assert evidence.reduced_chi_squared(found) < 1.1
+    assert reduced_chi_squared(found) < 1.1
     assert change[0] < 0.02
 
 
 def test_a_true_cause_is_stable_beside_something_unexplained(tilted_and_waved):
     change, found = of(tilted_and_waved, combiner_tilt=[0, 0, 0])
-    assert evidence.reduced_chi_squared(found) > 10
+    assert reduced_chi_squared(found) > 10
     assert change[0] < STABLE
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
-from wlr_render.diagnosis.evidence import held_out_improvement
+from wlr_render.diagnosis.fit import held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from wlr_render.diagnosis.evidence import HeldOutImprovement
+from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture

@@ -12,6 +12,7 @@ import numpy as np
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import panel_pixels, simulate
@@ -88,6 +89,16 @@ class Observations:
             gap = (measured.seen - predicted.seen)[:, :2] - (measured.seen - predicted.seen)[:, 2:]
             parts.append(gap * self.nominal.camera.focal_px / self.sigma_px[RUN_TIME])
         return np.concatenate(parts)
+
+    def panel_pixels(self, residual: FloatArray) -> FloatArray:
+        """Residual of the display readings in panel pixels, (n_display, 2)."""
+        own = residual[self.part == DISPLAY] * self.sigma_px[DISPLAY]
+        return np.asarray((self.panel_from_camera @ own[:, :, None])[:, :, 0])
+
+    def arcminutes(self, residual: FloatArray, part: int) -> FloatArray:
+        """Residual of a part's readings in arcminutes at the middle of the camera's image, (n_part, 2)."""
+        own = residual[self.part == part] * self.sigma_px[part]
+        return np.asarray(own / (self.nominal.camera.focal_px * ARCMIN))
 
     def with_sigma(self, sigma_px: FloatArray) -> "Observations":
         """The same readings with other noise."""

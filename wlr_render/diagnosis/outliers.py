@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.diagnosis import evidence
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import Fit
+from wlr_render.diagnosis.fit import Fit, reduced_chi_squared
 from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
 from wlr_render.diagnosis.prediction import Hypothesis, Predictor
 from wlr_render.diagnosis.settings import DEFAULT, Settings
@@ -70,9 +69,7 @@ def moved_captures(predictor: Predictor, fit: Fit, good: BoolArray, settings: Se
     middle = np.nanmedian(root)
     # 1.48: a standard deviation by the median absolute deviation.
     usual = middle + settings.moved_capture_spread * 1.48 * np.nanmedian(np.abs(root - middle))
-    apart = np.flatnonzero(
-        (gains > settings.moved_capture_gain * max(1.0, evidence.reduced_chi_squared(fit))) & (root > usual)
-    )
+    apart = np.flatnonzero((gains > settings.moved_capture_gain * max(1.0, reduced_chi_squared(fit))) & (root > usual))
     if len(apart) > max(2, settings.max_moved_captures * len(observations.captures)):
         return []
     return [_moved(observations, int(number), *moves[int(number)]) for number in apart]

@@ -10,7 +10,6 @@ import numpy as np
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.diagnosis.summary import arcminutes, panel_pixels
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
@@ -110,7 +109,7 @@ def _display(diagnosis: Diagnosis) -> PartView:
         State(
             name,
             _seen(diagnosis, DISPLAY, residual),
-            _where(used, panel_pixels(observations, residual)),
+            _where(used, observations.panel_pixels(residual)),
         )
         for name, residual in _residuals(diagnosis)
     )
@@ -181,7 +180,7 @@ def _seen(diagnosis: Diagnosis, part: int, residual: FloatArray) -> FloatArray:
     """Residual (m, 2) of one part, arcminutes right and down; NaN where a reading does not count."""
     observations = diagnosis.observations
     used = diagnosis.used[observations.part == part]
-    angle = arcminutes(observations, residual, part) * ([1.0, -1.0] if part == RUN_TIME else [1.0, 1.0])
+    angle = observations.arcminutes(residual, part) * ([1.0, -1.0] if part == RUN_TIME else [1.0, 1.0])
     return _where(used, angle)
 
 

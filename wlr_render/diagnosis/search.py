@@ -1,25 +1,54 @@
 """Forward selection of causes: fit each candidate on top of those found so far, keep the best, and check it.
 
-Candidates are compared on a subsample of the readings first; those that come close are fitted again to all of them.
+Candidates are compared on a subsample of the readings first: all by their gain to first order, the best by a fit from
+their best start. Those that come close are fitted again to all readings.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.diagnosis import evidence
-from wlr_render.diagnosis.candidates import ScreenedHypothesis, best_fit, screen
-from wlr_render.diagnosis.evidence import HeldOutImprovement, held_out_improvement, held_out_squares
-from wlr_render.diagnosis.fit import Fit, fit
+from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.cause import Cause, Role
+from wlr_render.diagnosis.fit import (
+    Fit,
+    HeldOutImprovement,
+    fit,
+    held_out_improvement,
+    held_out_squares,
+    is_physical,
+    minus_two_log_evidence,
+    p_value,
+    reduced_chi_squared,
+)
 from wlr_render.diagnosis.noise import excess_over_noise
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation, Predictor
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.numerics.arrays import BoolArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 Progress = Callable[[str], None]
 
 _NOTHING_MORE = "no other cause gains more than chance would"
+_TIMES = 6  # tried at once
+_EDGE = 0.05  # of all captures must lie on either side of a time: fewer are captures that moved
+
+
+@dataclass(frozen=True, eq=False)
+class ScreenedHypothesis:
+    """The gain of a hypothesis to first order.
+
+    Attributes:
+        hypothesis: which.
+        start: its values from which a fit should set out.
+        gain: by how much chi-squared would fall.
+        parameters: how many numbers that takes.
+    """
+
+    hypothesis: Hypothesis
+    start: FloatArray
+    gain: float
+    parameters: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +180,11 @@ class Search:
             each
             for each in screened
             if each.gain > settings.min_relative_gain * screened[0].gain
-            and evidence.p_value(share * each.gain / scale, each.parameters, len(self.hypotheses))
-            < settings.max_p_value
+            and p_value(share * each.gain / scale, each.parameters, len(self.hypotheses)) < settings.max_p_value
         ][: settings.max_fits]
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
         fits = [best_fit(self.subsample, at, each) for each in kept]
-        coarse = self._ranked([found for found in fits if evidence.is_physical(found, settings)])
+        coarse = self._ranked([found for found in fits if is_physical(found, settings)])
         behind = [share * (each.minus_two_log_evidence - coarse[0].minus_two_log_evidence) for each in coarse]
         close = [each for each, by in zip(coarse, behind, strict=True) if by < settings.close_evidence]
         contenders = close[: settings.max_contenders]
@@ -190,7 +218,7 @@ class Search:
         name = best.hypothesis.cause.name
         added = best.fit.at.free.size - current.at.free.size
         gained = (current.chi_squared - best.fit.chi_squared) / max(1.0, best.reduced_chi_squared)
-        chance = evidence.p_value(gained, max(added, 1), len(self.hypotheses))
+        chance = p_value(gained, max(added, 1), len(self.hypotheses))
         if chance > 0.5:
             return _NOTHING_MORE
         if chance > settings.max_p_value:
@@ -198,8 +226,8 @@ class Search:
         held_out = self.improvement(current, best.fit)
         if held_out.significance < settings.min_held_out_se:
             return f"{name} comes next, but held-out captures gain {held_out.significance:.1f} standard errors only"
-        above = evidence.reduced_chi_squared(current) - 1.0
-        share = (evidence.reduced_chi_squared(current) - best.reduced_chi_squared) / above if above > 0 else 1.0
+        above = reduced_chi_squared(current) - 1.0
+        share = (reduced_chi_squared(current) - best.reduced_chi_squared) / above if above > 0 else 1.0
         if share < settings.min_share_explained and not self.is_at_noise(best.fit):
             return (
                 f"{name} comes next, but explains only {100 * share:.0f} % of the excess over the noise, and more than "
@@ -212,7 +240,7 @@ class Search:
         for place in reversed(range(len(found.explanation.hypotheses) - 1)):
             rest = found.explanation.without(place)
             with_it, without_it = (fit(self.subsample, each, self.subsample_used) for each in (found.explanation, rest))
-            ratio = evidence.reduced_chi_squared(without_it) / evidence.reduced_chi_squared(with_it)
+            ratio = reduced_chi_squared(without_it) / reduced_chi_squared(with_it)
             if ratio > self.settings.max_idle_ratio:
                 continue
             full = fit(self.full, without_it.explanation, self.used)
@@ -221,12 +249,12 @@ class Search:
         return found
 
     def _evidence(self, found: Fit) -> float:
-        return evidence.minus_two_log_evidence(found, self.settings)
+        return minus_two_log_evidence(found, self.settings)
 
     def _ranked(self, fits: Sequence[Fit]) -> list[Candidate]:
         """Highest evidence first; a fit that lost its readings on the way has no evidence, and is no candidate."""
         candidates = [
-            Candidate(each.explanation.hypotheses[-1], each, self._evidence(each), evidence.reduced_chi_squared(each))
+            Candidate(each.explanation.hypotheses[-1], each, self._evidence(each), reduced_chi_squared(each))
             for each in fits
         ]
         finite = (each for each in candidates if np.isfinite(each.minus_two_log_evidence))
@@ -239,3 +267,91 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
     for candidate in candidates:
         firsts.setdefault(candidate.hypothesis.cause.name, candidate)
     return list(firsts.values())
+
+
+def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
+    """Every cause in each of its ways."""
+    return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
+
+
+def screen(predictor: Predictor, current: Fit, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
+    """The gain of a hypothesis over a fit by the same predictor; None where it changes nothing."""
+
+    def of(start: FloatArray) -> ScreenedHypothesis:
+        at = predictor.added(current.at.state, current.explanation.plus(hypothesis, start))
+        return ScreenedHypothesis(hypothesis, start, _gain(current, at) if at.free.size else 0.0, at.free.size)
+
+    plan, roles = predictor.observations.session.plan, [parameter.role for parameter in hypothesis.cause.parameters]
+    best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
+    if best is None or best.parameters == 0:
+        return None
+    if Role.TIME not in roles:
+        return best
+    return _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
+
+
+def _with_better_time(
+    of: Callable[[FloatArray], ScreenedHypothesis], best: ScreenedHypothesis, place: int, times: FloatArray
+) -> ScreenedHypothesis:
+    """Try the times around the best so far, ever closer, until its neighbours have been tried."""
+    stride = max(1, len(times) // (2 * _TIMES))
+    while stride >= 1:
+        at = int(np.argmin(np.abs(times - best.start[place])))
+        neighbours = {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}
+        if not neighbours:
+            break
+        found = max((of(_with(best.start, place, float(times[n]))) for n in neighbours), key=lambda p: p.gain)
+        stride = stride if found.gain > best.gain else stride // 2
+        best = max(best, found, key=lambda each: each.gain)
+    return best
+
+
+def _gain(current: Fit, added: Linearisation) -> float:
+    """Fall of chi-squared when the added columns join those of the current fit."""
+    used = current.used & np.isfinite(added.jacobian).all(axis=(1, 2))
+    columns = np.concatenate([current.at.jacobian[used], added.jacobian[used]], axis=-1)
+    columns = columns.reshape(2 * int(used.sum()), columns.shape[-1])
+    residual = current.residual[used].ravel()
+    information, gradient = columns.T @ columns, columns.T @ residual
+    scale = np.sqrt(np.diag(information)).clip(1e-300)
+    information = information / scale / scale[:, None] + 1e-10 * np.eye(len(scale))
+    gradient, old = gradient / scale, current.at.free.size
+    total = float(gradient @ np.linalg.solve(information, gradient))
+    already = float(gradient[:old] @ np.linalg.solve(information[:old, :old], gradient[:old])) if old else 0.0
+    return total - already
+
+
+def best_fit(predictor: Predictor, current: Fit, prospect: ScreenedHypothesis) -> Fit:
+    """Fit an explanation with one more cause from the start of its prospect."""
+    corrected = current.explanation.plus(prospect.hypothesis, prospect.start)
+    return fit(predictor, corrected, current.used, near=current.at.state)
+
+
+def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
+    """Null values with every start of the parameters that have several; none where all captures have one time."""
+    starts = [cause.null()]
+    for number, parameter in enumerate(cause.parameters):
+        if parameter.role is Role.SIZE:
+            continue
+        values = _some(times_between_captures(plan)) if parameter.role is Role.TIME else np.array(parameter.starts)
+        starts = [_with(start, number, float(value)) for start in starts for value in values]
+    return starts
+
+
+def times_between_captures(plan: SessionPlan) -> FloatArray:
+    """Times in the middle between captures, ascending, without those near either end."""
+    parts = [part for part in (plan.display, plan.see_through, plan.run_time) if part is not None]
+    times = np.unique(np.concatenate([part.time_s for part in parts]))
+    edge = int(np.ceil(_EDGE * len(times)))
+    return np.asarray(0.5 * (times[1:] + times[:-1]))[edge : len(times) - 1 - edge]
+
+
+def _some(values: FloatArray) -> FloatArray:
+    chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), _TIMES)).round().astype(int))
+    return np.asarray(values[chosen])
+
+
+def _with(values: FloatArray, number: int, value: float) -> FloatArray:
+    changed = values.copy()
+    changed[number] = value
+    return changed

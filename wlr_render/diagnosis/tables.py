@@ -1,8 +1,8 @@
 """A diagnosis as tables; those that would be empty have no rows."""
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, RankedCandidate
-from wlr_render.diagnosis.evidence import HeldOutImprovement
 from wlr_render.diagnosis.explain import RESIDUALS, value_and_sigma, value_text
+from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.report.blocks import Cell, ReportTable, cell_text

@@ -13,8 +13,7 @@ import numpy as np
 
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.evidence import held_out_squares
-from wlr_render.diagnosis.fit import Fit, fit
+from wlr_render.diagnosis.fit import Fit, fit, held_out_squares
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
