@@ -84,10 +84,10 @@ def test_less_is_hidden_from_where_the_rays_come():
 
 
 def test_what_the_pupil_cannot_see_is_counted(on, seen, moment):
-    camera = on.compositor.plan("right").eye_camera(moment.viewpoint, moment.pose)
+    view = on.compositor.plan("right").view(moment.viewpoint, moment.pose)
     at_rays = landing(on, seen, moment, moment).disoccluded
     assert disoccluded_at_pupil(on, seen) >= at_rays
-    assert (camera.view.viewpoint_in_device != moment.viewpoint).any()
+    assert (view.viewpoint_in_device != moment.viewpoint).any()
 
 
 def test_late_rows_are_of_each_movement(on):
