@@ -175,8 +175,8 @@ class Schema:
         return columns
 
 
-def _triple(name: str, unit: str, suffix: str, meaning: str) -> tuple[Column, ...]:
-    return tuple(Column(f"{name}_{axis}{suffix}", unit, f"{meaning}, {axis}") for axis in "xyz")
+def _axes(name: str, unit: str, suffix: str, meaning: str, axes: str = "xyz") -> tuple[Column, ...]:
+    return tuple(Column(f"{name}_{axis}{suffix}", unit, f"{meaning}, {axis}") for axis in axes)
 
 
 def _quaternion(name: str, meaning: str, group: str = "") -> tuple[Column, ...]:
@@ -192,7 +192,7 @@ def _index(name: str, meaning: str, kind: Kind = Kind.INDEX) -> Field:
 
 
 _TIME = Field("time_s", _NUMBER, (Column("time_s", "s", "time since the start of the session"),))
-_STAGE = Field("stage", _POINT, _triple("stage", "mm", "_mm", "stage reading of the camera's centre of projection"))
+_STAGE = Field("stage", _POINT, _axes("stage", "mm", "_mm", "stage reading of the camera's centre of projection"))
 _STAGE_NAMES = tuple(f"stage_{axis}_mm" for axis in "xyz")
 _CAMERA_QUATERNION = tuple(f"camera_q{axis}" for axis in "xyzw")
 _HEAD_QUATERNION = tuple(f"head_q{axis}" for axis in "xyzw")
@@ -228,13 +228,7 @@ SEE_THROUGH = Schema(
         _index("capture", "index of the photograph, counted from 0 at every target pose"),
         _TIME,
         _STAGE,
-        Field(
-            "dot",
-            _FLAT_POINT,
-            tuple(
-                Column(f"target_{axis}_mm", "mm", f"position of the dot on the printed target, {axis}") for axis in "xy"
-            ),
-        ),
+        Field("dot", _FLAT_POINT, _axes("target", "mm", "_mm", "position of the dot on the printed target", "xy")),
         Field("dot_pixel", CAMERA_PIXEL, _pixel("camera", "position of the dot in the photograph, through the optics")),
         Field(
             "travel",
@@ -270,19 +264,15 @@ RUN_TIME = Schema(
             "world_from_device",
             _POSE,
             (
-                *_triple("head", "mm", "_mm", "origin of the device frame in the world"),
+                *_axes("head", "mm", "_mm", "origin of the device frame in the world"),
                 *_quaternion("head", "world_from_device"),
             ),
         ),
-        Field(
-            "head_velocity", _POINT, _triple("head_velocity", "mm/s", "_mm_s", "velocity of that origin, world frame")
-        ),
-        Field(
-            "head_rate", _VECTOR, _triple("head_rate", "rad/s", "_rad_s", "angular velocity of the head, world frame")
-        ),
-        Field("viewpoint", _POINT, _triple("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame")),
-        Field("gaze", _DIRECTION, _triple("gaze", "", "", "unit gaze direction, device frame")),
-        Field("dot", _POINT, _triple("dot", "mm", "_mm", "the real dot, world frame")),
+        Field("head_velocity", _POINT, _axes("head_velocity", "mm/s", "_mm_s", "velocity of that origin, world frame")),
+        Field("head_rate", _VECTOR, _axes("head_rate", "rad/s", "_rad_s", "angular velocity of the head, world frame")),
+        Field("viewpoint", _POINT, _axes("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame")),
+        Field("gaze", _DIRECTION, _axes("gaze", "", "", "unit gaze direction, device frame")),
+        Field("dot", _POINT, _axes("dot", "mm", "_mm", "the real dot, world frame")),
         Field(
             "seen",
             CAMERA_PIXEL,
