@@ -25,7 +25,7 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_captures import display_captures, see_through_captures
@@ -59,13 +59,8 @@ class Refitted:
 
 
 @dataclass(frozen=True)
-class Refit(Generic[AnyMapping]):
-    """One side of the headset.
-
-    Attributes:
-        before, after: the models by the nominal and by the corrected bench.
-        refitted: how good they are.
-    """
+class _Refit(Generic[AnyMapping]):
+    """Models by the nominal and by the corrected bench, and their errors."""
 
     before: AnyMapping
     after: AnyMapping
@@ -74,11 +69,26 @@ class Refit(Generic[AnyMapping]):
 
 @dataclass(frozen=True)
 class _Side(Generic[AnyCaptures, AnyMapping]):
-    """How one side is fitted, and in which direction (n, 3) a model of it sees what captures saw."""
+    """One side of the headset: degree and fit of its models, its captures, and the directions (n, 3) models predict."""
 
     degree: int
+    captures: Callable[[Bench, Session], AnyCaptures]
     fit: Callable[[AnyCaptures, str, int | None], tuple[AnyMapping, FitReport]]
     seen: Callable[[AnyMapping, AnyCaptures], FloatArray]
+
+
+def _display_captures(bench: Bench, session: Session) -> DisplayCaptures:
+    plan, pixel = session.plan.display, session.readings.panel_pixel
+    if plan is None or pixel is None:
+        raise BadInputError(f"{session.name}: has no display table, so no display model can be fitted; add one.")
+    return display_captures(bench, plan, pixel)
+
+
+def _see_through_captures(bench: Bench, session: Session) -> SeeThroughCaptures:
+    plan, pixel = session.plan.see_through, session.readings.dot_pixel
+    if plan is None or pixel is None:
+        raise BadInputError(f"{session.name}: has no seethrough table, so no see-through model can be fitted; add one.")
+    return see_through_captures(bench, plan, pixel)
 
 
 def _panel_seen(model: DisplayMapping, captures: DisplayCaptures) -> FloatArray:
@@ -90,37 +100,19 @@ def _world_seen(model: SeeThroughMapping, captures: SeeThroughCaptures) -> Float
 
 
 # Where the held-out error of the shipped devices levels off, on the grids that benches measure.
-_DISPLAY = _Side(6, fit_display, _panel_seen)
-_SEE_THROUGH = _Side(3, fit_see_through, _world_seen)
+_DISPLAY = _Side(6, _display_captures, fit_display, _panel_seen)
+_SEE_THROUGH = _Side(3, _see_through_captures, fit_see_through, _world_seen)
 
 
-def refit_display(nominal: Bench, corrected: Bench, session: Session) -> Refit[DisplayMapping]:
-    """Fit the display by both benches.
-
-    Raises:
-        BadInputError: the session has no display table, or does not determine a model.
-    """
-    plan, pixel = session.plan.display, session.readings.panel_pixel
-    if plan is None or pixel is None:
-        raise BadInputError(f"{session.name}: has no display table, so no display model can be fitted; add one.")
-    return _refit(_DISPLAY, display_captures(nominal, plan, pixel), display_captures(corrected, plan, pixel))
-
-
-def refit_see_through(nominal: Bench, corrected: Bench, session: Session) -> Refit[SeeThroughMapping]:
-    """Fit how the world is seen by both benches.
+def _refit(
+    side: _Side[AnyCaptures, AnyMapping], nominal: Bench, corrected: Bench, session: Session
+) -> _Refit[AnyMapping]:
+    """Fit one side by both benches.
 
     Raises:
-        BadInputError: the session has no seethrough table, or does not determine a model.
+        BadInputError: the session lacks the side's table, or does not determine a model.
     """
-    plan, pixel = session.plan.see_through, session.readings.dot_pixel
-    if plan is None or pixel is None:
-        raise BadInputError(f"{session.name}: has no seethrough table, so no see-through model can be fitted; add one.")
-    return _refit(
-        _SEE_THROUGH, see_through_captures(nominal, plan, pixel), see_through_captures(corrected, plan, pixel)
-    )
-
-
-def _refit(side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures) -> Refit[AnyMapping]:
+    before, after = side.captures(nominal, session), side.captures(corrected, session)
     rng = np.random.default_rng(0)
     rows = np.sort(rng.permutation(len(before))[:_ROWS])
     before, after = select(before, rows), select(after, rows)
@@ -130,8 +122,19 @@ def _refit(side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: Any
     partial = _pair(side, select(before, ~out), select(after, ~out), own_before.degree)
     judge = select(after, out)
     old, new = (arcmin_between(side.seen(model, judge), judge.view_dir) for model, _ in partial)
-    refitted = _refitted(own_before, own_after, judge.capture, old, new)
-    return Refit(model_before, model_after, refitted)
+    both = np.isfinite(old) & np.isfinite(new)
+    names, owner = np.unique(judge.capture[both], return_inverse=True)
+    squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
+    rms = [float(np.sqrt(square.sum() / both.sum())) for square in squares]
+    refitted = Refitted(
+        own_before.degree,
+        own_before.held_out_at_degree(),
+        own_after.held_out_at_degree(),
+        rms[0],
+        rms[1],
+        held_out_improvement(squares[0], squares[1]),
+    )
+    return _Refit(model_before, model_after, refitted)
 
 
 def _pair(
@@ -151,24 +154,6 @@ def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
     """Whether both benches yield identical captures, so that one fit can serve both."""
     arrays = [(getattr(before, field.name), getattr(after, field.name)) for field in fields(before)]
     return all(np.array_equal(a, b) for a, b in arrays if isinstance(a, np.ndarray))
-
-
-def _refitted(
-    own_before: FitReport, own_after: FitReport, capture: IntArray, old: FloatArray, new: FloatArray
-) -> Refitted:
-    """Of errors (n,) on held-out captures, where both models have an answer."""
-    both = np.isfinite(old) & np.isfinite(new)
-    names, owner = np.unique(capture[both], return_inverse=True)
-    squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
-    before, after = (float(np.sqrt(square.sum() / both.sum())) for square in squares)
-    return Refitted(
-        own_before.degree,
-        own_before.held_out_at_degree(),
-        own_after.held_out_at_degree(),
-        before,
-        after,
-        held_out_improvement(squares[0], squares[1]),
-    )
 
 
 DISTANCES_M = (0.5, 1.0, 2.0)
@@ -217,16 +202,16 @@ def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> Im
         corrected: the bench with the causes found.
         session: without excluded captures.
     """
-    display = see_through = None
-    unavailable = []
-    try:
-        display = refit_display(nominal, corrected, session)
-    except BadInputError as error:
-        unavailable.append(str(error))
-    try:
-        see_through = refit_see_through(nominal, corrected, session)
-    except BadInputError as error:
-        unavailable.append(str(error))
+    unavailable: list[str] = []
+
+    def refitted(side: _Side[AnyCaptures, AnyMapping]) -> _Refit[AnyMapping] | None:
+        try:
+            return _refit(side, nominal, corrected, session)
+        except BadInputError as error:
+            unavailable.append(str(error))
+            return None
+
+    display, see_through = refitted(_DISPLAY), refitted(_SEE_THROUGH)
     calibrated = prescribed = None
     if display is not None and see_through is not None:
         old = _eye(corrected, display.before, see_through.before)

@@ -15,7 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import panel_pixels, simulate
+from wlr_render.simulation.simulate_session import dot_geometry, panel_pixels, simulate
 
 DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
 PART_NAMES = ("display", "see-through", "run-time")
@@ -99,6 +99,16 @@ class Observations:
         """Residual of a part's readings in arcminutes at the middle of the camera's image, (n_part, 2)."""
         own = residual[self.part == part] * self.sigma_px[part]
         return np.asarray(own / (self.nominal.camera.focal_px * ARCMIN))
+
+    def target_distance(self) -> FloatArray:
+        """Distance from the camera to the target at each see-through reading, averaged over the pose, metres (m,)."""
+        plan = self.session.plan.see_through
+        if plan is None:
+            return np.zeros(0)
+        viewpoint, point, _ = dot_geometry(self.nominal, plan)
+        # Not dot by dot: on a tilted target distance would stand for the place on it.
+        _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
+        return np.asarray((np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count)[pose])
 
     def with_sigma(self, sigma_px: FloatArray) -> "Observations":
         """The same readings with other noise."""

@@ -122,7 +122,7 @@ def _see_through(diagnosis: Diagnosis) -> PartView:
     plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
     assert plan is not None
     assert pixel is not None
-    distance, radius = _distance(observations, plan), _camera_radius(observations, pixel)
+    distance, radius = observations.target_distance(), _camera_radius(observations, pixel)
     variables = (
         *_times_and_stage(observations, plan),
         Variable("distance of the target (m)", distance),
@@ -205,16 +205,6 @@ def _times_and_stage(observations: Observations, plan: DisplayPlan | SeeThroughP
 def _camera_radius(observations: Observations, pixel: FloatArray) -> Variable:
     from_centre = pixel - observations.nominal.camera.centre_px
     return Variable("radius on camera (px)", np.linalg.norm(from_centre, axis=1), _unit(from_centre))
-
-
-def _distance(observations: Observations, plan: SeeThroughPlan) -> FloatArray:
-    """From the camera to the target's dots at each row's pose, on average, by the nominal bench, metres."""
-    in_target = np.concatenate([plan.dot, np.zeros((len(plan), 1))], axis=1)
-    device_from_target = observations.nominal.target.device_from_target[plan.target_pose]
-    dot = np.einsum("nij,nj->ni", device_from_target[:, :3, :3], in_target) + device_from_target[:, :3, 3]
-    # Not dot by dot: on a tilted target distance would stand for the place on it.
-    _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
-    return np.asarray((np.bincount(pose, np.linalg.norm(dot - plan.stage, axis=1)) / count)[pose])
 
 
 def _varying(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:

@@ -26,7 +26,6 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
 from wlr_render.simulation.session_folder import check_enough_captures, load_session
-from wlr_render.simulation.simulate_session import dot_geometry
 
 _APART = 1.05  # ratio of neighbouring distances from which they are different ones
 
@@ -139,9 +138,8 @@ def _distances(observations: Observations) -> dict[str, BoolArray]:
     plan = observations.session.plan.see_through
     if plan is None:
         return {}
-    viewpoint, point, _ = dot_geometry(observations.nominal, plan)
-    _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
-    of_pose = np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count
+    _, first, pose = np.unique(plan.target_pose, return_index=True, return_inverse=True)
+    of_pose = observations.target_distance()[first]
     order = np.argsort(of_pose)
     steps = np.flatnonzero(of_pose[order][1:] > _APART * of_pose[order][:-1]) + 1
     named = {}
