@@ -50,6 +50,13 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
     assert report.coefficients == {"forward": 30, "backward": 30}
 
 
+def test_base_plane_may_be_chosen():
+    base_plane = dataclasses.replace(PLANE, z=PLANE.z + 0.001)
+    mapping, _ = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane)
+    assert mapping.base_plane == base_plane
+    assert rms_arcmin(mapping) < 0.01
+
+
 def test_base_plane_is_that_of_the_eye_box():
     captures = display_captures(positions_in_plane(30))
     moved = EyeBox(EYE_BOX.centre + [0.0, 0.0, 0.001], EYE_BOX.size)

@@ -23,7 +23,7 @@ _DisplayFit = tuple[DisplayMapping, DisplayCaptures, dict[str, Fitted]]
 
 
 def fit_display(
-    captures: DisplayCaptures, kind: str = "planar", degree: int | None = None
+    captures: DisplayCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
 ) -> tuple[DisplayMapping, FitReport]:
     """Fit a display model to captures of the panel.
 
@@ -31,15 +31,15 @@ def fit_display(
 
     Args:
         captures: what was measured.
-        kind: "planar" (viewpoints are carried along their measured rays to the plane through the eye box's centre),
-            "volumetric", "static" (only the camera position nearest to the eye box's centre is used) or
-            "point-per-pixel".
+        kind: "planar" (viewpoints are carried along their measured rays to the base plane), "volumetric",
+            "static" (only the camera position nearest to the eye box's centre is used) or "point-per-pixel".
         degree: total degree N, or None to choose it by held-out camera positions.
+        base_plane: of a planar model; None for the plane through the eye box's centre.
 
     Raises:
         BadInputError: an unknown kind, or captures that do not determine the model; the sentence says what is missing.
     """
-    mapping, used, fits = _fitted(captures, kind, degree)
+    mapping, used, fits = _fitted(captures, kind, degree, base_plane)
     seen = mapping.view_dir_of_pixel(used.pixel, used.viewpoint)
     shown = mapping.pixel_of_view_dir(used.view_dir, used.viewpoint)
     return mapping, FitReport.of(kind, used, fits, seen, shown)
@@ -50,7 +50,9 @@ def display_of_degree(captures: DisplayCaptures, kind: str, degree: int) -> Disp
     return _fitted(captures, kind, degree)[0]
 
 
-def _fitted(captures: DisplayCaptures, kind: str, degree: int | None) -> _DisplayFit:
+def _fitted(
+    captures: DisplayCaptures, kind: str, degree: int | None, base_plane: BasePlane | None = None
+) -> _DisplayFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of display model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
     refusal = f"the captures do not determine a {kind} display model"
@@ -59,28 +61,27 @@ def _fitted(captures: DisplayCaptures, kind: str, degree: int | None) -> _Displa
     if lacks := _lacking_viewpoints(captures, kind, lowest):
         raise BadInputError(f"{refusal}: {lacks}.")
     try:
-        return _KINDS[kind](captures, degree)
+        return _KINDS[kind](captures, base_plane or BasePlane(float(captures.eye_box.centre[2])), degree)
     except RankDeficientError as error:
         lacks = missing_coverage("panel pixels", captures.pixel, "uv", lowest)
         reason = lacks or "pixels and viewpoints are not spread independently of each other"
         raise BadInputError(f"{refusal}: {reason}.") from error
 
 
-def _fit_planar(captures: DisplayCaptures, degree: int | None) -> _DisplayFit:
-    plane = BasePlane(float(captures.eye_box.centre[2]))
+def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _DisplayFit:
     in_plane = plane.carry(captures.viewpoint, captures.tangents)
     forward, backward = _both_ways(captures, in_plane, captures.capture, degree)
     mapping = BundleDisplay(captures.panel, captures.eye_box, plane, forward.polynomial, backward.polynomial)
     return mapping, captures, {"forward": forward, "backward": backward}
 
 
-def _fit_volumetric(captures: DisplayCaptures, degree: int | None) -> _DisplayFit:
+def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     forward, backward = _both_ways(captures, captures.viewpoint, captures.capture, degree)
     mapping = VolumetricDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
     return mapping, captures, {"forward": forward, "backward": backward}
 
 
-def _fit_static(captures: DisplayCaptures, degree: int | None) -> _DisplayFit:
+def _fit_static(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
     centred = select(captures, captures.capture == captures.capture[np.argmin(distance)])
     forward, backward = _both_ways(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
@@ -88,7 +89,7 @@ def _fit_static(captures: DisplayCaptures, degree: int | None) -> _DisplayFit:
     return mapping, centred, {"forward": forward, "backward": backward}
 
 
-def _fit_point_per_pixel(captures: DisplayCaptures, degree: int | None) -> _DisplayFit:
+def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     """t = a - w q is linear in the unknown a and w: q, where the measured ray meets the nominal plane, is known."""
     tangents = captures.tangents
     centre = captures.eye_box.centre
@@ -111,7 +112,7 @@ def _fit_point_per_pixel(captures: DisplayCaptures, degree: int | None) -> _Disp
     return mapping, captures, {"point": point}
 
 
-_KINDS: dict[str, Callable[[DisplayCaptures, int | None], _DisplayFit]] = {
+_KINDS: dict[str, Callable[[DisplayCaptures, BasePlane, int | None], _DisplayFit]] = {
     "planar": _fit_planar,
     "volumetric": _fit_volumetric,
     "static": _fit_static,

@@ -7,6 +7,7 @@ from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import EyeModel
 
@@ -33,6 +34,7 @@ def fit_eye(
     kind: str = "planar",
     display_degree: int | None = None,
     see_through_degree: int | None = None,
+    base_plane: BasePlane | None = None,
 ) -> EyeFit:
     """Fit display and see-through of one kind; degrees are chosen by held-out camera positions where None is given.
 
@@ -43,9 +45,11 @@ def fit_eye(
         raise BadInputError(
             f"the captures of {captures.display.device} have no see-through part; fit the display alone, or add one."
         )
-    display, display_report = fit_display(captures.display, kind, display_degree)
+    display, display_report = fit_display(captures.display, kind, display_degree, base_plane)
     see_through_kind = _SEE_THROUGH_KIND.get(kind, kind)
-    see_through, see_through_report = fit_see_through(captures.see_through, see_through_kind, see_through_degree)
+    see_through, see_through_report = fit_see_through(
+        captures.see_through, see_through_kind, see_through_degree, base_plane
+    )
     source = captures.display
     name = f"{source.device} ({kind} N={display_report.degree}, see-through N={see_through_report.degree})"
     mappings = EyeMappings(name, source.eye, display, see_through, source.eye_box)

@@ -22,7 +22,7 @@ _SeeThroughFit = tuple[SeeThroughMapping, SeeThroughCaptures, dict[str, Fitted]]
 
 
 def fit_see_through(
-    captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None
+    captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
 ) -> tuple[SeeThroughMapping, FitReport]:
     """Fit a see-through model to captures of targets.
 
@@ -35,12 +35,13 @@ def fit_see_through(
         kind: "planar", "volumetric" or "static" (of each target pose, only the camera position nearest to the eye
             box's centre is used).
         degree: total degree N, or None to choose it by held-out camera positions.
+        base_plane: of a planar model; None for the plane through the eye box's centre.
 
     Raises:
-        BadInputError: an unknown kind, a point behind the eye box's centre, or captures that do not determine the
+        BadInputError: an unknown kind, a point behind the base plane, or captures that do not determine the
             model; the sentence says what is missing.
     """
-    mapping, used, fits = _fitted(captures, kind, degree)
+    mapping, used, fits = _fitted(captures, kind, degree, base_plane)
     return mapping, FitReport.of(kind, used, fits, mapping.view_dir_of_real_point(used.point, used.viewpoint))
 
 
@@ -49,13 +50,15 @@ def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) 
     return _fitted(captures, kind, degree)[0]
 
 
-def _fitted(captures: SeeThroughCaptures, kind: str, degree: int | None) -> _SeeThroughFit:
+def _fitted(
+    captures: SeeThroughCaptures, kind: str, degree: int | None, base_plane: BasePlane | None = None
+) -> _SeeThroughFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
-    plane = BasePlane(float(captures.eye_box.centre[2]))
+    plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
     if np.any(plane.depth_of(captures.point) <= 0):
         raise BadInputError(
-            f"the middle of the eye box, z = {plane.z:g} m, lies beyond some target points; correct the eye box."
+            f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."
         )
     refusal = f"the captures do not determine a {kind} see-through model"
     lowest = 1 if degree is None else degree
