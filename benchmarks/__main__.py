@@ -12,6 +12,7 @@ BENCHMARKS = {
     "soak": "Soak test: many frames for a moving wearer; frame times, memory, map errors.",
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "photographs": "Readings of simulated photographs, compared with exact traces.",
+    "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
     "paper": "Planar against volumetric sampling: equal degree, depth, eye box and field, in simulation.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }

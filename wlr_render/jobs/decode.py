@@ -20,25 +20,21 @@ from wlr_render.evaluation.code_quality import (
     TOLERANCE_PX,
     Lenses,
     PlaneSurvey,
-    distance_to_planes,
     find_planes,
     fit_planes,
 )
-from wlr_render.evaluation.opencv_decoder import MISSING, OpencvCodes, has_opencv_decoder, opencv_codes
 from wlr_render.files import output_folder, write_arrays, write_figure
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, described, described_size
 from wlr_render.jobs.targets import Code
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Text
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
 from wlr_render.report.save import save_report
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COMPARED = 100_000  # camera pixels that OpenCV's decoder is asked for; it takes them one by one
-_ON_SURFACE_PX = 1.5  # wide enough for whole panel pixels
 _ACCEPTED, _DARK = "#e4ebdd", "#202020"
 _BLOCK_PX = 4  # camera pixels that one point of the residual picture averages
 _RANGE_PX = 0.75  # panel pixels at the ends of its colour scale
@@ -70,12 +66,17 @@ class DecodeVerbOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class CodePhotographs:
-    """Photographs of one pattern, in the order of showing, and the lenses that are known."""
+    """Photographs of one pattern, in the order of showing, how to decode them, and the lenses that are known."""
 
     name: str
     photographs: tuple[Path, ...]
     pattern: Pattern
+    options: DecodeOptions
     lenses: Lenses = field(default_factory=Lenses)
+
+    def decoded(self) -> Decoded:
+        """Panel positions of the camera's pixels."""
+        return self.pattern.decode(read_each(self.photographs), self.options)
 
 
 def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -> Report:
@@ -84,11 +85,9 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     Raises:
         BadInputError: photographs are missing or do not decode (see `Pattern.decode`).
     """
-    codes = _photographs(options)
+    codes = code_photographs(options)
     progress.say("decoding")
-    full_scale = int(np.iinfo(read_photograph(codes.photographs[0]).dtype).max)
-    believed = DecodeOptions(2**options.bits - 1 if options.source == "own" else full_scale)
-    decoded = codes.pattern.decode(read_each(codes.photographs), believed)
+    decoded = codes.decoded()
     folder = output_folder(options.out)
     names = ("pixel", "sigma_px", "confidence", "rejection")
     arrays = write_arrays(folder / "decoded.npz", {name: getattr(decoded, name) for name in names})
@@ -97,7 +96,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     label = find_planes(decoded, camera_only)
     surveys = {_lens_names(lenses): fit_planes(decoded, label, lenses) for lenses in _variants(codes.lenses)}
     survey = surveys[_lens_names(camera_only)]
-    strengths = bit_strengths(read_each(codes.photographs), codes.pattern, believed)
+    strengths = bit_strengths(read_each(codes.photographs), codes.pattern, codes.options)
     heading = f"Residual of flat surfaces, distortion corrected: {_lens_names(camera_only)}"
     pictures = [
         Picture("Decoded positions", _draw_positions(folder / "positions.png", decoded), "Panel position u and v."),
@@ -108,7 +107,6 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
         _rejection_table(decoded),
         _strength_table(strengths),
         _flatness_table(surveys),
-        _opencv_comparison(codes, decoded, survey),
         *pictures,
     ]
     weak = [bit.name for bit in strengths if bit.weak]
@@ -124,29 +122,24 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     return save_report(report, folder)
 
 
-def _photographs(options: DecodeVerbOptions) -> CodePhotographs:
+def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
+    """The photographs that the options name.
+
+    Raises:
+        BadInputError: photographs or the size of the panel are missing.
+    """
     folder = options.folder
     if options.source == "procam-graycode":
         capture = read_procam_graycode(folder)
+        full_scale = int(np.iinfo(read_photograph(capture.photographs[0]).dtype).max)
         lenses = Lenses(capture.camera, capture.projector)
-        return CodePhotographs(folder.name, capture.photographs, GrayCode(capture.panel), lenses)
+        pattern = GrayCode(capture.panel)
+        return CodePhotographs(folder.name, capture.photographs, pattern, DecodeOptions(full_scale), lenses)
     if options.panel is None:
         raise BadInputError("--panel is missing: how many pixels has the panel, e.g. 1920x1080?")
-    return CodePhotographs(
-        folder.name, tuple(photographs_in(folder)), make_pattern(options.pattern, Panel(*options.panel))
-    )
-
-
-def _opencv_comparison(codes: CodePhotographs, decoded: Decoded, survey: PlaneSurvey) -> Block:
-    if not isinstance(codes.pattern, GrayCode) or read_photograph(codes.photographs[0]).dtype != np.uint8:
-        return Text("Not compared with OpenCV's decoder: it decodes plain Gray code in photographs of 8 bits only.")
-    if not has_opencv_decoder():
-        return Text(MISSING)
-    height, width = decoded.rejection.shape
-    place = np.random.default_rng(0).choice(height * width, min(_COMPARED, height * width), replace=False)
-    pixel = np.stack([place % width, place // width], axis=-1)
-    theirs = opencv_codes(read_each(codes.photographs), codes.pattern.panel, pixel)
-    return _opencv_table(decoded, theirs, place, survey, Lenses(codes.lenses.camera))
+    pattern_shown = make_pattern(options.pattern, Panel(*options.panel))
+    photographs = tuple(photographs_in(folder))
+    return CodePhotographs(folder.name, photographs, pattern_shown, DecodeOptions(2**options.bits - 1))
 
 
 def _variants(known: Lenses) -> list[Lenses]:
@@ -219,43 +212,6 @@ def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
         "about these means. Whole panel pixels would scatter by 0.29 px.",
     )
     return ReportTable("Homographies of flat surfaces", columns, rows, notes)
-
-
-def _opencv_table(
-    decoded: Decoded, theirs: OpencvCodes, place: NDArray[np.int64], survey: PlaneSurvey, lenses: Lenses
-) -> ReportTable:
-    """Our decoder and OpenCV's at the same camera pixels, of flat index `place` (n,), judged by flat surfaces."""
-    width = decoded.rejection.shape[1]
-    seen = np.stack([place % width, place // width], axis=-1) + 0.5
-    ours, accepted = decoded.pixel.reshape(-1, 2)[place], decoded.accepted.ravel()[place]
-    distance = [distance_to_planes(survey.planes, seen, shown, lenses) for shown in (ours, theirs.code + 0.5)]
-    equal = np.all(np.floor(ours) == theirs.code, axis=1)
-    groups = {
-        "accepted by both, same code": accepted & theirs.accepted & equal,
-        "accepted by both, another code": accepted & theirs.accepted & ~equal,
-        "accepted by us only": accepted & ~theirs.accepted,
-        "accepted by OpenCV only": ~accepted & theirs.accepted,
-        "accepted by neither": ~accepted & ~theirs.accepted,
-    }
-    rows: list[list[Cell]] = []
-    for name, group in groups.items():
-        of_each = [off[group & own] for off, own in zip(distance, (accepted, theirs.accepted), strict=True)]
-        within = [int(np.sum(off < _ON_SURFACE_PX)) if off.size else None for off in of_each]
-        median = [float(np.median(off)) if off.size else None for off in of_each]
-        rows.append([name, int(group.sum()), *within, *median])
-    columns = (
-        "camera pixels",
-        "count",
-        "ours on a surface",
-        "OpenCV's on a surface",
-        "ours off by, median (px)",
-        "OpenCV's off by, median (px)",
-    )
-    note = (
-        f"{len(place)} camera pixels by chance; on a surface: within {_ON_SURFACE_PX} px of a homography's prediction. "
-        "OpenCV's positions are whole panel pixels."
-    )
-    return ReportTable("Comparison with OpenCV's decoder", columns, rows, (note,))
 
 
 def _draw_positions(path: Path, decoded: Decoded) -> Path:

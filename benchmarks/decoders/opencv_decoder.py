@@ -13,8 +13,8 @@ from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import IntArray
 
 MISSING = (
-    "Not compared with OpenCV's decoder: this OpenCV has no cv2.structured_light. It comes with "
-    "opencv-contrib-python-headless in place of opencv-python-headless, in an environment of its own."
+    "This OpenCV has no cv2.structured_light. Install "
+    "opencv-contrib-python-headless in place of opencv-python-headless, in a separate environment."
 )
 
 _BLACK_THRESHOLD = 40  # OpenCV's defaults, in grey values of 255: of white over black,

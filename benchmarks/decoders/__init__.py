@@ -1,0 +1,1 @@
+"""Our decoder of Gray code beside OpenCV's."""
