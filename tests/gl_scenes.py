@@ -14,13 +14,6 @@ def view(camera=OFF_CENTRE, viewpoint=(0.0, 0.0, 0.0), world_from_device=None):
     return View(camera, np.array(viewpoint, float), np.eye(4) if world_from_device is None else world_from_device)
 
 
-def positions(view, image):
-    """World points (height, width, 3) that a picture drawn from a view shows, by its inverse depth; NaN for nothing."""
-    depth = 1 / np.where(image.inverse_depth > 0, image.inverse_depth, np.nan).astype(float)
-    rays = np.insert(view.camera.pixel_centre_tangents(), 2, -1.0, axis=-1)
-    return transforms.apply(view.world_from_camera, rays * depth[..., None])
-
-
 def quad(low, high, z=0.0, **material):
     """A rectangle facing +z; uv (0, 0) at its upper left corner."""
     (x0, y0), (x1, y1) = low, high

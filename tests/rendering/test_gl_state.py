@@ -73,12 +73,12 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller):
 
 
 def test_unusual_caller_state_gives_the_same_picture_as_an_own_context(caller, gl_context):
-    own = GlRaster(gl_context, SCENE).draw(gl_scenes.view())
+    own = GlRaster(gl_context, SCENE).draw(gl_scenes.view(), ("position", "ids"))
     caller.ctx.__enter__()
     caller.set_odd_values()
     with gl.adopt_context(caller.ctx) as context:
-        other = GlRaster(context, SCENE).draw(gl_scenes.view())
-    for name in ("colour", "inverse_depth"):
+        other = GlRaster(context, SCENE).draw(gl_scenes.view(), ("position", "ids"))
+    for name in ("colour", "inverse_depth", "position", "instance", "triangle"):
         np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
 
 

@@ -4,7 +4,7 @@ All backends give the same picture: within 3 codes of 255 in every channel, but 
 centre may fall on either side (tests/rendering/test_raster_backends.py holds them to it).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -151,12 +151,15 @@ class EmbreeRaster:
     def __init__(self, scene: Scene) -> None:
         self._renderer, self._background = RayRenderer(scene), _background_code(scene)
 
-    def draw(self, view: View) -> GeometryImage:
-        """Colour and inverse depth."""
-        shape = view.camera.height_px, view.camera.width_px
-        traced = self._renderer.render_blocks(shape, lambda rows: _rays(view, rows))
+    def draw(self, view: View, buffers: Collection[str] = ()) -> GeometryImage:
+        """Colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
+        height, width = view.camera.height_px, view.camera.width_px
+        traced = self._renderer.render_blocks((height, width), lambda rows: _rays(view, rows), buffers)
         # The directions reach one metre along -z, so that the distance along them is the depth.
-        return GeometryImage(traced.colour, np.reciprocal(traced.distance))
+        inverse_depth = np.reciprocal(traced.distance)
+        return GeometryImage(
+            traced.colour, inverse_depth, traced.position, traced.normal, traced.instance, traced.triangle
+        )
 
     def draw_warped(
         self, view: View, ray_maps: Sequence[RayMap], samples_per_axis: int = 1, with_geometry: bool = False

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.files import write_text
-from wlr_render.geometry import transforms
+from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 
@@ -40,6 +40,11 @@ class View:
         """(4, 4), read-only; the camera frame's origin is the viewpoint."""
         turned = self.world_from_device[:3, :3] @ self.device_from_camera
         return _read_only(transforms.rigid(turned, self.viewpoint_in_world))
+
+    def pixel_rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World rays through the pixel centres: origin (3,), unit directions (height, width, 3)."""
+        in_camera = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
+        return self.viewpoint_in_world, transforms.rotate(self.world_from_camera, in_camera)
 
 
 def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -76,10 +81,18 @@ class GeometryImage:
     Attributes:
         colour: (height, width, 3) uint8 sRGB.
         inverse_depth: (height, width) float32, 1 / (distance along the view's -z axis) in 1/m; 0 where nothing is.
+        position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
+        normal: (height, width, 3) float32 world frame unit, NaN where nothing is; None when not asked for.
+        instance: (height, width) int32 index of the instance, -1 where nothing is; None when not asked for.
+        triangle: (height, width) int32 index in the instance's mesh, -1 where nothing is; None when not asked for.
     """
 
     colour: NDArray[np.uint8]
     inverse_depth: NDArray[np.float32]
+    position: NDArray[np.float32] | None = None
+    normal: NDArray[np.float32] | None = None
+    instance: NDArray[np.int32] | None = None
+    triangle: NDArray[np.int32] | None = None
 
 
 def write_view(path: str | Path, view: View) -> Path:
