@@ -6,7 +6,6 @@ import numpy as np
 
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.jobs.designs import camera_positions
 from wlr_render.numerics.polynomial import Polynomial, basis, term_count
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -18,7 +17,7 @@ DEGREES = {3: 2, 5: 3}  # of the display, and of see-through beside it
 @lru_cache
 def captures(device):
     setup = CaptureSetup(traced_eye(load_device(device), "right"), grid=(17, 15))
-    positions, rng = camera_positions(setup, "planar", 25), np.random.default_rng(0)
+    positions, rng = setup.camera_positions("planar", 25), np.random.default_rng(0)
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 

@@ -235,4 +235,4 @@ def test_the_page_has_its_plots_and_the_json_their_points(tmp_path):
     assert record["plots"][0]["data"][0]["y"] == pytest.approx(points, rel=1e-3)
     assert record["camera-positions"]["camera_positions_needed"][0]["positions"] == 10
     assert record["options"]["degrees"] == [3]
-    assert record["verdict"].startswith("birdbath28 (right): 10 camera positions suffice: 0.1")
+    assert record["sentence"].startswith("birdbath28 (right): 10 camera positions suffice: 0.1")

@@ -102,6 +102,11 @@ class SessionPlan:
     see_through: SeeThroughPlan | None = None
     run_time: RunTimePlan | None = None
 
+    @property
+    def parts(self) -> tuple[DisplayPlan | None, SeeThroughPlan | None, RunTimePlan | None]:
+        """The parts in order."""
+        return self.display, self.see_through, self.run_time
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:
@@ -116,6 +121,11 @@ class Readings:
     panel_pixel: FloatArray | None = None
     dot_pixel: FloatArray | None = None
     seen: FloatArray | None = None
+
+    @property
+    def parts(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
+        """The readings of each part, in order."""
+        return self.panel_pixel, self.dot_pixel, self.seen
 
 
 @dataclass(frozen=True, eq=False)

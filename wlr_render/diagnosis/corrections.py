@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
 from wlr_render.diagnosis.fit import held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
@@ -78,12 +78,7 @@ def _designs(observations: Observations, part: int) -> Iterator[Design]:
         RUN_TIME: _run_time_designs,
     }
     yield from makers[part](observations)
-    by_part: dict[int, DisplayPlan | SeeThroughPlan | RunTimePlan | None] = {
-        DISPLAY: plan.display,
-        SEE_THROUGH: plan.see_through,
-        RUN_TIME: plan.run_time,
-    }
-    timed = by_part[part]
+    timed = plan.parts[part]
     if timed is not None:
         yield "time", "smooth", _polynomial(timed.time_s[:, None], 10)
     if isinstance(timed, DisplayPlan | SeeThroughPlan):

@@ -146,11 +146,7 @@ class Observations:
 
 def readings_of_rows(readings: Readings, masks: Sequence[BoolArray]) -> Readings:
     """The rows of each part that a mask names."""
-    return Readings(
-        None if readings.panel_pixel is None else readings.panel_pixel[masks[DISPLAY]],
-        None if readings.dot_pixel is None else readings.dot_pixel[masks[SEE_THROUGH]],
-        None if readings.seen is None else readings.seen[masks[RUN_TIME]],
-    )
+    return Readings(*(None if part is None else part[mask] for part, mask in zip(readings.parts, masks, strict=True)))
 
 
 def observe(nominal: Bench, session: Session) -> Observations:
@@ -186,7 +182,7 @@ def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> 
 
 def all_parts(plan: SessionPlan) -> IntArray:
     """Index into `PART_NAMES` of each reading of a plan (n,)."""
-    counts = [0 if part is None else len(part) for part in (plan.display, plan.see_through, plan.run_time)]
+    counts = [0 if part is None else len(part) for part in plan.parts]
     return np.repeat(np.arange(len(PART_NAMES)), counts)
 
 

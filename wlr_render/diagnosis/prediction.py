@@ -227,8 +227,4 @@ def _state_of_rows(state: State, kept: Observations, keep: BoolArray, part: IntA
 
 def _merged(found: Readings, old: Readings) -> Readings:
     """Readings that were found, and the old ones of the parts that were not done again."""
-    return Readings(
-        old.panel_pixel if found.panel_pixel is None else found.panel_pixel,
-        old.dot_pixel if found.dot_pixel is None else found.dot_pixel,
-        old.seen if found.seen is None else found.seen,
-    )
+    return Readings(*(was if new is None else new for new, was in zip(found.parts, old.parts, strict=True)))

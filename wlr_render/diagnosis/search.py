@@ -340,7 +340,7 @@ def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
 
 def times_between_captures(plan: SessionPlan) -> FloatArray:
     """Times in the middle between captures, ascending, without those near either end."""
-    parts = [part for part in (plan.display, plan.see_through, plan.run_time) if part is not None]
+    parts = [part for part in plan.parts if part is not None]
     times = np.unique(np.concatenate([part.time_s for part in parts]))
     edge = int(np.ceil(_EDGE * len(times)))
     return np.asarray(0.5 * (times[1:] + times[:-1]))[edge : len(times) - 1 - edge]

@@ -12,6 +12,7 @@ from wlr_render.geometry import directions
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.mappings import EyeMappings, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation import viewpoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,17 @@ class CaptureSetup:
             raise BadInputError(
                 f"capture setup: target depths {self.target_depths_m} m give no ray; give two or more, all above 0."
             )
+
+    def camera_positions(self, kind: str, count: int) -> FloatArray:
+        """Positions (count, 3) for a model type: "volumetric" in the eye box, "static" one, else in the base plane."""
+        box = self.truth.eye_box
+        if kind == "static":
+            return viewpoints.nominal(box)
+        return (
+            viewpoints.volumetric(box, count)
+            if kind == "volumetric"
+            else viewpoints.planar(box, self.field.reach, count)
+        )
 
     @cached_property
     def field(self) -> FieldOfView:

@@ -12,7 +12,6 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.files import output_folder
 from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, fit_blocks, fit_sentence, save_models
-from wlr_render.jobs.designs import camera_positions
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Range, Seed, described, eyes_of, seed_of
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.device_file import device_path, load_device
@@ -86,7 +85,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
 def simulate_captures(truth: EyeMappings, options: CalibrateSimulateOptions) -> EyeCaptures:
     """Captures of both sides of an eye, taken where the type of model needs them."""
     setup = CaptureSetup(truth, options.noise_px, 1e-3 * options.stage_error_mm)
-    positions = camera_positions(setup, options.fit.kind, options.viewpoints)
+    positions = setup.camera_positions(options.fit.kind, options.viewpoints)
     rng = np.random.default_rng(seed_of(options.seed, truth.eye))
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 

@@ -17,7 +17,6 @@ from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptu
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.jobs.designs import camera_positions
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.optics.device_file import load_device
@@ -35,6 +34,7 @@ from wlr_render.simulation.simulate_captures import (
 
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 BoxSize = tuple[float, float, float]
+Simulate = Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], AnyCaptures]
 
 TEST_VIEWPOINTS = 128
 TEST_RAYS = 64
@@ -84,18 +84,11 @@ def capture_setup(at: EvaluatedEye) -> CaptureSetup:
     return CaptureSetup(eye, camera_field=eye.field)
 
 
-@lru_cache(maxsize=16)
-def exact_display(at: EvaluatedEye, kind: str, count: int) -> DisplayCaptures:
-    """Noise-free captures of the panel."""
+@lru_cache(maxsize=32)
+def _exact(simulate: Simulate[AnyCaptures], at: EvaluatedEye, kind: str, count: int) -> AnyCaptures:
+    """Noise-free captures."""
     setup = capture_setup(at)
-    return simulate_display(setup, camera_positions(setup, kind, count), np.random.default_rng(0))
-
-
-@lru_cache(maxsize=16)
-def exact_see_through(at: EvaluatedEye, kind: str, count: int) -> SeeThroughCaptures:
-    """Noise-free captures of the targets."""
-    setup = capture_setup(at)
-    return simulate_see_through(setup, camera_positions(setup, kind, count), np.random.default_rng(0))
+    return simulate(setup, setup.camera_positions(kind, count), np.random.default_rng(0))
 
 
 @lru_cache
@@ -223,7 +216,7 @@ class DisplayTrial(Trial):
     def run(self, seed: int) -> Outcome:
         """Fit and evaluate; too few camera positions give a refused outcome."""
         rng = self.rng(seed)
-        captures = _measured(self, exact_display, simulate_display, rng)
+        captures = _measured(self, simulate_display, rng)
         try:
             model, _ = fit_display(captures, self.kind, self.degree)
         except BadInputError as fault:
@@ -244,7 +237,7 @@ class SeeThroughTrial(Trial):
 
     def run(self, seed: int) -> Outcome:
         """Fit and evaluate; too few camera positions give a refused outcome."""
-        captures = _measured(self, exact_see_through, simulate_see_through, self.rng(seed))
+        captures = _measured(self, simulate_see_through, self.rng(seed))
         try:
             model, _ = fit_see_through(captures, self.kind, self.degree)
         except BadInputError as fault:
@@ -300,19 +293,14 @@ def _run(task: list[AnyTrial], seed: int) -> list[tuple[AnyTrial, Outcome]]:
     return [(trial, trial.run(seed)) for trial in task]
 
 
-def _measured(
-    trial: Trial,
-    exact: Callable[[EvaluatedEye, str, int], AnyCaptures],
-    simulate: Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], AnyCaptures],
-    rng: np.random.Generator,
-) -> AnyCaptures:
+def _measured(trial: Trial, simulate: Simulate[AnyCaptures], rng: np.random.Generator) -> AnyCaptures:
     """The trial's captures; camera noise needs no new tracing, a displaced camera does."""
     if trial.stage_error_mm == 0.0:
-        captures = exact(trial.at, trial.kind, trial.viewpoints)
+        captures: AnyCaptures = _exact(simulate, trial.at, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)
     setup = replace(
         capture_setup(trial.at),
         camera_noise_arcmin=trial.camera_noise_arcmin,
         stage_error_m=1e-3 * trial.stage_error_mm,
     )
-    return simulate(setup, camera_positions(setup, trial.kind, trial.viewpoints), rng)
+    return simulate(setup, setup.camera_positions(trial.kind, trial.viewpoints), rng)
