@@ -86,9 +86,14 @@ def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
     made = compositor(flat_image_headset, context=context)
     with made:
         draw(made, SceneSource(made, scene()), HEAD, seen)
-        made.compose()
+        frame = made.compose(with_source=True)
+        assert frame.unsolved() == {"right": {}}
     made.release()
     for call in (
+        frame.read,
+        frame.texture,
+        frame.source,
+        frame.unsolved,
         lambda: made.begin_frame(HEAD, seen),
         lambda: made.submit(np.zeros(3)),
         made.compose,
@@ -98,6 +103,21 @@ def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
         with pytest.raises(BadInputError, match="has been released; make another one"):
             call()
     assert made.renderer
+    if made.context is not None:
+        for call in (frame.eyes["right"].read, frame.eyes["right"].read_ray_maps):
+            with pytest.raises(BadInputError, match="context has been released with all its pictures"):
+                call()
+
+
+def test_a_frame_of_two_eyes_asks_which_one_is_meant(flat_image_headset, compositor):
+    made = compositor({eye: replace(flat_image_headset, eye=eye) for eye in ("left", "right")}, context="cpu")
+    seen = viewpoint(flat_image_headset)
+    draw(made, SceneSource(made, scene()), HEAD, {"left": seen, "right": seen})
+    frame = made.compose()
+    for call in (frame.read, frame.texture, frame.source):
+        with pytest.raises(BadInputError, match=r"there are two eyes; name one of left, right"):
+            call()
+    assert frame.read("left").any()
 
 
 @pytest.mark.parametrize("context", CONTEXTS)

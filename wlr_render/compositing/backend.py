@@ -1,6 +1,6 @@
 """Backends of a compositor (an own OpenGL context, an adopted one, or the CPU), and the frames that they compose."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol
@@ -8,6 +8,7 @@ from typing import Any, Generic, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.compositing.checks import checked_eye
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.mappings import require_planar
 from wlr_render.numerics.arrays import FloatArray
@@ -41,15 +42,18 @@ class ComposedFrame:
 
     Attributes:
         eyes: by name.
+        check_alive: raises a `BadInputError` once the compositor has been released.
     """
 
     eyes: Mapping[str, ComposedEye]
+    check_alive: Callable[[], None]
 
     def read(self, eye: str | None = None) -> NDArray[np.uint8]:
         """Fetch an eye's (height, width, 3) uint8 sRGB, top row first; `eye` may be left out if there is one.
 
         Raises:
-            BadInputError: no such eye, or the picture was composed into your framebuffer.
+            BadInputError: no such eye, the picture was composed into your framebuffer, or the compositor has been
+                released.
         """
         return self._eye(eye).read().colour
 
@@ -77,15 +81,12 @@ class ComposedFrame:
 
     def unsolved(self) -> dict[str, dict[str, int]]:
         """Number of unsolved points of the ray maps, by eye and reason. Costs a small transfer."""
+        self.check_alive()
         return {name: eye.unsolved() for name, eye in self.eyes.items()}
 
     def _eye(self, eye: str | None) -> ComposedEye:
-        if eye is None and len(self.eyes) == 1:
-            (only,) = self.eyes.values()
-            return only
-        if eye is None or eye not in self.eyes:
-            raise BadInputError(f"there is no eye '{eye}' in this frame; name one of {', '.join(self.eyes)}.")
-        return self.eyes[eye]
+        self.check_alive()
+        return self.eyes[checked_eye(eye, tuple(self.eyes))]
 
 
 class CachedRayMaps(Generic[SolvedT]):

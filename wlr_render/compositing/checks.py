@@ -16,6 +16,19 @@ _ROTATION_SLACK = 1e-4
 _ROUNDING = _ROUNDING_M = 1e-9
 
 
+def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
+    """The eye that a caller names; it may be left out if there is one.
+
+    Raises:
+        BadInputError: there is no such eye, or it is left out and there are two.
+    """
+    if eye is None and len(eyes) > 1:
+        raise BadInputError(f"there are two eyes; name one of {', '.join(eyes)} with eye=.")
+    if eye is not None and eye not in eyes:
+        raise BadInputError(f"there is no eye '{eye}' here; name one of {', '.join(eyes)}.")
+    return eye or eyes[0]
+
+
 def checked_models(models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]]) -> dict[str, EyeChannels]:
     """Channels by eye, the left eye first.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from wlr_render.compositing.backend import Backend, ComposedFrame, open_backend
 from wlr_render.compositing.checks import (
     checked_background,
+    checked_eye,
     checked_models,
     checked_pose,
     checked_size,
@@ -114,11 +115,11 @@ class Compositor:
 
     def plan(self, eye: str) -> EyePlan:
         """The plan of an eye: camera, axes, warp grid."""
-        return self._plans[self._checked_eye(eye)]
+        return self._plans[checked_eye(eye, self.eyes)]
 
     def within_reach(self, eye: str, viewpoint: FloatArray) -> FloatArray:
         """Return the nearest viewpoint (3,) that `begin_frame` accepts, for samples far outside the eye box."""
-        return nearest_in_reach(viewpoint, self._models[self._checked_eye(eye)][0].eye_box)
+        return nearest_in_reach(viewpoint, self._models[checked_eye(eye, self.eyes)][0].eye_box)
 
     def begin_frame(self, pose: FloatArray, viewpoint: FloatArray | Mapping[str, FloatArray]) -> dict[str, EyeCamera]:
         """Start a frame and drop the pictures submitted before.
@@ -165,7 +166,7 @@ class Compositor:
         Raises:
             BadInputError: no frame begun, an eye submitted twice, or a picture of another size, kind or context.
         """
-        frame, eye = self._begun(), self._checked_eye(eye)
+        frame, eye = self._begun(), checked_eye(eye, self.eyes)
         if not isinstance(stored, StoredDepth) or not isinstance(rows, Rows | None):
             raise BadInputError("stored must be a StoredDepth, and rows one of Rows; see rendering/stored_picture.py.")
         if eye in frame.submitted:
@@ -221,7 +222,7 @@ class Compositor:
                 view, at = frame.cameras[eye].view, viewpoints[eye]
                 moved = image_from_ray_map(view, at, plan.device_from_camera, poses)
                 composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source)
-        return ComposedFrame(composed)
+        return ComposedFrame(composed, self._check_alive)
 
     def forget(self) -> None:
         """Solve the next frame without a warm start, as after a change of the headset's fit."""
@@ -260,15 +261,6 @@ class Compositor:
         if self._frame is None:
             raise BadInputError("there is no frame; call begin_frame first.")
         return self._frame
-
-    def _checked_eye(self, eye: str | None) -> str:
-        if eye is None and len(self._plans) == 1:
-            return self.eyes[0]
-        if eye is None:
-            raise BadInputError(f"there are two eyes; name one of {', '.join(self.eyes)} with eye=.")
-        if eye not in self._plans:
-            raise BadInputError(f"there is no eye '{eye}' here; name one of {', '.join(self.eyes)}.")
-        return eye
 
     def _row_poses(self, first: FloatArray, pose_at_last_row: FloatArray | None) -> NDArray[np.float64]:
         """(4, 4), or (rows, 4, 4) for a rolling scan-out."""

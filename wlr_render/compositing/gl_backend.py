@@ -144,8 +144,6 @@ class GlComposed:
         """See `ComposedEye`."""
         if self.warped is None:
             raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
-        if gl.is_released(self.warped.colour):
-            raise BadInputError("the compositor has been released, and its pictures with it; read them before.")
         return self.warped.read()
 
     def unsolved(self) -> dict[str, int]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from wlr_render import files
-from wlr_render.errors import MissingGlError
+from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering.context_ownership import AdoptedContext, ContextOwner, OwnContext
 from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.native_contexts import CurrentContext, EglBinding, NoCurrentContextError, OsMesaContext
@@ -68,6 +68,7 @@ class GlContext:
         # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
         self._ctx.gc_mode = "context_gc"
         self._programs: dict[tuple[object, ...], Program] = {}
+        self._released = False
         self.backend = current.platform
         with owner.entered(third_party=False):
             self.renderer = str(ctx.info["GL_RENDERER"])
@@ -100,8 +101,10 @@ class GlContext:
 
         Raises:
             GlError: a call in the block failed.
-            BadInputError: an adopted context is not current.
+            BadInputError: it has been released, or an adopted context is not current.
         """
+        if self._released:
+            raise BadInputError("the OpenGL context has been released with all its pictures; read them before release.")
         with self._owner.entered(third_party):
             _free_dropped(self._ctx)
             self._ctx.enable_only(moderngl.NOTHING)
@@ -199,6 +202,7 @@ class GlContext:
     def release(self) -> None:
         """Destroy an own context with its objects; in an adopted one, only the objects made here."""
         self._programs.clear()
+        self._released = True
         self._owner.release(list(self._objects))
 
     def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:
