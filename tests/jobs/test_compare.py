@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,5 +110,5 @@ def test_without_optics_both_eyes_and_all_methods_show_the_same_points(straight_
 def test_faults_are_refused_before_anything_is_written(straight_device, scene_file, tmp_path, change, sentence):
     options = CompareOptions(straight_device, scene_file, backend="cpu", out=tmp_path / "out")
     with pytest.raises(BadInputError, match=sentence):
-        compare(options.with_values(**change))
+        compare(replace(options, **change))
     assert not (tmp_path / "out").exists()

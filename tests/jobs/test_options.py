@@ -1,6 +1,6 @@
 """Options check themselves: the command line and scripts are refused the same values in the same words."""
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -39,4 +39,4 @@ def test_values_out_of_range_and_unused_options_are_refused(values, sentence):
 
 def test_good_values_pass():
     options = DrawOptions("desk", method="rays", shadows=True, rate=0.5, limit=1)
-    assert options.with_values(limit=3).limit == 3
+    assert replace(options, limit=3).limit == 3

@@ -80,8 +80,8 @@ def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(movi
 
 def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_same(moving, tmp_path):
     render(moving)
-    again = moving.with_values(out=tmp_path / "resumed")
-    assert counts(render(again.with_values(frame_limit=2))) == (2, 0)
+    again = replace(moving, out=tmp_path / "resumed")
+    assert counts(render(replace(again, frame_limit=2))) == (2, 0)
     (again.out / "right-000000.png").unlink()
     untouched = (again.out / "right-000001.png").stat().st_mtime_ns
     report = render(again)
@@ -97,7 +97,7 @@ def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_ag
     """The first run stops at a frame that is larger than the system lets files be."""
     resource = pytest.importorskip("resource")
     render(moving)
-    again = moving.with_values(out=tmp_path / "resumed")
+    again = replace(moving, out=tmp_path / "resumed")
     before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def disk_fills_up(items, total, label):
@@ -124,7 +124,7 @@ def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monke
 
     monkeypatch.setattr(WarpedPainter, "paint", spy)
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
-    render(options.with_values(head=head, eye="both", frames_per_second=10.0))
+    render(replace(options, head=head, eye="both", frames_per_second=10.0))
     assert len(painted) == 6
     for eye in (0, 1):
         own = painted[eye::2]
@@ -140,7 +140,7 @@ def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
                 raise KeyboardInterrupt
             yield item
 
-    both = options.with_values(eye="both")
+    both = replace(options, eye="both")
     with pytest.raises(KeyboardInterrupt):
         render(both, progress=interrupt)
     assert {path.name for path in both.out.iterdir()} == {"sequence.json", "left-000000.png", "right-000000.png"}
@@ -156,7 +156,7 @@ def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m
     scene = tmp_path / "scene.toml"
     ball = Path(options.scene).read_text(encoding="utf-8")
     scene.write_text(ball.replace("[0.03, 0.01, -0.5]", f"[0.0, 0.0, {ball_z_m}]"), encoding="utf-8")
-    job = options.with_values(headset=str(device), scene=str(scene), eye="both", maps="tiff")
+    job = replace(options, headset=str(device), scene=str(scene), eye="both", maps="tiff")
     assert counts(render(job)) == (2, 0)
     column = {}
     for eye in ("left", "right"):
@@ -180,7 +180,7 @@ def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m
 def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path, change):
     device = Path(shutil.copy(options.headset, tmp_path / "device.toml"))
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
-    job = options.with_values(headset=str(device), head=head, frames_per_second=10.0)
+    job = replace(options, headset=str(device), head=head, frames_per_second=10.0)
     render(job)
     before = {path.name: path.read_bytes() for path in job.out.iterdir()}
     if "head" in change:  # the same file name, but the head has turned
@@ -190,7 +190,7 @@ def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path,
         device.write_text(device.read_text(encoding="utf-8").replace("[0.0, 0.0, 500.0]", "[0.0, 0.0, 501.0]"))
         change = {}
     with pytest.raises(BadInputError, match="frames: holds the frames of another job; choose another folder"):
-        render(job.with_values(**change))
+        render(replace(job, **change))
     assert {path.name: path.read_bytes() for path in job.out.iterdir()} == before
 
 
@@ -207,12 +207,12 @@ def test_frames_of_unknown_origin_are_refused(options, record):
 
 def test_backend_and_video_may_change_between_runs(options):
     render(options)
-    assert counts(render(options.with_values(backend="auto", video=False))) == (0, 1)
+    assert counts(render(replace(options, backend="auto", video=False))) == (0, 1)
 
 
 def test_map_from_the_mesh_shows_the_same_picture(options):
     render(options)
-    meshed = options.with_values(map_from="mesh", out=options.out.with_name("meshed"))
+    meshed = replace(options, map_from="mesh", out=options.out.with_name("meshed"))
     render(meshed)
     depth, mesh = (read_png(each.out / "right-000000.png").astype(int) for each in (options, meshed))
     differs = np.abs(depth - mesh).max(axis=-1) > 8
@@ -251,7 +251,7 @@ def test_map_from_the_mesh_shows_the_same_picture(options):
 )
 def test_contradictions_and_unknown_names_are_refused_before_anything_is_written(options, change, sentence):
     with pytest.raises(BadInputError, match=sentence):
-        render(options.with_values(**change))
+        render(replace(options, **change))
     assert not options.out.exists() or not list(options.out.iterdir())
 
 
@@ -259,7 +259,7 @@ def test_an_eye_that_the_model_does_not_hold_is_refused_with_the_remedy(options,
     with pytest.raises(
         BadInputError, match="is a model of the right eye; the left eye was asked for: calibrate it into"
     ):
-        render(options.with_values(headset=model_file, eye="both"))
+        render(replace(options, headset=model_file, eye="both"))
     assert not options.out.exists()
 
 
@@ -269,13 +269,13 @@ def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
 
     monkeypatch.setattr(gl, "open_context", refuse)
     with pytest.raises(MissingGlError):
-        render(options.with_values(backend="egl"))
+        render(replace(options, backend="egl"))
     assert list(options.out.iterdir()) == []
 
 
 def test_a_viewpoint_outside_the_eye_box_names_file_time_and_eye(options, tmp_path):
     track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.zeros(3), step_m=(0.02, 0.0, 0.0))
-    job = options.with_values(eye_track=track, frames_per_second=10.0)
+    job = replace(options, eye_track=track, frames_per_second=10.0)
     # 20 mm/s reach the box's edge, 5 mm out, after 0.25 s.
     with pytest.raises(
         BadInputError, match=r"eyes\.txt at 0\.3000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"
@@ -288,7 +288,7 @@ def test_tracks_that_do_not_overlap_are_refused(options, tmp_path):
     head = still_head(tmp_path / "head.tum", [0.0, 1.0])
     eyes = moving_pupil(tmp_path / "eyes.txt", "right", [2.0, 3.0], np.zeros(3))
     with pytest.raises(BadInputError, match=r"head\.tum and .*eyes\.txt do not overlap in time"):
-        render(options.with_values(head=head, eye_track=eyes))
+        render(replace(options, head=head, eye_track=eyes))
     assert not options.out.exists()
 
 
@@ -297,28 +297,26 @@ def test_tracks_out_of_order_are_refused_with_their_line(options, tmp_path):
     comment, first, second, third = head.read_text().splitlines()
     head.write_text("\n".join([comment, first, third, second]) + "\n")
     with pytest.raises(BadInputError, match=r"head\.tum line 4: time 0\.1 does not come after"):
-        render(options.with_values(head=head))
+        render(replace(options, head=head))
     assert not options.out.exists()
 
 
 def test_an_eye_that_was_not_tracked_is_refused(options, tmp_path):
     eyes = moving_pupil(tmp_path / "eyes.txt", "left", [0.0, 0.1], np.zeros(3))
     with pytest.raises(BadInputError, match=r"eyes\.txt: there is no eye 'right' in it, only left"):
-        render(options.with_values(eye_track=eyes))
+        render(replace(options, eye_track=eyes))
 
 
 def test_the_last_moment_is_not_rounded_beyond_the_track(options, tmp_path):
     # 0.1 + 1 / 20 is more than 0.15 by one bit.
     head = still_head(tmp_path / "head.tum", [0.1, 0.15])
-    moments = planned_moments(
-        options.with_values(head=head, frames_per_second=20.0), {"right": open_eye(options.headset)}
-    )
+    moments = planned_moments(replace(options, head=head, frames_per_second=20.0), {"right": open_eye(options.headset)})
     assert [moment.time_s for moment in moments] == [0.1, 0.15]
 
 
 @pytest.mark.parametrize("suffix", ["tiff", "pfm"])
 def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
-    assert counts(render(options.with_values(maps=suffix))) == (1, 0)
+    assert counts(render(replace(options, maps=suffix))) == (1, 0)
     source = read_map(options.out / f"right-000000.{suffix}")
     assert (source.shape, source.dtype) == ((36, 64, 3), np.float32)
     # Without optics the map is affine in the pixel, and its third channel the inverse depth: ball and wall.
@@ -339,7 +337,7 @@ def test_maps_lead_from_the_panel_into_the_intermediate_image(options, suffix):
     # A frame whose map, or the file beside it, is missing is drawn again.
     for lost in (f"right-000000.{suffix}", "right-000000.json"):
         (options.out / lost).unlink()
-        assert counts(render(options.with_values(maps=suffix))) == (1, 0)
+        assert counts(render(replace(options, maps=suffix))) == (1, 0)
 
 
 def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
@@ -347,7 +345,7 @@ def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
     box = right.mappings.eye_box
     moved = replace(right.mappings, eye="left", eye_box=EyeBox(box.centre + [0.001, 0.002, 0.0], box.size))
     both = save_eye_models(tmp_path / "both.json", [right, replace(right, mappings=moved)])
-    assert counts(render(options.with_values(headset=str(both), eye="both"))) == (2, 0)
+    assert counts(render(replace(options, headset=str(both), eye="both"))) == (2, 0)
     frames = json.loads((options.out / "sequence.json").read_text())["frames"]
     assert [frame["file"] for frame in frames] == ["left-000000.png", "right-000000.png"]
     left_viewpoint, right_viewpoint = (np.array(frame["viewpoint_in_device_m"]) for frame in frames)
@@ -366,8 +364,8 @@ def test_the_report_lists_frames_inputs_and_files(moving):
 
 
 def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):
-    one = options.with_values(headset=model_file)
-    three = one.with_values(red_model=Path(model_file), blue_model=Path(model_file), out=tmp_path / "three")
+    one = replace(options, headset=model_file)
+    three = replace(one, red_model=Path(model_file), blue_model=Path(model_file), out=tmp_path / "three")
     for job in (one, three):
         render(job)
     assert pictures(one.out) == pictures(three.out)
@@ -375,7 +373,7 @@ def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):
 
 def test_a_video_shows_the_frames(options, tmp_path):
     head = still_head(tmp_path / "head.tum", [0.0, 0.2], turn_rate=0.3)
-    job = options.with_values(head=head, frames_per_second=10.0, video=True)
+    job = replace(options, head=head, frames_per_second=10.0, video=True)
     try:
         report = render(job)
     except BadInputError as error:
@@ -395,10 +393,8 @@ def test_a_video_shows_the_frames(options, tmp_path):
 def test_ray_traced_frames_agree_with_rasterised_ones_and_can_be_refined(options, tmp_path):
     jobs = {
         "raster": options,
-        "raytrace": options.with_values(method="raytrace", backend="auto", out=tmp_path / "traced"),
-        "fine": options.with_values(
-            method="raytrace", backend="auto", supersample=3, shadows=True, out=tmp_path / "fine"
-        ),
+        "raytrace": replace(options, method="raytrace", backend="auto", out=tmp_path / "traced"),
+        "fine": replace(options, method="raytrace", backend="auto", supersample=3, shadows=True, out=tmp_path / "fine"),
     }
     drawn = {}
     for name, job in jobs.items():

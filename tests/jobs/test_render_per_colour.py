@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,7 +62,7 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
     channels = open_colours(colourful.headset)
     fringe = {}
     for per_colour in (False, True):
-        job = colourful.with_values(per_colour=per_colour, out=colourful.out / str(per_colour), **way)
+        job = replace(colourful, per_colour=per_colour, out=colourful.out / str(per_colour), **way)
         render(job)
         red, green, blue = seen_middles(read_png(job.out / "right-000000.png"), channels)
         fringe[per_colour] = directions.arcmin_between(np.stack([red, blue]), green)
@@ -74,7 +76,7 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
 
 @pytest.mark.parametrize("maps", [None, "tiff"])
 def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, maps):
-    render(colourful.with_values(per_colour=True, maps=maps))
+    render(replace(colourful, per_colour=True, maps=maps))
     channels, raster_backend = open_colours(colourful.headset), open_raster_backend(load_scene(colourful.scene), "cpu")
     drawn = read_png(colourful.out / "right-000000.png")
     painter = WarpedPainter(channels, raster_backend)

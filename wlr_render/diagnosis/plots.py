@@ -11,6 +11,7 @@ from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.residual_views import PartView, Variable
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.report.blocks import Plot
+from wlr_render.report.plots import axis
 
 _BEFORE, _AFTER, _GREY = "#c4651a", "#2f7fc1", "#8c8c8c"
 _CELLS = (14, 11)  # arrows across and down
@@ -50,13 +51,13 @@ def residual_maps(part: PartView) -> Plot:
         for number, field in enumerate(part.maps)
     ]
     layout: dict[str, Any] = {"sliders": [{"steps": steps, "active": largest, "pad": {"t": 50}}], "annotations": []}
-    layout["yaxis"] = {"range": [high[1], low[1] - pitch]} | _title(part.place_label[1])
+    layout["yaxis"] = {"range": [high[1], low[1] - pitch]} | axis(part.place_label[1])
     for place, state in enumerate(part.states):
         domain = [place / count + 0.02, (place + 1) / count - 0.02]
         layout[f"xaxis{place + 1 if place else ''}"] = {
             "range": [low[0], high[0]],
             "domain": domain,
-        } | _title(part.place_label[0])
+        } | axis(part.place_label[0])
         layout["annotations"].append(
             {"text": state.name, "xref": "paper", "yref": "paper", "x": domain[0], "y": 1.08, "showarrow": False}
         )
@@ -79,10 +80,10 @@ def residual_curves(part: PartView) -> Plot:
         data += [trace | axes for trace in _curves(part, variable, number == 0)]
         across, down = [(column + 0.09) / _COLUMNS, (column + 0.96) / _COLUMNS], [row / rows, (row + 0.7) / rows]
         radial = " (outwards, around)" if variable.outwards is not None else ""
-        layout[f"xaxis{suffix}"] = {"domain": across, "anchor": f"y{suffix}"} | _title(variable.name + radial)
+        layout[f"xaxis{suffix}"] = {"domain": across, "anchor": f"y{suffix}"} | axis(variable.name + radial)
         layout[f"yaxis{suffix}"] = {"domain": [1 - down[1], 1 - down[0]], "anchor": f"x{suffix}"}
         layout[f"yaxis{suffix}"] |= {"matches": "y"} if number else {}
-        layout[f"yaxis{suffix}"] |= _title("arcmin") if column == 0 else {}
+        layout[f"yaxis{suffix}"] |= axis("arcmin") if column == 0 else {}
     layout["legend"] = {"orientation": "h", "y": 1.08, "yanchor": "bottom"}
     caption = (
         "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where so "
@@ -117,11 +118,6 @@ def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[st
             | {"line": {"color": _GREY}, "x": curve.middle, "y": curve.excess, "showlegend": in_legend}
         )
     return data
-
-
-def _title(text: str) -> dict[str, Any]:
-    """Title of an axis."""
-    return {"title": {"text": text, "font": {"size": 12}}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +176,10 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
         | {"line": {"color": _GREY}, "xaxis": "x2", "yaxis": "y2"},
     ]
     layout = {
-        "xaxis": {"domain": [0, 0.46]} | _title("residual (sigma)"),
-        "yaxis": _title("density"),
-        "xaxis2": {"domain": [0.56, 1]} | _title("normal quantile"),
-        "yaxis2": {"anchor": "x2"} | _title("residual quantile (sigma)"),
+        "xaxis": {"domain": [0, 0.46]} | axis("residual (sigma)"),
+        "yaxis": axis("density"),
+        "xaxis2": {"domain": [0.56, 1]} | axis("normal quantile"),
+        "yaxis2": {"anchor": "x2"} | axis("residual quantile (sigma)"),
         "bargap": 0,
     }
     caption = (
@@ -204,7 +200,7 @@ def captures_plot(diagnosis: Diagnosis) -> Plot:
         | {"marker": {"color": colour, "symbol": marks}}
         for name, colour, values in shown
     ]
-    layout = {"yaxis": {"type": "log"} | _title("rms residual (sigma)"), "xaxis": {"showticklabels": False}}
+    layout = {"yaxis": axis("rms residual (sigma)", log=True), "xaxis": {"showticklabels": False}}
     return Plot("Residual of each capture", data, layout, "1 is noise. Crosses: excluded captures.", 340)
 
 

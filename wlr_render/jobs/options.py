@@ -11,7 +11,7 @@ import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from cyclopts import Parameter, Token
 
@@ -94,10 +94,6 @@ class Options:
             raise BadInputError(
                 f"{flag_of(type(self), name)} is used with {wanted} only; leave it out, or give {wanted}."
             )
-
-    def with_values(self, **values: object) -> Self:
-        """A copy with some values replaced."""
-        return dataclasses.replace(self, **values)
 
 
 def flag_of(options: type[Options], field: str) -> str:

@@ -22,6 +22,11 @@ _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
 
+def axis(title: str, log: bool = False) -> dict[str, Any]:
+    """Layout of an axis: its title, unit included, and its scale."""
+    return {"title": {"text": title, "font": {"size": 12}}, **({"type": "log"} if log else {})}
+
+
 def curves(
     title: str,
     lines: Mapping[str, tuple[ArrayLike, ArrayLike]],
@@ -48,7 +53,7 @@ def curves(
             colour, dash = list(groups).index(group), list(kinds).index(kind)
             line = {"color": _COLOURS[colour % len(_COLOURS)], "dash": _DASHES[dash % len(_DASHES)]}
             trace |= {"mode": "lines+markers", "line": line}
-    layout = {"xaxis": _axis(axes[0], log_x), "yaxis": _axis(axes[1], log_y), "hovermode": "closest"}
+    layout = {"xaxis": axis(axes[0], log_x), "yaxis": axis(axes[1], log_y), "hovermode": "closest"}
     return Plot(title, data, layout, caption)
 
 
@@ -95,8 +100,8 @@ def heat_map(
         **colours,
     }
     layout = {
-        "xaxis": _axis(axes[0]) | {"constrain": "domain"},
-        "yaxis": _axis(axes[1]) | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
+        "xaxis": axis(axes[0]) | {"constrain": "domain"},
+        "yaxis": axis(axes[1]) | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
     }
     reduced = f" Each cell shows the maximum of {block} x {block} pixels." if block > 1 else ""
     return Plot(title, [trace], layout, (caption + reduced).strip(), height_px=560)
@@ -119,7 +124,7 @@ def bars(title: str, names: Sequence[str], series: Mapping[str, ArrayLike], y_ti
         {"type": "bar", "name": name, "x": list(names), "y": _rounded(values), "showlegend": len(series) > 1}
         for name, values in series.items()
     ]
-    layout = {"barmode": "group", "xaxis": {"type": "category"}, "yaxis": {"title": {"text": y_title}}}
+    layout = {"barmode": "group", "xaxis": {"type": "category"}, "yaxis": axis(y_title)}
     return Plot(title, data, layout, caption)
 
 
@@ -189,8 +194,9 @@ def arrow_map(
         for number, name in enumerate(groups)
     ]
     layout: dict[str, Any] = {
-        "xaxis": {"title": {"text": axes[0]}, "constrain": "domain"},
-        "yaxis": {"title": {"text": axes[1]}, "scaleanchor": "x", "constrain": "domain"}
+        "xaxis": axis(axes[0]) | {"constrain": "domain"},
+        "yaxis": axis(axes[1])
+        | {"scaleanchor": "x", "constrain": "domain"}
         | ({"autorange": "reversed"} if y_down else {}),
         "hovermode": "closest",
     }
@@ -202,10 +208,6 @@ def arrow_map(
 
 def _trace(points: FloatArray, mode: str, **more: object) -> dict[str, Any]:
     return {"type": "scatter", "mode": mode, "x": _rounded(points[:, 0]), "y": _rounded(points[:, 1]), **more}
-
-
-def _axis(title: str, log: bool = False) -> dict[str, Any]:
-    return {"title": {"text": title}, **({"type": "log"} if log else {})}
 
 
 def _rounded(values: ArrayLike) -> list[Any]:

@@ -34,7 +34,7 @@ SMALL = CalibrateSimulateOptions("birdbath28", viewpoints=12, noise_px=0.0, seed
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
-    return folder, calibrate_simulate(SMALL.with_values(noise_px=0.1, out=folder))
+    return folder, calibrate_simulate(replace(SMALL, noise_px=0.1, out=folder))
 
 
 def truth_errors(report):
@@ -48,7 +48,7 @@ def residual(report):
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
 def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(flat_image_headset, kind):
-    captures = simulate_captures(flat_image_headset, SMALL.with_values(fit=FitOptions(kind=kind)))
+    captures = simulate_captures(flat_image_headset, replace(SMALL, fit=FitOptions(kind=kind)))
     fitted = fit_eye(captures, kind, 2, 2).mappings
     rng = np.random.default_rng(8)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (20, 1, 3)))
@@ -81,11 +81,11 @@ def test_written_files_are_read_back(calibrated):
     assert "Against the traced truth" in (folder / "report.md").read_text()
 
 
-TWO_EYES = SMALL.with_values(device="northstar", noise_px=0.1)
+TWO_EYES = replace(SMALL, device="northstar", noise_px=0.1)
 
 
 def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
-    both = calibrate_simulate(TWO_EYES.with_values(eye="both", out=tmp_path))
+    both = calibrate_simulate(replace(TWO_EYES, eye="both", out=tmp_path))
     assert [path.name for path in both.files[:3]] == ["model.json", "captures-left.npz", "captures-right.npz"]
     assert list(load_eye_models(tmp_path / "model.json")) == ["left", "right"]
     noise = []
@@ -98,10 +98,10 @@ def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
 
 
 def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(tmp_path):
-    options = TWO_EYES.with_values(out=tmp_path)
+    options = replace(TWO_EYES, out=tmp_path)
     assert calibrate_simulate(options).warnings == ()
     (right,) = json.loads((tmp_path / "model.json").read_text())["eyes"]
-    (kept,) = calibrate_simulate(options.with_values(eye="left")).warnings
+    (kept,) = calibrate_simulate(replace(options, eye="left")).warnings
     assert "also holds the right eye, from an earlier run" in kept
     eyes = json.loads((tmp_path / "model.json").read_text())["eyes"]
     assert [each["eye"] for each in eyes] == ["left", "right"]
@@ -123,7 +123,7 @@ def test_a_calibrated_eye_is_near_the_truth(calibrated):
 
 
 def test_stage_error_spoils_the_calibration_by_its_pupil_swim(calibrated, tmp_path):
-    spoiled = calibrate_simulate(SMALL.with_values(stage_error_mm=0.3, out=tmp_path))
+    spoiled = calibrate_simulate(replace(SMALL, stage_error_mm=0.3, out=tmp_path))
     # 0.3 mm per axis at 6.3 arcmin per mm, somewhat averaged by the fit.
     assert 0.5 < truth_errors(spoiled)["direction of a pixel (arcmin)"] < 4.0
 
@@ -148,7 +148,7 @@ def test_degrees_are_chosen_by_held_out_positions(calibrated, tmp_path):
 
 def test_too_few_viewpoints_say_how_many_are_missing(tmp_path):
     with pytest.raises(BadInputError, match="at least 21 viewpoints"):
-        calibrate_simulate(SMALL.with_values(fit=FitOptions(degree=5, see_through_degree=3), out=tmp_path / "out"))
+        calibrate_simulate(replace(SMALL, fit=FitOptions(degree=5, see_through_degree=3), out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
@@ -214,8 +214,8 @@ def display_error(model):
 def test_a_session_is_calibrated_by_the_bench_that_is_believed(night, tmp_path):
     session, bench = night
     options = CalibrateCapturesOptions(session, fit=FitOptions(degree=4, see_through_degree=2))
-    believed = calibrate_captures(options.with_values(out=tmp_path / "believed"))
-    extended = calibrate_captures(options.with_values(out=tmp_path / "extended", bench=bench))
+    believed = calibrate_captures(replace(options, out=tmp_path / "believed"))
+    extended = calibrate_captures(replace(options, out=tmp_path / "extended", bench=bench))
     assert extended.inputs == [session, bench]
     before, after = (display_error(load_eye_model(each.files[0]).mappings) for each in (believed, extended))
     assert after < 0.3 * before

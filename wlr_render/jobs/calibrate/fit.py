@@ -15,7 +15,7 @@ from wlr_render.jobs.options import Degree, Options, described
 from wlr_render.models.model_file import add_eye_models
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Plot, ReportTable
-from wlr_render.report.plots import arrow_map, bars
+from wlr_render.report.plots import arrow_map, axis, bars
 
 MODEL_FILE = "model.json"
 
@@ -116,10 +116,7 @@ def _held_out_plot(fit: EyeFit) -> Plot:
                 "marker": {"size": [14 if each.degree == report.degree else 6 for each in tried]},
             }
         )
-    layout = {
-        "xaxis": {"title": {"text": "degree N"}, "dtick": 1},
-        "yaxis": {"title": {"text": "held-out rms (arcmin)"}, "type": "log"},
-    }
+    layout = {"xaxis": axis("degree N") | {"dtick": 1}, "yaxis": axis("held-out rms (arcmin)", log=True)}
     caption = "Error at camera positions that were left out of the fit; large markers are the degrees in use."
     return Plot("Held-out error by degree", data, layout, caption)
 
