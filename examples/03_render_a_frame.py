@@ -28,7 +28,7 @@ write_map("warp.tiff", warped.source)  # u, v and inverse depth in the intermedi
 
 eye_in_world = transforms.apply(world_from_device, viewpoint)
 error = raster_error(warped.position, traced.position, eye_in_world)
-drawn_from = warped.view.viewpoint_in_world
+drawn_from = warped.view.position_in_world
 hidden = disoccluded(renderer.tracer, drawn_from, traced.ray_map, world_from_device, traced.position)
 seen = summary(error.registration_arcmin[~hidden])
 print(f"drawn by {raster_backend.backend}: registration {seen.median:.5f} arcmin median, {seen.p95:.5f} at 95 %")

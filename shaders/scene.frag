@@ -6,7 +6,7 @@ uniform vec3 base_colour;
 uniform bool has_texture;
 uniform sampler2D base_texture;
 uniform mat3 world_from_camera;
-uniform vec3 viewpoint_in_world;
+uniform vec3 camera_in_world;
 uniform int instance;
 
 in vec3 point_in_camera;
@@ -33,7 +33,7 @@ void main()
     colour = vec4(srgb_of_linear(albedo * irradiance(point_in_camera, normal)), 1.0);
     inverse_depth = gl_FragCoord.w;
 #if WITH_EXTRA
-    position_in_world = world_from_camera * point_in_camera + viewpoint_in_world;
+    position_in_world = world_from_camera * point_in_camera + camera_in_world;
     normal_in_world = world_from_camera * normal;
     ids = ivec2(instance, gl_PrimitiveID);
 #endif

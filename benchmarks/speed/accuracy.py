@@ -136,7 +136,7 @@ def landing(on: Subject, seen: Truth, drawn: Moment, composed: Moment) -> Landin
         with_source=True,
     )
     shown = position_of_source(camera.view, with_inverse_depth(on.source.read(camera.view), frame.source()))
-    hidden = _hidden(on, seen, camera.view.viewpoint_in_world)
+    hidden = _hidden(on, seen, camera.view.position_in_world)
     poses, eye = seen.moment.row_poses(len(shown)), seen.moment.viewpoint
     shown_in_device, seen_in_device = _in_device(poses, shown), _in_device(poses, seen.position)
     error = raster_error(shown_in_device, seen_in_device, eye)

@@ -26,7 +26,7 @@ def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_hea
     picture = together.compose().read().astype(int)
     for channel, model in enumerate(colours):
         truth = traced(model, together.size_px, at, HEAD, renderer)
-        eye, drawn_from = transforms.apply(HEAD, at), camera.view.viewpoint_in_world
+        eye, drawn_from = transforms.apply(HEAD, at), camera.view.position_in_world
         clear = clear_of_edges(truth, renderer, eye, drawn_from, HEAD, reach_px=1)
         difference = np.abs(picture - truth.colour)[clear].max(axis=0)
         assert clear.mean() > 0.5

@@ -37,7 +37,7 @@ def compared(compositor, renderer, mappings, seen, corrected=True):
     frame = compositor.compose(**shown_for, with_source=True)
     truth = traced(mappings, compositor.size_px, seen_at, pose, renderer)
     eye = transforms.apply(pose, seen_at)
-    clear = clear_of_edges(truth, renderer, eye, camera.view.viewpoint_in_world, pose)
+    clear = clear_of_edges(truth, renderer, eye, camera.view.position_in_world, pose)
     misplaced = misplaced_arcmin(source, camera, frame, truth, pose, seen_at)[clear]
     colour = np.abs(frame.read().astype(int) - truth.colour).max(axis=-1)[clear]
     assert clear.sum() > 0.25 * clear.size

@@ -106,7 +106,7 @@ def test_source_and_position_are_inverse_and_keep_nan():
     np.testing.assert_allclose(source_of_position(view, position), source, atol=1e-3)
     # One of them in closed form, through the chain device <- camera and world <- device.
     tangents = camera.tangents_of_pixel(source[0, 0, :2].astype(float))
-    in_device = view.viewpoint_in_device + turn @ [*tangents, -1.0] / float(source[0, 0, 2])
+    in_device = view.position_in_device + turn @ [*tangents, -1.0] / float(source[0, 0, 2])
     np.testing.assert_allclose(position[0, 0], transforms.apply(HEAD_POSE, in_device), atol=1e-5)
 
 
@@ -138,7 +138,7 @@ def test_the_raster_camera_reduces_disocclusion(toy_headset):
     hidden = []
     for at_viewpoint in (True, False):
         painter = WarpedPainter(headset, open_raster_backend(scene, "cpu"), at_viewpoint=at_viewpoint)
-        drawn_from = painter.view(viewpoint, HEAD_POSE).viewpoint_in_world
+        drawn_from = painter.view(viewpoint, HEAD_POSE).position_in_world
         hidden.append(disoccluded(renderer.tracer, drawn_from, traced.ray_map, HEAD_POSE, traced.position).sum())
     # The plate offsets rays in proportion to their tangents, which is a shift of the eye but for its small prism.
     assert hidden[0] > 20

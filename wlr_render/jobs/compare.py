@@ -194,7 +194,7 @@ def _error(frame: Frame, traced: Frame, tracer: SceneTracer) -> _Error:
     assert frame.position is not None
     assert traced.position is not None
     eye_in_world = transforms.apply(HEAD_POSE, frame.ray_map.viewpoint_in_device)
-    hidden = disoccluded(tracer, frame.view.viewpoint_in_world, traced.ray_map, HEAD_POSE, traced.position)
+    hidden = disoccluded(tracer, frame.view.position_in_world, traced.ray_map, HEAD_POSE, traced.position)
     return _Error(raster_error(frame.position, traced.position, eye_in_world), hidden)
 
 

@@ -122,7 +122,7 @@ class GlRaster:
             lens=shader_intrinsics(camera),
             size_px=(camera.width_px, camera.height_px),
             near=NEAR_M,
-            viewpoint_in_world=_triple(view.viewpoint_in_world),
+            camera_in_world=_triple(view.position_in_world),
             ambient=_triple(scene.ambient),
             base_texture=0,
         )

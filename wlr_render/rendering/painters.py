@@ -203,7 +203,7 @@ class WarpedPainter:
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
         view = self._plan.view(viewpoint, world_from_device)
-        return replace(view, viewpoint_in_device=viewpoint) if self._at_viewpoint else view
+        return replace(view, position_in_device=viewpoint) if self._at_viewpoint else view
 
     def paint(
         self,

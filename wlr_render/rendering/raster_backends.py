@@ -185,4 +185,4 @@ def _rays(view: View, rows: slice) -> tuple[Float32Array, Float32Array]:
     rightwards, upwards, backwards = view.world_from_camera[:3, :3].T
     across = tx[:, None] * rightwards - backwards
     direction = across + (ty[:, None] * upwards)[:, None, :]
-    return view.viewpoint_in_world.astype(np.float32), direction.reshape(-1, 3).astype(np.float32)
+    return view.position_in_world.astype(np.float32), direction.reshape(-1, 3).astype(np.float32)

@@ -16,35 +16,35 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pinhole camera at a viewpoint in a headset in the world.
+    """A pinhole camera in a headset in the world.
 
     Attributes:
-        camera: looks along the -z axis of its frame, centred at the viewpoint.
-        viewpoint_in_device: (3,) metres.
+        camera: looks along the -z axis of its frame, at the position.
+        position_in_device: (3,) metres; the position of a raster camera is not that of the pupil.
         world_from_device: (4, 4) head pose.
         device_from_camera: (3, 3) rotation: how the camera is turned in the device.
     """
 
     camera: Pinhole
-    viewpoint_in_device: NDArray[np.float64]
+    position_in_device: NDArray[np.float64]
     world_from_device: NDArray[np.float64]
     device_from_camera: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
 
     @functools.cached_property
-    def viewpoint_in_world(self) -> NDArray[np.float64]:
+    def position_in_world(self) -> NDArray[np.float64]:
         """(3,) metres; read-only."""
-        return _read_only(transforms.apply(self.world_from_device, self.viewpoint_in_device))
+        return _read_only(transforms.apply(self.world_from_device, self.position_in_device))
 
     @functools.cached_property
     def world_from_camera(self) -> NDArray[np.float64]:
-        """(4, 4), read-only; the camera frame's origin is the viewpoint."""
+        """(4, 4), read-only; the camera frame's origin is the position."""
         turned = self.world_from_device[:3, :3] @ self.device_from_camera
-        return _read_only(transforms.rigid(turned, self.viewpoint_in_world))
+        return _read_only(transforms.rigid(turned, self.position_in_world))
 
     def pixel_rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """World rays through the pixel centres: origin (3,), unit directions (height, width, 3)."""
         in_camera = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
-        return self.viewpoint_in_world, transforms.rotate(self.world_from_camera, in_camera)
+        return self.position_in_world, transforms.rotate(self.world_from_camera, in_camera)
 
 
 def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -105,7 +105,7 @@ def write_view(path: str | Path, view: View) -> Path:
         "size_px": [camera.width_px, camera.height_px],
         "focal_px": camera.focal_px.tolist(),
         "centre_px": camera.centre_px.tolist(),
-        "position_in_device_m": view.viewpoint_in_device.tolist(),
+        "position_in_device_m": view.position_in_device.tolist(),
         "world_from_camera": view.world_from_camera.tolist(),
     }
     return write_text(path, json.dumps(record, indent=1) + "\n")

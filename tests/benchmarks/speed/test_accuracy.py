@@ -87,7 +87,7 @@ def test_what_the_pupil_cannot_see_is_counted(on, seen, moment):
     view = on.compositor.plan("right").view(moment.viewpoint, moment.pose)
     at_rays = landing(on, seen, moment, moment).disoccluded
     assert disoccluded_at_pupil(on, seen) >= at_rays
-    assert (view.viewpoint_in_device != moment.viewpoint).any()
+    assert (view.position_in_device != moment.viewpoint).any()
 
 
 def test_late_rows_are_of_each_movement(on):
