@@ -52,8 +52,8 @@ def subject(mappings: EyeMappings, scene: Scene, context: str = "auto") -> Subje
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """Where eye and head are while a display lights up.
+class ScanOutPose:
+    """Viewpoint and head pose while a display lights up.
 
     Attributes:
         viewpoint: (3,) device frame.
@@ -66,7 +66,7 @@ class Moment:
     pose_at_last_row: FloatArray | None = None
 
     @property
-    def at_once(self) -> "Moment":
+    def at_once(self) -> "ScanOutPose":
         """With all rows at the time of the first."""
         return replace(self, pose_at_last_row=None)
 
@@ -97,36 +97,38 @@ class Landing:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What should be seen at a moment, by its rays.
+    """What should be seen at one scan-out, by its rays.
 
     Attributes:
-        moment: that moment.
+        scan_out: viewpoint and head pose of that scan-out.
         direction: (height, width, 3) of each pixel's ray, world frame.
         position: (height, width, 3) world points that the rays meet, NaN where nothing.
     """
 
-    moment: Moment
+    scan_out: ScanOutPose
     direction: FloatArray
     position: FloatArray
 
 
-def truth(on: Subject, moment: Moment) -> Truth:
+def truth(on: Subject, scan_out: ScanOutPose) -> Truth:
     """Trace each row's rays from where the head is when it lights up."""
-    field = ray_map(on.mappings, moment.viewpoint, on.plan)
+    field = ray_map(on.mappings, scan_out.viewpoint, on.plan)
     shape = (*field.shape, 3)
     origin, direction = (each.reshape(shape) for each in field.world_rays(np.eye(4)))
-    poses = moment.row_poses(len(origin))
+    poses = scan_out.row_poses(len(origin))
     rotation, translation = poses[:, :3, :3], poses[:, None, :3, 3]
     origin, direction = (
         np.matmul(origin, np.swapaxes(rotation, 1, 2)),
         np.matmul(direction, np.swapaxes(rotation, 1, 2)),
     )
     origin = origin + translation
-    return Truth(moment, direction, on.tracer.hit_positions(on.tracer.intersect(origin, direction), origin, direction))
+    return Truth(
+        scan_out, direction, on.tracer.hit_positions(on.tracer.intersect(origin, direction), origin, direction)
+    )
 
 
-def landing(on: Subject, seen: Truth, drawn: Moment, composed: Moment) -> Landing:
-    """Draw for one moment, compose for another, and compare with what should be seen in a third."""
+def landing(on: Subject, seen: Truth, drawn: ScanOutPose, composed: ScanOutPose) -> Landing:
+    """Draw for one scan-out, compose for another, and compare with what should be seen in a third."""
     (camera,) = on.compositor.begin_frame(drawn.pose, drawn.viewpoint).values()
     on.source.submit(camera)
     frame = on.compositor.compose(
@@ -137,7 +139,7 @@ def landing(on: Subject, seen: Truth, drawn: Moment, composed: Moment) -> Landin
     )
     shown = position_of_source(camera.view, with_inverse_depth(on.source.read(camera.view), frame.source()))
     hidden = _hidden(on, seen, camera.view.position_in_world)
-    poses, eye = seen.moment.row_poses(len(shown)), seen.moment.viewpoint
+    poses, eye = seen.scan_out.row_poses(len(shown)), seen.scan_out.viewpoint
     shown_in_device, seen_in_device = _in_device(poses, shown), _in_device(poses, seen.position)
     error = raster_error(shown_in_device, seen_in_device, eye)
     apart = cv2.dilate(hidden.astype(np.uint8), np.ones((2 * SILHOUETTE_PX + 1,) * 2, np.uint8)) == 0
@@ -149,7 +151,7 @@ def landing(on: Subject, seen: Truth, drawn: Moment, composed: Moment) -> Landin
 
 def disoccluded_at_pupil(on: Subject, seen: Truth) -> int:
     """Pixels that a picture cannot show right which is drawn from the pupil itself."""
-    return int(_hidden(on, seen, transforms.apply(seen.moment.pose, seen.moment.viewpoint)).sum())
+    return int(_hidden(on, seen, transforms.apply(seen.scan_out.pose, seen.scan_out.viewpoint)).sum())
 
 
 def _hidden(on: Subject, seen: Truth, place_in_world: FloatArray) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.speed.accuracy import Landing, Moment, Subject, disoccluded_at_pupil, landing, subject, truth
+from benchmarks.speed.accuracy import Landing, ScanOutPose, Subject, disoccluded_at_pupil, landing, subject, truth
 from benchmarks.speed.frozen_map import bilinear
 from benchmarks.speed.running import LATE_S, PUPIL_M_PER_S, TURN_DEG_PER_S, WALK_M_PER_S, later_pose
 from benchmarks.speed.workload import HEAD_POSE
@@ -99,8 +99,8 @@ def landing_row(device: str, mappings: EyeMappings, scene: str, context: str) ->
     """Its row, over all `PLACES`."""
     on = subject(mappings, load_scene(scene), context)
     try:
-        seen = [truth(on, Moment(viewpoint, HEAD_POSE)) for viewpoint in mappings.eye_box.at(PLACES)]
-        landed = [landing(on, each, each.moment, each.moment) for each in seen]
+        seen = [truth(on, ScanOutPose(viewpoint, HEAD_POSE)) for viewpoint in mappings.eye_box.at(PLACES)]
+        landed = [landing(on, each, each.scan_out, each.scan_out) for each in seen]
         at_pupil = sum(disoccluded_at_pupil(on, each) for each in seen)
     finally:
         on.compositor.release()
@@ -128,7 +128,7 @@ def late_table(device: str, mappings: EyeMappings, scene: str, context: str) -> 
     )
     notes = (
         f"{LATE_S * 1e3:g} ms at {TURN_DEG_PER_S:g} deg/s of the head, {WALK_M_PER_S:g} m/s, and {PUPIL_M_PER_S:g} m/s "
-        "of the pupil, against the ray-traced frame of the later moment; angles as in the table on composed frames.",
+        "of the pupil, against the ray-traced frame of the later scan-out; angles as in the table on composed frames.",
         f"Row by row: the display lights up for another {LATE_S * 1e3:g} ms, in which the head goes on; against frames "
         "whose rows are traced each with its own pose.",
     )
@@ -138,24 +138,26 @@ def late_table(device: str, mappings: EyeMappings, scene: str, context: str) -> 
 def late_rows(on: Subject) -> list[list[Cell]]:
     """One row for each movement, and for a rolling scan-out."""
     viewpoint, pose = on.mappings.eye_box.at(_LATE_PLACE), HEAD_POSE
-    drawn = Moment(viewpoint, pose)
+    drawn = ScanOutPose(viewpoint, pose)
     turned = transforms.rigid(later_pose(pose)[:3, :3], pose[:3, 3])
     moved = transforms.rigid(pose[:3, :3], later_pose(pose)[:3, 3])
     aside = viewpoint + PUPIL_M_PER_S * LATE_S * np.array([0.8, 0.6, 0.0])
-    moments = {
-        "the head turned": Moment(viewpoint, turned),
-        "the head moved": Moment(viewpoint, moved),
-        "the pupil moved": Moment(aside, pose),
-        "all of these": Moment(aside, later_pose(pose)),
-        _ROW_BY_ROW: Moment(aside, later_pose(pose), later_pose(later_pose(pose))),
+    scan_outs = {
+        "the head turned": ScanOutPose(viewpoint, turned),
+        "the head moved": ScanOutPose(viewpoint, moved),
+        "the pupil moved": ScanOutPose(aside, pose),
+        "all of these": ScanOutPose(aside, later_pose(pose)),
+        _ROW_BY_ROW: ScanOutPose(aside, later_pose(pose), later_pose(later_pose(pose))),
     }
     rows = []
-    for name, moment in moments.items():
-        seen = truth(on, moment)
+    for name, scan_out in scan_outs.items():
+        seen = truth(on, scan_out)
         late = landing(on, seen, drawn, drawn)
         if name == _ROW_BY_ROW:
-            rows.append(_late_row(f"{name}, with the first row's pose", late, landing(on, seen, drawn, moment.at_once)))
-        rows.append(_late_row(name, late, landing(on, seen, drawn, moment)))
+            rows.append(
+                _late_row(f"{name}, with the first row's pose", late, landing(on, seen, drawn, scan_out.at_once))
+            )
+        rows.append(_late_row(name, late, landing(on, seen, drawn, scan_out)))
     return rows
 
 

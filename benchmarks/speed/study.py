@@ -35,7 +35,7 @@ Tables = Callable[[], Sequence[ReportTable]]
 
 
 @dataclass(frozen=True)
-class Extent:
+class StudyPlan:
     """How much is measured.
 
     Attributes:
@@ -68,14 +68,14 @@ class SpeedOptions(Options):
 
 
 _DEFAULTS = SpeedOptions()
-_FULL = Extent()
+_FULL = StudyPlan()
 
 
 def run(
     options: SpeedOptions = _DEFAULTS,
     *,
     progress: ProgressArgument = SILENT,
-    extent: Annotated[Extent, Parameter(parse=False)] = _FULL,
+    plan: Annotated[StudyPlan, Parameter(parse=False)] = _FULL,
 ) -> Report:
     """Measure; writes speed.html, .md and .json into `options.out`.
 
@@ -92,12 +92,12 @@ def run(
             )
         output_folder(options.record)  # minutes of work must not end at a folder that cannot be written
     machine = _machine(renderer)
-    work = workload(extent.panel, extent.rounds)
+    work = workload(plan.panel, plan.rounds)
     parts: list[Tables] = [partial(_offline, work, options.backend, machine)]
     if renderer is not None:
-        rounds = extent.rounds if renderer.is_software else extent.gpu_rounds
-        parts += _in_real_time(work.with_rounds(rounds), options.backend, extent)
-    parts += _accuracy(options.backend, extent, with_gl=renderer is not None)
+        rounds = plan.rounds if renderer.is_software else plan.gpu_rounds
+        parts += _in_real_time(work.with_rounds(rounds), options.backend, plan)
+    parts += _accuracy(options.backend, plan, with_gl=renderer is not None)
     tables = [table for part in progress(iter(parts), len(parts), "benchmarks") for table in part()]
     if options.record is not None and renderer is not None:
         record(tables, options.record, renderer.name)
@@ -142,23 +142,23 @@ def _offline(work: Workload, backend: str, machine: Sequence[str]) -> list[Repor
     return [ReportTable(title, columns, rows, (*machine, *_NOTES))]
 
 
-def _in_real_time(work: Workload, backend: str, extent: Extent) -> list[Tables]:
+def _in_real_time(work: Workload, backend: str, plan: StudyPlan) -> list[Tables]:
     return [
-        lambda: stages.stage_tables(work, backend, extent.large_px),
+        lambda: stages.stage_tables(work, backend, plan.large_px),
         lambda: [eye_tracking.price_table(work, backend)],
         lambda: [eye_tracking.warm_start_table(work, backend)],
         lambda: [fixed_maps.warp_table(work, backend)],
         lambda: [frozen_map_table(work.mappings)],
-        lambda: [growth.growth_table(work, backend, extent.sizes)],
+        lambda: [growth.growth_table(work, backend, plan.sizes)],
     ]
 
 
-def _accuracy(backend: str, extent: Extent, with_gl: bool) -> list[Tables]:
-    models = cache(lambda: {device: bench_model(extent.judged_panel, device=device) for device in extent.devices})
-    first, scene = extent.devices[0], extent.scenes[0]
+def _accuracy(backend: str, plan: StudyPlan, with_gl: bool) -> list[Tables]:
+    models = cache(lambda: {device: bench_model(plan.judged_panel, device=device) for device in plan.devices})
+    first, scene = plan.devices[0], plan.scenes[0]
     fields: list[Tables] = [lambda: [accuracy_tables.field_table(models(), backend)]]
     return [
         *(fields if with_gl else []),
-        lambda: [accuracy_tables.landing_table(models(), extent.scenes, backend)],
+        lambda: [accuracy_tables.landing_table(models(), plan.scenes, backend)],
         lambda: [accuracy_tables.late_table(first, models()[first], scene, backend)],
     ]

@@ -24,7 +24,7 @@ def picture_points(eye):
 
 def test_field_of_a_flat_picture(flat_image_headset):
     """1.4 x 1.0 m, 2.01 m before a viewpoint 1 mm right of and 2 mm below its centre; searched in 0.05 degrees."""
-    field = figures_of(flat_image_headset).extent
+    field = figures_of(flat_image_headset).field_angles
     edges = np.rad2deg(np.arctan(np.array([-0.701, 0.699, -0.498, 0.502]) / 2.01))
     np.testing.assert_allclose([field.left_deg, field.right_deg, field.down_deg, field.up_deg], edges, atol=0.051)
 

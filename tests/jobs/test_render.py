@@ -10,7 +10,7 @@ import pytest
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, planned_moments, render
+from wlr_render.jobs.render import RenderOptions, planned_frames, render
 from wlr_render.mappings import EyeBox
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.rendering import gl
@@ -50,7 +50,7 @@ def options(tmp_path, straight_device, scene_file):
 
 @pytest.fixture
 def moving(tmp_path, model_file, scene_file):
-    """Five moments of a fitted headset whose wearer moves head and eyes."""
+    """Five frames of a fitted headset whose wearer moves head and eyes."""
     centre = open_eye(model_file).eye_box.centre
     return RenderOptions(
         model_file,
@@ -307,11 +307,11 @@ def test_an_eye_that_was_not_tracked_is_refused(options, tmp_path):
         render(replace(options, eye_track=eyes))
 
 
-def test_the_last_moment_is_not_rounded_beyond_the_track(options, tmp_path):
+def test_the_last_frame_is_not_rounded_beyond_the_track(options, tmp_path):
     # 0.1 + 1 / 20 is more than 0.15 by one bit.
     head = still_head(tmp_path / "head.tum", [0.1, 0.15])
-    moments = planned_moments(replace(options, head=head, frames_per_second=20.0), {"right": open_eye(options.headset)})
-    assert [moment.time_s for moment in moments] == [0.1, 0.15]
+    plan = planned_frames(replace(options, head=head, frames_per_second=20.0), {"right": open_eye(options.headset)})
+    assert [planned.time_s for planned in plan] == [0.1, 0.15]
 
 
 @pytest.mark.parametrize("suffix", ["tiff", "pfm"])

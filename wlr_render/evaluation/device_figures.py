@@ -34,7 +34,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Extent:
+class FieldAngles:
     """How far the panel is seen from the nominal viewpoint along the horizontal and the vertical through straight
     ahead: degrees, right and up positive; NaN where it is not seen on that line.
     """
@@ -49,11 +49,11 @@ class Extent:
 class DeviceFigures:
     """Optical figures of one eye.
 
-    All but the extent are over the nominal field, or the whole panel if none is stated, and at the nominal
+    All but the field angles are over the nominal field, or the whole panel if none is stated, and at the nominal
     viewpoint unless they mention the box.
 
     Attributes:
-        extent: of the display.
+        field_angles: of the display.
         panel_share: share of the judged directions that meet the panel.
         pixel_arcmin: side of a square with the mean solid angle of a pixel.
         swim: change of a pixel's direction when the viewpoint moves 1 mm, half to either side, along x, y and z.
@@ -64,7 +64,7 @@ class DeviceFigures:
         colour: angle between the blue and the red real ray of the same view direction.
     """
 
-    extent: Extent
+    field_angles: FieldAngles
     panel_share: float
     pixel_arcmin: float
     swim: tuple[Spread, Spread, Spread]
@@ -99,7 +99,7 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
     near = see_through.view_dir_of_real_point(point, box.centre).value
     swim_x, swim_y, swim_z = (_swim(display, pixel, box.centre, axis) for axis in np.eye(3))
     return DeviceFigures(
-        extent=_extent(display, box.centre),
+        field_angles=_field_angles(display, box.centre),
         panel_share=len(pixel) / (_COLUMNS * _ROWS),
         pixel_arcmin=_pixel_arcmin(display, pixel, box.centre),
         swim=(swim_x, swim_y, swim_z),
@@ -124,11 +124,11 @@ def figures_table(mappings: EyeMappings, figures: DeviceFigures) -> ReportTable:
         ("see-through colour, blue to red", figures.colour),
     ]
     rows += [[name, spread.mean, spread.rms, spread.maximum] for name, spread in spreads]
-    extent = figures.extent
+    angles = figures.field_angles
     judged = f"the nominal field, {mappings.field}" if mappings.field else "the whole panel"
     notes = (
-        f"Field through straight ahead: {extent.left_deg:.1f} to {extent.right_deg:+.1f} degrees horizontally,"
-        f" {extent.down_deg:.1f} to {extent.up_deg:+.1f} vertically.",
+        f"Field through straight ahead: {angles.left_deg:.1f} to {angles.right_deg:+.1f} degrees horizontally,"
+        f" {angles.down_deg:.1f} to {angles.up_deg:+.1f} vertically.",
         f"Eye box {box_mm} mm, {_BOX_STEPS**3} viewpoints; {_COLUMNS} x {_ROWS} directions over {judged},"
         f" of which {figures.panel_share:.0%} meet the panel.",
         "Virtual image {:.2f} m away by its parallax in x, {:.2f} m in y.".format(*figures.image_distance_m),
@@ -171,7 +171,7 @@ def _pixel_arcmin(display: DisplayMapping, pixel: FloatArray, centre: FloatArray
     return float(np.sqrt(kept.mean()) / ARCMIN) if kept.size else np.nan
 
 
-def _extent(display: DisplayMapping, centre: FloatArray) -> Extent:
+def _field_angles(display: DisplayMapping, centre: FloatArray) -> FieldAngles:
     ends = []
     for axis in np.eye(2):
         view_dir = dir_of_tangents(np.tan(np.deg2rad(_SEARCH_DEG))[:, None] * axis)
@@ -180,4 +180,4 @@ def _extent(display: DisplayMapping, centre: FloatArray) -> Extent:
         on_panel = np.all((answer.value >= 0.0) & (answer.value <= display.panel.size_px), axis=-1)
         seen = _SEARCH_DEG[answer.ok & on_panel]
         ends += [float(seen[0]), float(seen[-1])] if seen.size else [np.nan, np.nan]
-    return Extent(*ends)
+    return FieldAngles(*ends)

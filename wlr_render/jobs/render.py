@@ -110,7 +110,7 @@ class RenderOptions(Options):
 
 
 @dataclass(frozen=True)
-class Moment:
+class PlannedFrame:
     """One frame to draw."""
 
     index: int
@@ -133,19 +133,19 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
             nothing is written then.
     """
     channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
-    moments = planned_moments(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()})
+    plan = planned_frames(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()})
     scene = load_scene(options.scene)
-    record = _record(options, moments)
+    record = _record(options, plan)
     folder = output_folder(options.out)
     _require_same_job(folder, record)
-    missing = [moment for moment in moments if not _is_done(folder, moment, options)]
+    missing = [planned for planned in plan if not _is_done(folder, planned, options)]
     painters = _painters(options, channels, scene) if missing else {}
     sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
         for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
             pass
-    videos = [_video(folder, eye, moments, options) for eye in channels] if options.video else []
-    return save_report(_report(options, moments, len(missing), [sequence, *videos]), folder)
+    videos = [_video(folder, eye, plan, options) for eye in channels] if options.video else []
+    return save_report(_report(options, plan, len(missing), [sequence, *videos]), folder)
 
 
 def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
@@ -154,12 +154,12 @@ def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
     return (open_eye(options.headset, eye),)
 
 
-def _report(options: RenderOptions, moments: list[Moment], drawn: int, files: list[Path]) -> Report:
-    kept = len(moments) - drawn
+def _report(options: RenderOptions, plan: list[PlannedFrame], drawn: int, files: list[Path]) -> Report:
+    kept = len(plan) - drawn
     rows: list[list[Cell]] = []
     blocks: list[Block] = []
     for eye in eyes_of(options.eye):
-        own = [moment for moment in moments if moment.eye == eye]
+        own = [planned for planned in plan if planned.eye == eye]
         rows.append([eye, len(own), own[0].time_s, own[-1].time_s])
         first = _picture_file(options.out, own[0])
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
@@ -180,7 +180,7 @@ def _drawn_from(options: RenderOptions) -> list[Path]:
     return [headset_path(options.headset), *models, scene_path(options.scene)]
 
 
-def planned_moments(options: RenderOptions, mappings: dict[str, EyeMappings]) -> list[Moment]:
+def planned_frames(options: RenderOptions, mappings: dict[str, EyeMappings]) -> list[PlannedFrame]:
     """When and from where each frame is drawn, in time order.
 
     Raises:
@@ -188,14 +188,14 @@ def planned_moments(options: RenderOptions, mappings: dict[str, EyeMappings]) ->
     """
     head = read_head_trajectory(options.head) if options.head else None
     eyes = read_eye_trajectory(options.eye_track) if options.eye_track else None
-    moments = []
+    plan = []
     for index, time_s in enumerate(_times(options, head, eyes)):
         pose = head.at(time_s) if head else np.eye(4)
         for eye in mappings:
             viewpoint = eyes.viewpoint_at(eye, time_s) if eyes else mappings[eye].eye_box.centre
             require_in_eye_box(mappings[eye], viewpoint, f"{options.eye_track} at {time_s:.4f} s, {eye} eye")
-            moments.append(Moment(index, float(time_s), eye, viewpoint, pose))
-    return moments
+            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose))
+    return plan
 
 
 def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
@@ -211,11 +211,11 @@ def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTraject
         files = " and ".join(str(path) for path in (options.head, options.eye_track) if path)
         raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
     times = start + np.arange(int((end - start) * options.frames_per_second + 1e-9) + 1) / options.frames_per_second
-    # Rounding must not carry the last moment beyond the tracks.
+    # Rounding must not carry the last frame beyond the tracks.
     return np.asarray(np.minimum(times, end)[: options.frame_limit])
 
 
-def _record(options: RenderOptions, moments: list[Moment]) -> dict[str, Any]:
+def _record(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, Any]:
     """What the folder's frames are, as plain JSON."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     for key in ("out", "video", "frame_limit", "backend"):  # these do not change what a frame shows
@@ -228,7 +228,7 @@ def _record(options: RenderOptions, moments: list[Moment]) -> dict[str, Any]:
             "viewpoint_in_device_m": m.viewpoint.tolist(),
             "world_from_device": m.world_from_device.tolist(),
         }
-        for m in moments
+        for m in plan
     ]
     record = {"format": "wlr-sequence", "version": 1, "frame": "openxr", "job": job, "frames": frames}
     return dict(json.loads(json.dumps(record)))
@@ -254,25 +254,25 @@ def _same_job(path: Path, record: dict[str, Any]) -> bool:
         return False
 
 
-def _map_files(folder: Path, moment: Moment, options: RenderOptions) -> list[Path]:
+def _map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
     if options.maps is None:
         return []
-    stems = [f"{moment.stem}-{colour}" for colour in COLOURS] if options.has_colours else [moment.stem]
+    stems = [f"{planned.stem}-{colour}" for colour in COLOURS] if options.has_colours else [planned.stem]
     return [folder / f"{stem}.{options.maps}" for stem in stems]
 
 
-def _picture_file(folder: Path, moment: Moment) -> Path:
-    return folder / f"{moment.stem}.png"
+def _picture_file(folder: Path, planned: PlannedFrame) -> Path:
+    return folder / f"{planned.stem}.png"
 
 
-def _view_file(folder: Path, moment: Moment) -> Path:
-    return folder / f"{moment.stem}.json"
+def _view_file(folder: Path, planned: PlannedFrame) -> Path:
+    return folder / f"{planned.stem}.json"
 
 
-def _is_done(folder: Path, moment: Moment, options: RenderOptions) -> bool:
-    maps = _map_files(folder, moment, options)
-    beside = [_view_file(folder, moment)] if maps else []
-    return all(path.exists() for path in (*maps, *beside, _picture_file(folder, moment)))
+def _is_done(folder: Path, planned: PlannedFrame, options: RenderOptions) -> bool:
+    maps = _map_files(folder, planned, options)
+    beside = [_view_file(folder, planned)] if maps else []
+    return all(path.exists() for path in (*maps, *beside, _picture_file(folder, planned)))
 
 
 def _painters(options: RenderOptions, channels: dict[str, EyeChannels], scene: Scene) -> dict[str, Painter]:
@@ -289,22 +289,22 @@ def _painters(options: RenderOptions, channels: dict[str, EyeChannels], scene: S
 
 
 def _drawn(
-    folder: Path, options: RenderOptions, painters: dict[str, Painter], moments: list[Moment]
-) -> Iterator[Moment]:
+    folder: Path, options: RenderOptions, painters: dict[str, Painter], plan: list[PlannedFrame]
+) -> Iterator[PlannedFrame]:
     last: dict[str, WarmStarts | None] = dict.fromkeys(painters)
     with_maps = options.maps is not None
-    for moment in moments:
-        eye, pose = moment.eye, moment.world_from_device
-        frame = painters[eye].paint(moment.viewpoint, pose, last[eye], with_geometry=with_maps)
+    for planned in plan:
+        eye, pose = planned.eye, planned.world_from_device
+        frame = painters[eye].paint(planned.viewpoint, pose, last[eye], with_geometry=with_maps)
         last[eye] = frame.warm_start
-        for path, source in zip(_map_files(folder, moment, options), frame.sources if with_maps else (), strict=True):
+        for path, source in zip(_map_files(folder, planned, options), frame.sources if with_maps else (), strict=True):
             write_map(path, source)
         if frame.view is not None:
-            write_view(_view_file(folder, moment), frame.view)
-        write_png(_picture_file(folder, moment), frame.colour)
-        yield moment
+            write_view(_view_file(folder, planned), frame.view)
+        write_png(_picture_file(folder, planned), frame.colour)
+        yield planned
 
 
-def _video(folder: Path, eye: str, moments: list[Moment], options: RenderOptions) -> Path:
-    pictures = (read_png(_picture_file(folder, moment)) for moment in moments if moment.eye == eye)
+def _video(folder: Path, eye: str, plan: list[PlannedFrame], options: RenderOptions) -> Path:
+    pictures = (read_png(_picture_file(folder, planned)) for planned in plan if planned.eye == eye)
     return write_video(folder / f"{eye}.mp4", pictures, options.frames_per_second)

@@ -70,9 +70,9 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
 
 
 def _summary(name: str, eye: str, figures: DeviceFigures) -> str:
-    extent = figures.extent
+    angles = figures.field_angles
     return (
-        f"{name}, {eye} eye: {extent.right_deg - extent.left_deg:.0f} x {extent.up_deg - extent.down_deg:.0f} degrees, "
+        f"{name}, {eye} eye: {angles.right_deg - angles.left_deg:.0f} x {angles.up_deg - angles.down_deg:.0f} degrees, "
         f"{figures.pixel_arcmin:.2g}' per pixel, virtual image about {figures.image_distance_m[0]:.2g} m away, real "
         f"world deviated by {cell_text(figures.deviation_far.mean)}' on average."
     )

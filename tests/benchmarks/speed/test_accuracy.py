@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import accuracy_tables
-from benchmarks.speed.accuracy import Moment, disoccluded_at_pupil, landing, near_silhouettes, subject, truth
+from benchmarks.speed.accuracy import ScanOutPose, disoccluded_at_pupil, landing, near_silhouettes, subject, truth
 from benchmarks.speed.workload import bench_model
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
@@ -27,51 +27,51 @@ def on(small_panel_model, scene_file):
 
 
 @pytest.fixture(scope="module")
-def moment(on):
-    return Moment(on.mappings.eye_box.at(PLACE), np.eye(4))
+def scan_out(on):
+    return ScanOutPose(on.mappings.eye_box.at(PLACE), np.eye(4))
 
 
 @pytest.fixture(scope="module")
-def seen(on, moment):
-    return truth(on, moment)
+def seen(on, scan_out):
+    return truth(on, scan_out)
 
 
-def test_a_frame_composed_for_its_moment_lands(on, moment, seen):
-    landed = landing(on, seen, moment, moment)
+def test_a_frame_composed_for_its_scan_out_lands(on, scan_out, seen):
+    landed = landing(on, seen, scan_out, scan_out)
     assert landed.pixels > 4000
     assert landed.rms_arcmin < 0.05
     assert landed.one_sided == 0
 
 
-def test_a_head_that_turned_is_off_by_its_turn_until_corrected(on, moment):
+def test_a_head_that_turned_is_off_by_its_turn_until_corrected(on, scan_out):
     """30 arcmin seen from the axis, less towards the pole of the turn; and what the optics magnify."""
-    turned = Moment(moment.viewpoint, TURN)
+    turned = ScanOutPose(scan_out.viewpoint, TURN)
     after = truth(on, turned)
-    assert landing(on, after, moment, moment).rms_arcmin == pytest.approx(30, rel=0.15)
-    assert landing(on, after, moment, turned).rms_arcmin < 0.05
+    assert landing(on, after, scan_out, scan_out).rms_arcmin == pytest.approx(30, rel=0.15)
+    assert landing(on, after, scan_out, turned).rms_arcmin < 0.05
 
 
-def test_a_wrong_pupil_is_found(on, moment, seen):
-    aside = Moment(moment.viewpoint + [0.001, 0, 0], moment.pose)
-    assert landing(on, seen, moment, aside).rms_arcmin > 1
+def test_a_wrong_pupil_is_found(on, scan_out, seen):
+    aside = ScanOutPose(scan_out.viewpoint + [0.001, 0, 0], scan_out.pose)
+    assert landing(on, seen, scan_out, aside).rms_arcmin > 1
 
 
-def test_each_row_is_traced_from_its_own_pose(on, moment):
-    rolling = Moment(moment.viewpoint, np.eye(4), TURN)
+def test_each_row_is_traced_from_its_own_pose(on, scan_out):
+    rolling = ScanOutPose(scan_out.viewpoint, np.eye(4), TURN)
     poses, found = rolling.row_poses(100), truth(on, rolling)
     np.testing.assert_allclose(poses[[0, -1]], [np.eye(4), TURN], atol=1e-12)
     for row in (0, 41, 99):
-        alone = truth(on, Moment(moment.viewpoint, poses[row]))
+        alone = truth(on, ScanOutPose(scan_out.viewpoint, poses[row]))
         np.testing.assert_array_equal(found.position[row], alone.position[row])
         np.testing.assert_array_equal(found.direction[row], alone.direction[row])
 
 
-def test_rows_need_their_own_poses(on, moment):
-    rolling = Moment(moment.viewpoint, np.eye(4), TURN)
+def test_rows_need_their_own_poses(on, scan_out):
+    rolling = ScanOutPose(scan_out.viewpoint, np.eye(4), TURN)
     after = truth(on, rolling)
-    assert landing(on, after, moment, rolling).rms_arcmin < 0.05
+    assert landing(on, after, scan_out, rolling).rms_arcmin < 0.05
     # 0 at the first row, 30 at the last one: over sqrt(3), were there as many pixels to judge in all rows.
-    assert 10 < landing(on, after, moment, rolling.at_once).rms_arcmin < 20
+    assert 10 < landing(on, after, scan_out, rolling.at_once).rms_arcmin < 20
 
 
 def test_less_is_hidden_from_where_the_rays_come():
@@ -83,11 +83,11 @@ def test_less_is_hidden_from_where_the_rays_come():
     assert cut == pytest.approx(100 * (1 - at_rays / at_pupil))
 
 
-def test_what_the_pupil_cannot_see_is_counted(on, seen, moment):
-    view = on.compositor.plan("right").view(moment.viewpoint, moment.pose)
-    at_rays = landing(on, seen, moment, moment).disoccluded
+def test_what_the_pupil_cannot_see_is_counted(on, seen, scan_out):
+    view = on.compositor.plan("right").view(scan_out.viewpoint, scan_out.pose)
+    at_rays = landing(on, seen, scan_out, scan_out).disoccluded
     assert disoccluded_at_pupil(on, seen) >= at_rays
-    assert (view.position_in_device != moment.viewpoint).any()
+    assert (view.position_in_device != scan_out.viewpoint).any()
 
 
 def test_late_rows_are_of_each_movement(on):
