@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 
@@ -35,6 +36,36 @@ class EyeballCamera:
     distortion: FloatArray = field(default_factory=partial(np.zeros, 2))
     device_from_camera: FloatArray = field(default_factory=partial(np.eye, 3))
     pupil_offset: FloatArray = field(default_factory=partial(np.zeros, 3))
+
+    def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of tangents (n, 2) in the camera frame, y up."""
+        square = np.sum(tangents * tangents, axis=-1, keepdims=True)
+        k1, k2 = self.distortion
+        distorted = tangents * (1.0 + square * (k1 + k2 * square))
+        return np.asarray(distorted * (self.focal_px * [1.0, -1.0]) + self.centre_px)
+
+    def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
+        """The inverse of `pixel_of_tangents`, by Newton's method on the radius."""
+        distorted = (pixel - self.centre_px) / (self.focal_px * [1.0, -1.0])
+        k1, k2 = self.distortion
+        if k1 == 0.0 and k2 == 0.0:
+            return np.asarray(distorted)
+        distorted_radius = np.linalg.norm(distorted, axis=-1)
+        radius = distorted_radius.copy()
+        for _ in range(8):
+            square = radius * radius
+            excess = radius * (1.0 + square * (k1 + k2 * square)) - distorted_radius
+            radius -= excess / (1.0 + square * (3.0 * k1 + 5.0 * k2 * square))
+        square = radius * radius
+        return np.asarray(distorted / (1.0 + square * (k1 + k2 * square))[..., None])
+
+    def view_dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
+        """Unit directions (n, 3) of pixels (n, 2) in the device frame, before any slip."""
+        return np.asarray(dir_of_tangents(self.tangents_of_pixel(pixel)) @ self.device_from_camera.T)
+
+    def pixel_of_view_dir(self, view_dir: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of directions (n, 3) in the device frame, before any slip."""
+        return self.pixel_of_tangents(tangents_of_dir(view_dir @ self.device_from_camera))
 
 
 @dataclass(frozen=True, eq=False)

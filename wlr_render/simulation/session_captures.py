@@ -16,7 +16,6 @@ from wlr_render.simulation.simulate_session import (
     camera_positions,
     display_dirs,
     dot_geometry,
-    tangents_of_pixel,
     undecoded,
 )
 
@@ -73,7 +72,7 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
     kept = np.asarray(np.isfinite(dot_pixel).all(axis=1))
     rows, pixel = select_rows(plan, kept), dot_pixel[kept]
     viewpoint, point, device_from_camera = dot_geometry(bench, rows)
-    in_camera = dir_of_tangents(tangents_of_pixel(bench.camera, pixel))
+    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(pixel))
     return SeeThroughCaptures(
         device=bench.device.name,
         eye=bench.eye,
@@ -95,6 +94,6 @@ def _numbered_on(rows: SeeThroughPlan) -> IntArray:
 
 def _sigma_arcmin(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
     """The stated repeatability as an angle in each pixel (n, 2): the geometric mean of radially and across, (n,)."""
-    square = np.sum(tangents_of_pixel(camera, pixel) ** 2, axis=1)
+    square = np.sum(camera.tangents_of_pixel(pixel) ** 2, axis=1)
     on_axis = camera.point_sigma_px / np.sqrt(np.prod(camera.focal_px)) / ARCMIN
     return np.asarray(on_axis * (1.0 + square) ** -0.75)

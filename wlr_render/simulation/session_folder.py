@@ -22,7 +22,6 @@ from wlr_render.simulation.bench_file import (
     load_bench,
     save_bench,
 )
-from wlr_render.simulation.simulate_session import camera_dirs, pixel_of_tangents
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
@@ -153,13 +152,12 @@ def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], read
 
 def _tangents_seen(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
     """Camera pixels (n, 4) of two dots -> their tangents in the device frame."""
-    return np.concatenate([tangents_of_dir(camera_dirs(camera, pixel[:, dot])) for dot in _DOTS], axis=1)
+    return np.concatenate([tangents_of_dir(camera.view_dir_of_pixel(pixel[:, dot])) for dot in _DOTS], axis=1)
 
 
 def _pixels_seen(camera: EyeballCamera, tangents: FloatArray) -> FloatArray:
     """The inverse of `_tangents_seen`."""
-    in_camera = [dir_of_tangents(tangents[:, dot]) @ camera.device_from_camera for dot in _DOTS]
-    return np.concatenate([pixel_of_tangents(camera, tangents_of_dir(each)) for each in in_camera], axis=1)
+    return np.concatenate([camera.pixel_of_view_dir(dir_of_tangents(tangents[:, dot])) for dot in _DOTS], axis=1)
 
 
 _DOTS = (slice(0, 2), slice(2, 4))

@@ -14,7 +14,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.optics.tracer import trace
-from wlr_render.simulation.bench import Bench, EyeballCamera
+from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_run_time import run_time_readings
 
 _TANGENT_STEP = 1e-5  # of the differences
@@ -208,7 +208,7 @@ def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> Floa
     """Camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
     _, _, device_from_camera = dot_geometry(bench, plan)
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
-    return pixel_of_tangents(bench.camera, tangents_of_dir(in_camera))
+    return bench.camera.pixel_of_tangents(tangents_of_dir(in_camera))
 
 
 def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -223,7 +223,7 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
         device_from_camera = np.where(slipped[:, None, None], turn @ device_from_camera, device_from_camera)
     point = _dots(bench, plan)
     if plan.bare_pixel is not None:
-        in_camera = dir_of_tangents(tangents_of_pixel(bench.camera, plan.bare_pixel))
+        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.bare_pixel))
         ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
         point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
     return viewpoint, point, device_from_camera
@@ -239,36 +239,7 @@ def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatA
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Unit directions (n, 3) in which the camera truly looks in each display row, device frame."""
-    return _turned(bench, plan.time_s, camera_dirs(bench.camera, plan.camera_pixel))
-
-
-def camera_dirs(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """Unit directions (n, 3) in which camera pixels look, device frame, before any slip."""
-    return np.asarray(dir_of_tangents(tangents_of_pixel(camera, pixel)) @ camera.device_from_camera.T)
-
-
-def tangents_of_pixel(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """Pixels (n, 2) -> tangents (n, 2) in the camera's frame, y up; Newton's method on the radius undoes distortion."""
-    seen = (pixel - camera.centre_px) / (camera.focal_px * [1.0, -1.0])
-    k1, k2 = camera.distortion
-    if k1 == 0.0 and k2 == 0.0:
-        return np.asarray(seen)
-    seen_radius = np.linalg.norm(seen, axis=-1)
-    radius = seen_radius.copy()
-    for _ in range(8):
-        square = radius * radius
-        excess = radius * (1.0 + square * (k1 + k2 * square)) - seen_radius
-        radius -= excess / (1.0 + square * (3.0 * k1 + 5.0 * k2 * square))
-    square = radius * radius
-    return np.asarray(seen / (1.0 + square * (k1 + k2 * square))[..., None])
-
-
-def pixel_of_tangents(camera: EyeballCamera, tangents: FloatArray) -> FloatArray:
-    """Tangents (n, 2) in the camera's frame -> pixels (n, 2), the inverse of `tangents_of_pixel`."""
-    square = np.sum(tangents * tangents, axis=-1, keepdims=True)
-    k1, k2 = camera.distortion
-    seen = tangents * (1.0 + square * (k1 + k2 * square))
-    return np.asarray(seen * (camera.focal_px * [1.0, -1.0]) + camera.centre_px)
+    return _turned(bench, plan.time_s, bench.camera.view_dir_of_pixel(plan.camera_pixel))
 
 
 def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
