@@ -44,6 +44,11 @@ def test_unknown_name_lists_what_is_shipped(tmp_path):
         files.named_or_path("devices", "northstart")
     with pytest.raises(BadInputError, match="no such file"):
         files.named_or_path("devices", tmp_path / "none.toml")
+    with pytest.raises(BadInputError, match=r": is a folder; name a file in it"):
+        files.named_or_path("devices", tmp_path)
+    (tmp_path / "model.json").write_text("{}")
+    with pytest.raises(BadInputError, match=r": is a folder; name .*model\.json\."):
+        files.named_or_path("devices", tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -63,13 +63,16 @@ def named_or_path(folder: str, spec: str | Path) -> Path:
         BadInputError: there is no such file; the sentence lists the shipped names.
     """
     path = Path(spec)
+    names = shipped_names(folder, ".toml")
+    if str(spec) in names:
+        return resource(folder, f"{spec}.toml")
+    if path.is_dir():
+        model = path / "model.json"
+        raise BadInputError(f"{path}: is a folder; name {model if model.is_file() else 'a file in it'}.")
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
             raise BadInputError(f"{path}: there is no such file.")
         return path
-    names = shipped_names(folder, ".toml")
-    if str(spec) in names:
-        return resource(folder, f"{spec}.toml")
     close = difflib.get_close_matches(str(spec), names, 1)
     hint = f" Did you mean {close[0]}?" if close else ""
     raise BadInputError(f"'{spec}' is neither a file nor one of the shipped {folder} ({', '.join(names)}).{hint}")
