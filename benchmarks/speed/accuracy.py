@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scene_source import SceneSource
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.rolling_scanout import row_poses
 from wlr_render.evaluation.disocclusion import hidden_from
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import raster_error
@@ -73,7 +74,7 @@ class ScanOutPose:
     def row_poses(self, rows: int) -> FloatArray:
         """(rows, 4, 4)."""
         last = self.pose if self.pose_at_last_row is None else self.pose_at_last_row
-        return transforms.between(self.pose, last, np.linspace(0.0, 1.0, rows))
+        return row_poses(self.pose, last, rows)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.compositing.backend import Backend, ComposedFrame, open_backend
 from wlr_render.compositing.checks import (
@@ -23,8 +22,8 @@ from wlr_render.compositing.checks import (
     nearest_in_reach,
 )
 from wlr_render.compositing.eye_camera import EyeCamera
+from wlr_render.compositing.rolling_scanout import row_poses
 from wlr_render.errors import BadInputError
-from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.raster_camera import EyePlan
@@ -214,7 +213,9 @@ class Compositor:
             raise BadInputError(f"the {missing[0]} eye has not been submitted; submit every eye before compose.")
         viewpoints = frame.viewpoints if viewpoint is None else checked_viewpoints(viewpoint, self._models)
         newest = frame.world_from_device if pose is None else checked_pose(pose)
-        poses = self._row_poses(newest, pose_at_last_row)
+        poses = newest
+        if pose_at_last_row is not None:
+            poses = row_poses(newest, checked_pose(pose_at_last_row, "pose at the last row"), self.size_px[1])
         composed = {}
         with self._backend.working():
             targets = self._backend.targets(into, self.eyes, self.size_px)
@@ -261,10 +262,3 @@ class Compositor:
         if self._frame is None:
             raise BadInputError("there is no frame; call begin_frame first.")
         return self._frame
-
-    def _row_poses(self, first: FloatArray, pose_at_last_row: FloatArray | None) -> NDArray[np.float64]:
-        """(4, 4), or (rows, 4, 4) for a rolling scan-out."""
-        if pose_at_last_row is None:
-            return first
-        last = checked_pose(pose_at_last_row, "pose at the last row")
-        return transforms.between(first, last, np.linspace(0.0, 1.0, self.size_px[1]))
