@@ -2,7 +2,7 @@
 
     naive        the panel taken as a flat picture in space (a linear map), the combiner as not there
     static       the best map for one viewpoint, used at all of them
-    raster+warp  planar models, intermediate image at the viewpoint, per-frame warp map
+    raster+warp  planar models, intermediate image from the raster camera, per-frame warp map
     ray traced   planar models, world rays as primary rays
 
 The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics.
