@@ -81,6 +81,13 @@ def test_the_page_escapes_text_of_files(saved):
     assert "b|<i>" not in page.split("application/json")[0]
 
 
+def test_long_tables_are_folded(tmp_path):
+    tables = [ReportTable(f"Table of {count}", ["n"], [[n] for n in range(count)]) for count in (20, 21)]
+    page = save_report(Report("T", blocks=tables), tmp_path, "report").files[0].read_text()
+    assert page.count("<details>") == page.count("</details>") == 1
+    assert page.index("Table of 21") < page.index("<details><summary>21 rows</summary>")
+
+
 def test_a_page_without_plots_carries_no_script(tmp_path):
     page = save_report(Report("T", blocks=[TABLE]), tmp_path, "report").files[0]
     assert "<script" not in page.read_text()
