@@ -103,7 +103,7 @@ def measured(bench, plan, sigma_px=0.0, seed=0, **causes):
 
 def with_noise(observations, sigma_px, rng):
     """The same observations with more noise in every part."""
-    read, focal = observations.session.readings, observations.nominal.camera.focal_px
+    read = observations.session.readings
     changes = {}
     if read.panel_pixel is not None:
         kick = rng.normal(0, sigma_px, (*read.panel_pixel.shape, 1))
@@ -111,7 +111,7 @@ def with_noise(observations, sigma_px, rng):
     if read.dot_pixel is not None:
         changes["dot_pixel"] = read.dot_pixel + rng.normal(0, sigma_px, read.dot_pixel.shape)
     if read.seen is not None:
-        changes["seen"] = read.seen + rng.normal(0, sigma_px, read.seen.shape) / np.tile(focal, 2)
+        changes["seen"] = read.seen + rng.normal(0, sigma_px, read.seen.shape)
     return with_readings(observations, **changes)
 
 

@@ -86,7 +86,7 @@ def read(plans):
 
     def all_readings(bench, cause):
         found = simulate(bench, plans[cause.part in RUN_TIME])
-        own = [found.panel_pixel, found.dot_pixel, None if found.seen is None else 900 * found.seen.reshape(-1, 2)]
+        own = [found.panel_pixel, found.dot_pixel, None if found.seen is None else found.seen.reshape(-1, 2)]
         return np.concatenate([part for part in own if part is not None])
 
     return all_readings

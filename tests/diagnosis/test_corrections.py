@@ -131,7 +131,8 @@ def test_captures_too_few_for_the_folds_allow_no_correction(noisy):
 def test_run_time_errors_can_be_bound_as_well(bench, run_time):
     observations = measured(bench, run_time, SIGMA_PX, seed=6)
     residual = Predictor(observations).residual(Explanation())
-    residual[:, 1] += 30 * observations.session.readings.seen[:, 2] ** 2 * SIZE
+    camera = observations.nominal.camera
+    residual[:, 1] += 30 * camera.tangents_of_pixel(observations.session.readings.seen[:, 2:])[:, 0] ** 2 * SIZE
     first = corrections(observations, residual, np.ones(len(residual), dtype=bool), RUN_TIME)[0]
     assert (first.part, first.depends_on) == ("run-time", "camera pixels")
     assert first.improvement.percent > 10

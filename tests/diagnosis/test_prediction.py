@@ -87,6 +87,7 @@ def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
         tilted,
         explanation(latency=[5.0]),
         tilted.plus(hypothesis("latency"), np.array([5.0])),
+        tilted.plus(hypothesis("camera_distortion"), np.array([0.02, -0.01])),
         explanation(),
     ):
         state = predictor.state(step, state)

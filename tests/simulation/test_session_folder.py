@@ -16,6 +16,8 @@ from wlr_render.captures.session import (
     SessionPlan,
     select_rows,
 )
+from wlr_render.captures.session_schema import RUN_TIME
+from wlr_render.captures.session_tables import read_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid
@@ -96,6 +98,21 @@ def test_what_is_saved_is_loaded_but_for_rows_without_a_reading(tmp_path, bench,
 def test_a_loaded_bench_predicts_what_was_saved(tmp_path, bench, session):
     loaded_bench, loaded = load_session(save_session(tmp_path, bench, session))
     assert_same(simulate(loaded_bench, loaded.plan), loaded.readings)
+
+
+def test_run_time_pixels_are_written_as_measured_whatever_camera_is_saved_with_them(tmp_path, bench, session):
+    rows = np.isfinite(session.readings.seen).all(axis=1)
+    measured = np.random.default_rng(3).uniform(100, 1100, (rows.sum(), 4)).round(3)
+    plan = SessionPlan(run_time=select_rows(session.plan.run_time, rows))
+    save_session(tmp_path / "measured", bench, Session("night", plan, Readings(seen=measured)))
+    read = load_session(tmp_path / "measured")[1]
+    np.testing.assert_array_equal(read.readings.seen, measured)
+    camera = replace(bench.camera, distortion=np.zeros(2), focal_px=1.01 * bench.camera.focal_px)
+    save_session(tmp_path / "corrected", replace(bench, camera=camera), read)
+    for name in ("measured", "corrected"):
+        table = read_table(tmp_path / name / "runtime.csv.gz", RUN_TIME)
+        found = np.stack([table[f"{dot}_{axis}"] for dot in ("virtual", "real") for axis in "uv"], axis=1)
+        np.testing.assert_array_equal(found, (measured - 0.5).round(3))
 
 
 def only_display(session, **changes):

@@ -41,8 +41,8 @@ def plan_for(bench, depth_m, tangents=(-0.15, 0.15), velocity=(0.0, 0.0, 0.0), r
 
 def seen(bench, plan):
     """Tangents (n, 2) of the virtual and of the real dot."""
-    found = simulate(bench, SessionPlan(run_time=plan)).seen
-    return found[:, :2], found[:, 2:]
+    pixel = simulate(bench, SessionPlan(run_time=plan)).seen
+    return bench.camera.tangents_of_pixel(pixel[:, :2]), bench.camera.tangents_of_pixel(pixel[:, 2:])
 
 
 @pytest.mark.parametrize("device", ["no_optics", "flat_mirror", "northstar", "birdbath28"])

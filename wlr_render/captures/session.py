@@ -115,7 +115,7 @@ class Readings:
     Attributes:
         panel_pixel: (n, 2) panel position for each display row.
         dot_pixel: (m, 2) camera pixel for each see-through row.
-        seen: (k, 4) tangents of the virtual dot (2), then of the real dot (2), for each run-time row.
+        seen: (k, 4) camera pixel of the virtual dot (2), then of the real dot (2), for each run-time row.
     """
 
     panel_pixel: FloatArray | None = None

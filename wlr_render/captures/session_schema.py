@@ -155,7 +155,7 @@ class Schema:
         return tuple(column for field in self.fields for column in field.columns)
 
     def of_file(self, columns: Columns, device_from_file: FloatArray) -> tuple[Any, FloatArray]:
-        """The plan, and its readings; dots are still in camera pixels."""
+        """The plan, and its readings."""
         values = {
             field.attribute: field.quantity.of_file(field.stacked(columns), device_from_file)
             for field in self.fields

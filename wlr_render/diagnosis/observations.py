@@ -86,8 +86,8 @@ class Observations:
             parts.append((measured.dot_pixel - predicted.dot_pixel) / self.sigma_px[SEE_THROUGH])
         if measured.seen is not None and predicted.seen is not None:
             # The virtual dot against the real one: whoever sees both need not know where he looks.
-            gap = (measured.seen - predicted.seen)[:, :2] - (measured.seen - predicted.seen)[:, 2:]
-            parts.append(gap * self.nominal.camera.focal_px / self.sigma_px[RUN_TIME])
+            difference = measured.seen - predicted.seen
+            parts.append((difference[:, :2] - difference[:, 2:]) / self.sigma_px[RUN_TIME])
         return np.concatenate(parts)
 
     def panel_pixels(self, residual: FloatArray) -> FloatArray:

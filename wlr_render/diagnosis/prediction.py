@@ -204,7 +204,8 @@ class Predictor:
         same_display = same_display and paths.display is was.display
         same_world = common and bench.target is old.target and bench.tracking is old.tracking
         same_world = same_world and paths.see_through is was.see_through
-        same_run = paths is was and bench.eye_tracking is old.eye_tracking and bench.clock is old.clock
+        same_run = paths is was and bench.camera is old.camera
+        same_run = same_run and bench.eye_tracking is old.eye_tracking and bench.clock is old.clock
         return SessionPlan(
             None if same_display else plan.display,
             None if same_world else plan.see_through,

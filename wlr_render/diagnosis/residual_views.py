@@ -142,6 +142,7 @@ def _run_time(diagnosis: Diagnosis) -> PartView:
     plan, seen = observations.session.plan.run_time, observations.session.readings.seen
     assert plan is not None
     assert seen is not None
+    real_deg = np.degrees(np.arctan(tangents_of_dir(observations.nominal.camera.view_dir_of_pixel(seen[:, 2:]))))
     head = plan.world_from_device[:, :3, 3]
     rate = np.degrees(np.einsum("nji,nj->ni", plan.world_from_device[:, :3, :3], plan.head_rate))
     gaze = np.degrees(np.arctan(tangents_of_dir(plan.gaze)))
@@ -152,9 +153,9 @@ def _run_time(diagnosis: Diagnosis) -> PartView:
         Variable("head turns left (deg/s)", rate[:, 1]),
         Variable("gaze right (deg)", gaze[:, 0]),
         Variable("gaze up (deg)", gaze[:, 1]),
-        Variable("dot down in the field (deg)", -np.degrees(np.arctan(seen[:, 3]))),
+        Variable("dot down in the field (deg)", -real_deg[:, 1]),
     )
-    place = np.degrees(np.arctan(seen[:, 2:])) * [1.0, -1.0]
+    place = real_deg * [1.0, -1.0]
     used = diagnosis.used[observations.part == RUN_TIME]
     maps = _run_time_maps(plan, used)
     return _angular_part(diagnosis, RUN_TIME, place, maps, variables)
@@ -180,8 +181,7 @@ def _seen(diagnosis: Diagnosis, part: int, residual: FloatArray) -> FloatArray:
     """Residual (m, 2) of one part, arcminutes right and down; NaN where a reading does not count."""
     observations = diagnosis.observations
     used = diagnosis.used[observations.part == part]
-    angle = observations.arcminutes(residual, part) * ([1.0, -1.0] if part == RUN_TIME else [1.0, 1.0])
-    return _where(used, angle)
+    return _where(used, observations.arcminutes(residual, part))
 
 
 def _where(used: BoolArray, residual: FloatArray) -> FloatArray:

@@ -10,10 +10,9 @@ from wlr_render.captures.session_schema import SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import read_toml
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.bench import Bench, EyeballCamera
+from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.bench_file import (
     DEVICE_FILE,
     WRITTEN_FRAME,
@@ -54,8 +53,6 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
         expected = ", ".join(f"{schema.name}.csv" for schema in SCHEMAS)
         raise BadInputError(f"{folder}: has none of the tables {expected} (plain or .gz); add at least one.")
     _check_against_bench(folder, bench, plans, readings)
-    if "seen" in readings:
-        readings["seen"] = _tangents_seen(bench.camera, readings["seen"])
     return bench, Session(folder.resolve().name, SessionPlan(**plans), Readings(**readings))
 
 
@@ -86,8 +83,7 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
     for schema in present:
         plan, reading = getattr(session.plan, schema.plan), getattr(session.readings, schema.reading)
         seen = np.isfinite(reading).all(axis=1)
-        in_file = _pixels_seen(bench.camera, reading[seen]) if schema.reading == "seen" else reading[seen]
-        columns = schema.to_file(select_rows(plan, seen), in_file, FRAMES[WRITTEN_FRAME])
+        columns = schema.to_file(select_rows(plan, seen), reading[seen], FRAMES[WRITTEN_FRAME])
         write_table(written[schema.name], schema, columns)
     return folder
 
@@ -148,16 +144,3 @@ def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], read
                 f"{folder}: the seethrough table names target_pose {highest}, but its bench has {poses} "
                 f"[[target_pose]], counted from 0; add the missing ones."
             )
-
-
-def _tangents_seen(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """Camera pixels (n, 4) of two dots -> their tangents in the device frame."""
-    return np.concatenate([tangents_of_dir(camera.view_dir_of_pixel(pixel[:, dot])) for dot in _DOTS], axis=1)
-
-
-def _pixels_seen(camera: EyeballCamera, tangents: FloatArray) -> FloatArray:
-    """The inverse of `_tangents_seen`."""
-    return np.concatenate([camera.pixel_of_view_dir(dir_of_tangents(tangents[:, dot])) for dot in _DOTS], axis=1)
-
-
-_DOTS = (slice(0, 2), slice(2, 4))

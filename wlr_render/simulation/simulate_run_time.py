@@ -5,7 +5,6 @@ from functools import lru_cache
 import numpy as np
 
 from wlr_render.captures.session import RunTimePlan
-from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
@@ -16,7 +15,7 @@ _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 
 
 def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
-    """Tangents (n, 4) of the virtual dot (2) and the real dot (2) as the true pupil sees them.
+    """Camera pixels (n, 4) of the virtual dot (2) and the real dot (2) as the true pupil sees them.
 
     The frame is drawn for the head pose and the tracked viewpoint of its row's time, with exact models of the headset.
     It is seen later by the clock's latency and, row by row of the panel, its scan-out, when the head has moved on, and
@@ -33,7 +32,7 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
     virtual = display.view_dir_of_pixel(pixel, pupil)
     real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil)
-    return np.concatenate([tangents_of_dir(virtual.value), tangents_of_dir(real.value)], axis=1)
+    return np.concatenate([bench.camera.pixel_of_view_dir(dot.value) for dot in (virtual, real)], axis=1)
 
 
 @lru_cache(maxsize=4)
