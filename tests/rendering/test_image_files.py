@@ -1,6 +1,7 @@
 import cv2
 import numpy as np
 import pytest
+from browser import needs_browser, open_page
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import image_files
@@ -38,6 +39,21 @@ def test_video_has_its_frames(tmp_path):
     while (read := video.read())[0]:
         brightness.append(read[1].mean())
     np.testing.assert_allclose(brightness, [0, 40, 80, 120, 160], atol=3)
+
+
+@needs_browser
+def test_a_browser_plays_the_video(tmp_path):
+    image_files.write_video(tmp_path / "v.mp4", [np.full((32, 48, 3), 40 * k, np.uint8) for k in range(5)], 10.0)
+    page = tmp_path / "page.html"
+    page.write_text(
+        """<!doctype html><body><video muted preload="auto" src="v.mp4"></video><script>
+        const video = document.querySelector("video");
+        video.onloadeddata = () => {
+            document.body.title = `${video.videoWidth} x ${video.videoHeight}, ${video.duration} s`;
+        };
+        </script></body>"""
+    )
+    assert 'title="48 x 32, 0.5 s"' in open_page(page, tmp_path).dom
 
 
 def test_faults_name_the_file(tmp_path):

@@ -93,7 +93,7 @@ class RenderOptions(Options):
     ] = False
     red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
     blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
-    video: Annotated[bool, described("Also write EYE.mp4.", flag=True)] = False
+    video: Annotated[bool, described("Also write EYE.mp4 (VP9).", flag=True)] = False
     backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
     out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
 

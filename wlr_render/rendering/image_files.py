@@ -50,7 +50,7 @@ def read_map(path: str | Path) -> NDArray[np.float32]:
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_per_second: float) -> Path:
-    """Write RGB frames of one size as an .mp4, and count them in the closed file, since OpenCV hides write errors.
+    """Write RGB frames of one size as an .mp4 in VP9, which browsers play, and count them in the closed file, since OpenCV hides write errors.
 
     Raises:
         BadInputError: this OpenCV has no encoder for it, there are no frames, or the file lacks some of them.
@@ -60,7 +60,7 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
         for frame in frames:
             if writer is None:
                 size = (frame.shape[1], frame.shape[0])
-                writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), frames_per_second, size)
+                writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"vp09"), frames_per_second, size)
                 if not writer.isOpened():
                     raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
             writer.write(_reversed_channels(frame))
