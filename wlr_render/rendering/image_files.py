@@ -50,7 +50,9 @@ def read_map(path: str | Path) -> NDArray[np.float32]:
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_per_second: float) -> Path:
-    """Write RGB frames of one size as an .mp4 in VP9, which browsers play, and count them in the closed file, since OpenCV hides write errors.
+    """Write RGB frames of one size as an .mp4 in VP9, which browsers play.
+
+    The frames are counted in the closed file, since OpenCV hides write errors.
 
     Raises:
         BadInputError: this OpenCV has no encoder for it, there are no frames, or the file lacks some of them.
