@@ -59,7 +59,7 @@ def printed_by(arguments, capsys):
 # Start and help.
 
 
-@pytest.mark.parametrize("then", ["make_app()", "main(['--help'])", "main(['--version'])"])
+@pytest.mark.parametrize("then", ["make_app()", "main(['--help'])", "main(['--version'])", "main(['nonsense'])"])
 def test_starting_loads_nothing_heavy(then):
     code = f"import sys; from wlr_render.cli import main, make_app; {then}"
     result = run_python("-c", f"{code}; print(*('loaded: ' + n for n in {HEAVY} if n in sys.modules))")
@@ -205,6 +205,7 @@ def test_an_unknown_verb_is_refused(arguments, capsys):
     sentence = refused(arguments, capsys)
     assert f'Unknown command "{arguments[-1]}".' in sentence
     assert ('Did you mean "render"?' in sentence) == (arguments == ["rendr"])
+    assert sentence.endswith("Choose from photos, captures, simulate.") == (arguments[0] == "calibrate")
 
 
 def test_an_argument_too_many_is_refused(capsys):

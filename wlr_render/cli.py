@@ -3,12 +3,13 @@
 A new verb is a job (options, function, report) and its row in `VERBS`.
 """
 
+import difflib
 import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Group, Parameter, UnknownCommandError, UnusedCliTokensError
 
 from wlr_render import __version__
 from wlr_render.errors import BadInputError
@@ -170,6 +171,12 @@ def _run(app: App, tokens: Sequence[str]) -> int:
 def _sentence(error: BadInputError | CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError):
         return f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help to see what this verb takes."
+    if isinstance(error, UnknownCommandError) and error.app is not None:
+        # The parser's own sentence would import the modules of all verbs.
+        token, verbs = (error.unused_tokens or [""])[0], [name for name in error.app if not name.startswith("-")]
+        close = difflib.get_close_matches(token, verbs, 1)
+        hint = f' Did you mean "{close[0]}"?' if close else ""
+        return f'Unknown command "{token}".{hint} Choose from {", ".join(verbs)}.'
     return str(error)
 
 
