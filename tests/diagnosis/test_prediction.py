@@ -87,8 +87,8 @@ def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
         tilted,
         explanation(latency=[5.0]),
         tilted.plus(hypothesis("latency"), np.array([5.0])),
-        tilted.plus(hypothesis("camera_distortion"), np.array([0.02, -0.01])),
         explanation(),
+        explanation(camera_distortion=[0.02, -0.01]),
     ):
         state = predictor.state(step, state)
         np.testing.assert_allclose(state.readings.seen, simulate(step.bench(bench), run_time).seen, atol=1e-11)
