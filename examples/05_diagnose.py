@@ -16,5 +16,5 @@ found = diagnose(bench, session)
 print(verdict_sentence(found), *advice(found), sep="\n")
 
 out = output_folder("out/diagnose")
-save_report(diagnosis_report(found), out, "diagnosis")
+save_report(diagnosis_report(found, folder=out), out, "diagnosis")
 save_session(out / "corrected", found.corrected, found.observations.of_rows(found.used).session)

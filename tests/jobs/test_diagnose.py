@@ -48,6 +48,9 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
     assert status == 0
     assert "Explained: printed size of the target (target_scale: scale_" in printed.out
     assert "Improvement in use" in printed.out
+    page = (out / "diagnosis.md").read_text()
+    assert f"wlr-render diagnose {out}/corrected --out {out}/again\n" in page
+    assert f"wlr-render calibrate captures {out}/corrected\n" in page
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
         "corrected/bench.toml",
         "corrected/display.csv.gz",
@@ -102,7 +105,7 @@ def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, 
     taken = tmp_path / "taken"
     taken.write_text("a file")
     for arguments, words in (
-        ([tmp_path / "none"], "none/bench.toml: cannot be read"),
+        ([tmp_path / "none"], "none: has no bench.toml, so it is not a bench session"),
         ([session, "--out", taken], "taken: cannot write to this output folder"),
         ([session, "--out", tmp_path / "out", "--html", tmp_path], "is a folder; name a file"),
         ([session, "--out", tmp_path / "out", "--json", taken / "x.json"], "cannot write to this output folder"),

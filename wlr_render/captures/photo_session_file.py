@@ -39,6 +39,10 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     """
     root = Path(folder)
     if not (root / FILE).is_file():
+        if (root / "bench.toml").is_file():
+            raise BadInputError(
+                f"{root}: is a bench session, not a photographic session; run `wlr-render calibrate captures {root}`."
+            )
         manual = resource("docs", "photo-session.md")
         raise BadInputError(f"{root}: has no {FILE}, so it is not a photographic session; {manual} has the format.")
     file = read_toml(root / FILE)

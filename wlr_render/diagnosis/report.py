@@ -1,5 +1,6 @@
 """The report of a diagnosis: verdict and advice first, then the evidence as text, tables and plots."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +58,14 @@ def _residual_record(residual: ResidualSummary, noise: ResidualSummary) -> dict[
 
 
 def diagnosis_report(
-    diagnosis: Diagnosis, in_use: ImprovementInUse | None = None, inputs: tuple[Path, ...] = ()
+    diagnosis: Diagnosis,
+    in_use: ImprovementInUse | None = None,
+    inputs: tuple[Path, ...] = (),
+    folder: Path = Path(),
 ) -> Report:
-    """Build the report."""
+    """Build the report; `folder` is the output folder, in which the corrected session is `CORRECTED`."""
     blocks: list[Block] = [Section("Result"), tables.residuals_table(diagnosis), tables.causes_table(diagnosis)]
-    blocks += [*_values(diagnosis), *_next_steps(diagnosis), tables.limits_table(diagnosis)]
+    blocks += [*_values(diagnosis), *_next_steps(diagnosis, folder), tables.limits_table(diagnosis)]
     for part in part_views(diagnosis):
         name = part.name[:1].upper() + part.name[1:]
         blocks += [Section(f"{name} residual"), plots.residual_maps(part), plots.residual_curves(part)]
@@ -90,18 +94,19 @@ def _values(diagnosis: Diagnosis) -> list[Block]:
     )
 
 
-def _next_steps(diagnosis: Diagnosis) -> list[Block]:
-    """Commands to go on with the corrected session."""
+def _next_steps(diagnosis: Diagnosis, folder: Path) -> list[Block]:
+    """Commands to go on with the corrected session, for the working directory of this run."""
     if not diagnosis.causes:
         return []
     plan = diagnosis.observations.session.plan
-    verbs = [f"diagnose {CORRECTED} --out again"]
+    corrected = folder / CORRECTED
+    commands = [("diagnose", corrected, "--out", folder / "again")]
     if plan.display is not None and plan.see_through is not None:
-        verbs.append(f"calibrate captures {CORRECTED}")
+        commands.append(("calibrate", "captures", corrected))
     if diagnosis.corrected.device is not diagnosis.observations.nominal.device:
-        verbs.append(f"render {CORRECTED}/device.toml desk")
+        commands.append(("render", corrected / "device.toml", "desk"))
     text = (
-        f"The folder {CORRECTED}, beside this report, is a session: the readings that were used, and the bench with "
-        "the causes at work. Check that it predicts the readings, and use it:"
+        f"The folder {corrected} is a session: the readings that were used, and the corrected bench. Check that it "
+        "predicts the readings, and use it:"
     )
-    return [Text(text, [f"wlr-render {verb}" for verb in verbs])]
+    return [Text(text, [shlex.join(("wlr-render", *map(str, command))) for command in commands])]

@@ -53,7 +53,7 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     progress.say("writing the report")
     files = _write_corrected(folder / CORRECTED, found)
     inputs = (options.session, *([options.bench] if options.bench else []))
-    report = save_report(replace(diagnosis_report(found, in_use, inputs), files=files), folder, STEM)
+    report = save_report(replace(diagnosis_report(found, in_use, inputs, folder), files=files), folder, STEM)
     return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)
 
 

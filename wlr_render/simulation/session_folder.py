@@ -9,7 +9,7 @@ from wlr_render.captures.session import Readings, Session, SessionPlan, select_r
 from wlr_render.captures.session_schema import SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
-from wlr_render.files import read_toml
+from wlr_render.files import read_toml, resource
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
@@ -38,6 +38,9 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
             where and what to do.
     """
     folder = Path(folder)
+    if not (folder / "bench.toml").is_file():
+        manual = resource("docs", "bench-session.md")
+        raise BadInputError(f"{folder}: has no bench.toml, so it is not a bench session; {manual} has the format.")
     file = read_toml(folder / "bench.toml")
     bench, axes = bench_of(file, folder), device_from_file(file)
     if bench_file is not None:
