@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from wlr_render import files
+from wlr_render import files, toml_files
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import image_files
@@ -15,7 +15,7 @@ from wlr_render.rendering import image_files
 def table(tmp_path, text):
     path = tmp_path / "thing.toml"
     path.write_text(text)
-    return files.read_toml(path)
+    return toml_files.read_toml(path)
 
 
 def test_output_appears_whole_or_not_at_all(tmp_path):
@@ -103,7 +103,7 @@ def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
         "none": [],
         "empty": {},
     }
-    path = files.write_toml(tmp_path / "deep" / "thing.toml", content, comment="two\nlines = 3")
+    path = toml_files.write_toml(tmp_path / "deep" / "thing.toml", content, comment="two\nlines = 3")
     assert path.read_text().startswith("# two\n# lines = 3\n")
     back = tomllib.loads(path.read_text(encoding="utf-8"))
     assert back == content
@@ -112,7 +112,7 @@ def test_written_toml_is_read_back_to_the_last_bit(tmp_path):
 
 def test_written_vectors_are_on_one_line_each(tmp_path):
     content = {"v": [1.0, -2.5e-7, 3], "rows": [[1.0, 2.0], [3.0, 4.0]], "table": [{"at": [0.5, 1.0], "on": True}]}
-    assert files.write_toml(tmp_path / "thing.toml", content).read_text().splitlines() == [
+    assert toml_files.write_toml(tmp_path / "thing.toml", content).read_text().splitlines() == [
         "v = [1.0, -2.5e-07, 3]",
         "rows = [",
         "    [1.0, 2.0],",
@@ -127,14 +127,14 @@ def test_written_vectors_are_on_one_line_each(tmp_path):
 
 def test_arrays_and_their_numbers_are_written_as_plain_ones(tmp_path):
     content = {"v": np.array([[0.1, 2.0]]), "n": np.int64(3), "x": np.float64(0.3), "b": np.bool_(True)}
-    back = tomllib.loads(files.write_toml(tmp_path / "thing.toml", content).read_text())
+    back = tomllib.loads(toml_files.write_toml(tmp_path / "thing.toml", content).read_text())
     assert back == {"v": [[0.1, 2.0]], "n": 3, "x": 0.3, "b": True}
 
 
 @pytest.mark.parametrize("value", [math.nan, np.inf, None, [1.0, np.nan], [{"a": 1}, 2]])
 def test_what_toml_cannot_hold_is_refused_and_no_file_appears(tmp_path, value):
     with pytest.raises(ValueError, match=r"'outer\.key' cannot be written as TOML"):
-        files.write_toml(tmp_path / "thing.toml", {"outer": {"key": value}})
+        toml_files.write_toml(tmp_path / "thing.toml", {"outer": {"key": value}})
     assert not list(tmp_path.iterdir())
 
 

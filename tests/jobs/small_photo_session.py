@@ -17,7 +17,7 @@ from wlr_render.captures import session_reading
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.files import resource, write_toml
+from wlr_render.files import resource
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.jobs.calibrate.photos import READ, CalibratePhotosOptions, calibrated, report_of
 from wlr_render.jobs.verify import session as verify
@@ -29,6 +29,7 @@ from wlr_render.simulation.photographs.photo_bench import (
     plan_photographs,
 )
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.toml_files import write_toml
 
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)

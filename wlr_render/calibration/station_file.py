@@ -13,10 +13,11 @@ import numpy as np
 from wlr_render.calibration.poses import Pose
 from wlr_render.calibration.station import Station
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_json, write_text
+from wlr_render.files import write_text
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-station"
 VERSION = 1

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, write_arrays
+from wlr_render.files import write_arrays
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.toml_files import Table
 
 FORMAT = "wlr-captures"
 VERSION = 1

@@ -13,11 +13,12 @@ from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSes
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.captures.targets.board_file import load_board
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, resource, write_toml
+from wlr_render.files import resource
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table, read_toml, write_toml
 
 FILE = "session.toml"
 FORMAT = "photo-session"

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_json, write_text
+from wlr_render.files import write_text
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, EyeMappings, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
@@ -37,6 +37,7 @@ from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.polynomial import Box, Polynomial, exponents, term_count
+from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-eye-model"
 VERSION = 2

@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from wlr_render.files import Table, named_or_path, read_toml
+from wlr_render.files import named_or_path
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import FRAMES, rigid, rotation_about
 from wlr_render.mappings import EyeBox, FieldOfView, Panel
@@ -25,6 +25,7 @@ from wlr_render.optics.device import (
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
+from wlr_render.toml_files import Table, read_toml
 
 MM = 1e-3
 """One millimetre in metres."""

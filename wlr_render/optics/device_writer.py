@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_toml
 from wlr_render.mappings import FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
@@ -24,6 +23,7 @@ from wlr_render.optics.device_file import MM, offset_chain
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
+from wlr_render.toml_files import write_toml
 
 Content = dict[str, Any]
 """A table of the file, in plain lists and numbers, so that two of them can be compared."""

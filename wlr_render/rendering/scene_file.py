@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from wlr_render import files
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.rendering.mesh_file import SUFFIXES, load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
 from wlr_render.rendering.shapes.construction import turn
 from wlr_render.rendering.shapes.objects import SHAPES
+from wlr_render.toml_files import Table, read_toml
 
 FORMAT, VERSION, FRAME = "wlr-scene", 1, "openxr"
 _PLACEMENT = ("name", "mesh", "shape", "position_m", "rotation_deg", "quaternion_xyzw", "scale", "scale_xyz")
@@ -49,7 +49,7 @@ def load_scene(spec: str | Path) -> Scene:
     path = scene_path(spec)
     if path.suffix.lower() in SUFFIXES:
         return _scene_of_mesh_file(path)
-    table = files.read_toml(path)
+    table = read_toml(path)
     _require_header(table)
     scene = Scene(
         path.stem,

@@ -185,14 +185,6 @@ def arrow_map(
             hoverinfo="skip",
         )
     )
-    buttons = [
-        {
-            "label": name,
-            "method": "update",
-            "args": [{"visible": [k // 2 == number for k in range(2 * len(groups))] + [True]}],
-        }
-        for number, name in enumerate(groups)
-    ]
     layout: dict[str, Any] = {
         "xaxis": axis(axes[0]) | {"constrain": "domain"},
         "yaxis": axis(axes[1])
@@ -201,9 +193,19 @@ def arrow_map(
         "hovermode": "closest",
     }
     if len(groups) > 1:
-        menu = {"buttons": buttons, "x": 0.0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "bgcolor": "#cccccc"}
-        layout["updatemenus"] = [menu | {"font": {"color": "#111111"}}]
+        layout["updatemenus"] = [_group_menu(list(groups))]
     return Plot(title, data, layout, caption, height_px=560)
+
+
+def _group_menu(names: Sequence[str]) -> dict[str, Any]:
+    """A menu that shows the two traces of one group, and always the last trace."""
+    shown = [[trace // 2 == number for trace in range(2 * len(names))] + [True] for number in range(len(names))]
+    buttons = [
+        {"label": name, "method": "update", "args": [{"visible": visible}]}
+        for name, visible in zip(names, shown, strict=True)
+    ]
+    place = {"x": 0.0, "xanchor": "left", "y": 1.0, "yanchor": "bottom"}
+    return {"buttons": buttons, "bgcolor": "#cccccc", "font": {"color": "#111111"}, **place}
 
 
 def _trace(points: FloatArray, mode: str, **more: object) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from wlr_render.captures.session_schema import MM
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, shipped_names, write_toml
+from wlr_render.files import shipped_names
 from wlr_render.geometry.transforms import FRAMES, rigid
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
@@ -26,6 +26,7 @@ from wlr_render.simulation.bench import (
     Tracking,
 )
 from wlr_render.simulation.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
+from wlr_render.toml_files import Table, read_toml, write_toml
 
 FORMAT = "bench-session"
 VERSION = 1

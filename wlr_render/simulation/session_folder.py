@@ -9,7 +9,7 @@ from wlr_render.captures.session import Readings, Session, SessionPlan, select_r
 from wlr_render.captures.session_schema import SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
-from wlr_render.files import read_toml, resource
+from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
@@ -21,6 +21,7 @@ from wlr_render.simulation.bench_file import (
     load_bench,
     save_bench,
 )
+from wlr_render.toml_files import read_toml
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")

@@ -11,12 +11,12 @@ from browser import needs_browser, open_page
 from wlr_render.calibration.poses import motion_between
 from wlr_render.calibration.station_file import load_station
 from wlr_render.captures.capture_file import load_captures
-from wlr_render.files import read_toml
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.calibrate.photos import calibrated, report_of
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot
+from wlr_render.toml_files import read_toml
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from wlr_render.captures.targets.board_design import check_sizes
 from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, write_bytes, write_text, write_toml
+from wlr_render.files import write_bytes, write_text
 from wlr_render.numerics.arrays import BoolArray
+from wlr_render.toml_files import Table, read_toml, write_toml
 
 _STRIP_MM = 12.0  # below the board, for ruler and text
 _EDGE_MM = 5.0  # from the left edge to the ruler

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import Table, read_toml, write_bytes, write_toml
+from wlr_render.files import write_bytes
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
+from wlr_render.toml_files import Table, read_toml, write_toml
 
 FILE = "simulation.toml"
 _DEVICE_COPY = "device.toml"
