@@ -17,7 +17,7 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     monkeypatch.setattr(simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or (7, 3))
     chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20", "--stage-error-um", "0"]
-    depths = ["--depths-m", "0.5", "--depths-m", "0.8", "--depths-m", "2"]
+    depths = ["--depths-m", "0.5", "0.8", "2"]
     assert main(["simulate", "there", *chosen, *bench_options, *depths, "--seed", "4", "--workers", "1"]) == 0
     made_of = PhotoBenchOptions((640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 0.0, 4)
     assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), 1)]

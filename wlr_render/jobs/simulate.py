@@ -32,7 +32,7 @@ class SimulateOptions(Options):
     focus_m: Annotated[float, described("Distance at which it is focused, in m."), Range(at_least=0)] = 1.0
     snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(at_least=0)] = 50.0
     depths_m: Annotated[
-        tuple[float, ...], described("Distances of the target in m, two or more."), Range(at_least=0)
+        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(at_least=0)
     ] = (0.4, 1.0)
     stage_error_um: Annotated[
         float, described("Error of each camera position in um, standard deviation per axis."), Range(at_least=0)

@@ -58,7 +58,10 @@ class VerifySessionOptions(Options):
     _: KW_ONLY
     calibration: Annotated[Path, described("Output folder of `calibrate photos`.")] = Path("out/calibrate")
     viewpoints: Annotated[int, described("Number of camera positions in the eye box."), Range(at_least=1)] = 5
-    depths_m: Annotated[tuple[float, ...], described("Distances of the target in m."), Range(at_least=0)] = (0.5, 0.8)
+    depths_m: Annotated[tuple[float, ...], described("Distances of the target in m.", many=True), Range(at_least=0)] = (
+        0.5,
+        0.8,
+    )
     seed: Seed = 1
     backend: Backend = "auto"
     workers: Workers = None
