@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.jobs.headset import open_eye
+from wlr_render.jobs.render import RenderOptions, planned_frames
 from wlr_render.rendering.native_contexts import OsMesaContext
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
@@ -53,6 +55,17 @@ def test_the_plug_in_works_without_egl_too(tmp_path):
     except OSError as error:
         pytest.skip(f"libosmesa6 is not installed ({error}).")
     run("07_plug_into_pyrender", tmp_path, PYOPENGL_PLATFORM="osmesa")
+
+
+def test_the_trajectories_cover_three_seconds_inside_the_eye_boxes():
+    data = EXAMPLES[0].parent / "data"
+    options = RenderOptions(
+        "northstar", "desk", head=data / "head.tum", eye_track=data / "eyes.txt", eye="both", frames_per_second=10.0
+    )
+    plan = planned_frames(options, {eye: open_eye("northstar", eye) for eye in ("left", "right")})
+    assert [(frame.time_s, frame.eye) for frame in plan[:: len(plan) - 1]] == [(0.0, "left"), (3.0, "right")]
+    assert len(plan) == 62
+    assert len({tuple(frame.viewpoint) for frame in plan}) > 20
 
 
 def test_the_code_in_the_readme_makes_the_session_of_example_5(tmp_path, monkeypatch):

@@ -86,7 +86,7 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
     untouched = (again.out / "right-000001.png").stat().st_mtime_ns
     report = render(again)
     assert counts(report) == (4, 1)
-    assert report.verdict == f"4 frames drawn, 1 kept from an earlier run: {again.out}."
+    assert report.verdict == f"4 frames drawn, 1 kept from an earlier run: 5 PNG in {again.out}."
     assert (again.out / "right-000001.png").stat().st_mtime_ns == untouched
     assert pictures(again.out) == pictures(moving.out)
     assert (again.out / "sequence.json").read_bytes() == (moving.out / "sequence.json").read_bytes()
@@ -235,6 +235,7 @@ def test_map_from_the_mesh_shows_the_same_picture(options):
         ({"red_model": Path("r.json"), "blue_model": Path("b.json")}, "is a device, which is traced in all colours"),
         ({"frames_per_second": 0.0}, "--fps is 0.0; it must be a finite number above 0"),
         ({"frames_per_second": np.inf}, "--fps is inf; it must be a finite number above 0"),
+        ({"frame_limit": 3}, "--frames is used with --head or --eye-track only"),
         ({"frame_limit": 0}, "--frames is 0; it must be a finite number of 1 or more"),
         ({"method": "paint"}, "--method is paint; choose from raster, raytrace"),
         ({"maps": "png"}, "--maps is png; choose from tiff, pfm"),
@@ -361,6 +362,18 @@ def test_the_report_lists_frames_inputs_and_files(moving):
     inputs = json.loads((moving.out / "report.json").read_text())["provenance"]["inputs"]
     assert [file["name"] for file in inputs] == [moving.headset, moving.scene, str(moving.head), str(moving.eye_track)]
     assert (moving.out / "report.html").read_text().count("data:image/png;base64,") == 1
+
+
+def test_the_verdict_counts_pictures_and_maps(options, tmp_path):
+    job = replace(options, head=still_head(tmp_path / "head.tum", [0.0, 0.1]), frames_per_second=10.0, frame_limit=2)
+    for change, counted in (
+        ({"maps": "pfm"}, "2 PNG, 2 PFM"),
+        ({"maps": "tiff", "eye": "both", "per_colour": True}, "4 PNG, 12 TIFF"),
+    ):
+        out = tmp_path / str(len(counted))
+        assert render(replace(job, **change, out=out)).verdict.endswith(f": {counted} in {out}.")
+        written = f"{len([*out.glob('*.png')])} PNG, {len([*out.glob('*.pfm'), *out.glob('*.tiff')])}"
+        assert counted.startswith(written)
 
 
 def test_three_models_alike_draw_what_one_draws(options, model_file, tmp_path):

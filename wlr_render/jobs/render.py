@@ -40,7 +40,7 @@ RECORD = "sequence.json"
 class RenderOptions(Options):
     """Options of `render`."""
 
-    headset: Annotated[str, described("A device or a model file (the models in green light, with --red-model).")]
+    headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
     scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to draw.")] = "right"
@@ -54,7 +54,9 @@ class RenderOptions(Options):
         float, described("Frames per second, over the time that both trajectories cover.", name="--fps"), Range(above=0)
     ] = 30.0
     frame_limit: Annotated[
-        int | None, described("Maximum number of frames (default: all).", name="--frames"), Range(at_least=1)
+        int | None,
+        described("Maximum number of frames along --head or --eye-track (default: all).", name="--frames"),
+        Range(at_least=1),
     ] = None
     method: Annotated[
         Literal["raster", "raytrace"],
@@ -68,7 +70,7 @@ class RenderOptions(Options):
     ] = False
     materials: Annotated[
         Literal["own", "gltf"],
-        described("Materials: as ray tracing has them, or glTF's (raster only, needs OpenGL)."),
+        described("Shading: the ray tracer's, or glTF materials (raster only, needs OpenGL)."),
         OnlyWith("method", ("raster",)),
     ] = "own"
     resolution: Annotated[
@@ -89,7 +91,7 @@ class RenderOptions(Options):
     ] = None
     per_colour: Annotated[
         bool,
-        described("Rays and maps of their own for red, green and blue; a device is traced in all three.", flag=True),
+        described("Separate rays and warp maps for red, green and blue; a device is traced in all three.", flag=True),
     ] = False
     red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
     blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
@@ -98,8 +100,13 @@ class RenderOptions(Options):
     out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
 
     def __post_init__(self) -> None:
-        """Check that the models of red and blue light come together."""
+        """Check that the models of red and blue light come together, and that several frames have a trajectory."""
         super().__post_init__()
+        if self.frame_limit is not None and self.head is None and self.eye_track is None:
+            raise BadInputError(
+                "--frames is used with --head or --eye-track only; leave it out (one frame of each eye is drawn), or "
+                "give a trajectory."
+            )
         if (self.red_model is None) != (self.blue_model is None):
             raise BadInputError("--red-model and --blue-model go together; give both or neither.")
 
@@ -166,12 +173,17 @@ def _report(options: RenderOptions, plan: list[PlannedFrame], drawn: int, files:
     table = ReportTable("Frames by eye", ["eye", "frames", "first time stamp (s)", "last time stamp (s)"], rows)
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
-        f"{drawn} frames drawn, {kept} kept from an earlier run: {options.out}.",
+        f"{drawn} frames drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=[table, *blocks],
         inputs=[*_drawn_from(options), *filter(None, (options.head, options.eye_track))],
         files=files,
         record={"frames_drawn": drawn, "frames_kept": kept},
     )
+
+
+def _counts_of_files(plan: list[PlannedFrame], options: RenderOptions) -> str:
+    maps = sum(len(_map_files(options.out, planned, options)) for planned in plan)
+    return f"{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "")
 
 
 def _drawn_from(options: RenderOptions) -> list[Path]:
