@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from synthetic_station import BOARD, EYEBALL, NOISE_PX, board_view, lens_views, tilted_poses, turned
 
-from wlr_render.calibration.camera_calibration import VALUES, calibrate_camera
+from wlr_render.calibration.camera_calibration import calibrate_camera
 from wlr_render.calibration.poses import motion_between
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens_camera import LENS_PARAMETERS, LensCamera
 
 SIZE = EYEBALL.size_px
 
@@ -45,7 +45,7 @@ def test_terms_that_the_lens_does_not_have_are_dropped(many):
     plain = LensCamera(SIZE, EYEBALL.focal_px, EYEBALL.centre_px)
     found = calibrate_camera(lens_views(np.random.default_rng(1), camera=plain), SIZE)
     assert len(found.terms) <= 1
-    unused = [i for i, name in enumerate(VALUES) if i > 3 and name not in found.terms]
+    unused = [i for i, name in enumerate(LENS_PARAMETERS) if i > 3 and name not in found.terms]
     assert np.all(values(found.camera)[unused] == 0)
     assert np.all(found.sigma[unused] == 0)
 

@@ -9,7 +9,7 @@ import numpy as np
 from wlr_render.calibration.poses import Pose, motion_rows, small_motion
 from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.geometry.lens_camera import LENS_PARAMETERS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
 FEWEST_DOTS = 8
@@ -96,7 +96,7 @@ class Reprojection:
     Attributes:
         residual: (2 n,) seen minus predicted.
         by_motion: (2 n, 6) derivative of predicted by a small motion in the camera's frame (rad, m).
-        by_camera: (2 n, 9) derivative of predicted by fx, fy, cx, cy, k1, k2, p1, p2, k3.
+        by_camera: (2 n, 9) derivative of predicted by the `LENS_PARAMETERS`.
         per_px: (2 n,) what one pixel counts.
     """
 
@@ -125,7 +125,7 @@ def reproject(camera: LensCamera, camera_from_board: FloatArray, view: BoardView
     per_px = np.repeat(1.0 / view.sigma_px, 2)
     residual = (view.pixel - (seen[:, 0] - OPENCV_PIXEL_SHIFT)).ravel() * per_px
     slope = slope * per_px[:, None]
-    return Reprojection(residual, slope[:, :6], slope[:, 6:15], per_px)
+    return Reprojection(residual, slope[:, :6], slope[:, 6 : 6 + len(LENS_PARAMETERS)], per_px)
 
 
 def robust_scale(residual: FloatArray) -> float:

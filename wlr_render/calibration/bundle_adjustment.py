@@ -11,7 +11,7 @@ import numpy as np
 
 from wlr_render.calibration.board_poses import BoardView, Reprojection, reproject
 from wlr_render.calibration.poses import small_motion
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens_camera import LENS_PARAMETERS, LensCamera
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _STEPS = 50
@@ -53,7 +53,7 @@ class Adjustment:
         camera_from_board: (n, 4, 4).
         views: n.
         parts: their residuals.
-        free: (m,) which of fx, fy, cx, cy, k1, k2, p1, p2, k3 were adjusted.
+        free: (m,) indices into `LENS_PARAMETERS`, of those adjusted.
         noise: rms residual in units of the dots' sigmas, for the unknowns spent.
         lens_covariance: (m, m), with the noise found.
         covariance: (6 n, 6 n) of small motions of all poses in the camera's frame, with the noise found.
@@ -135,7 +135,7 @@ def _inverse(matrix: FloatArray) -> FloatArray:
 
 
 def _moved(camera: LensCamera, step: FloatArray, free: IntArray) -> LensCamera:
-    whole = np.zeros(9)
+    whole = np.zeros(len(LENS_PARAMETERS))
     whole[free] = step
     return LensCamera(
         camera.size_px, camera.focal_px + whole[:2], camera.centre_px + whole[2:4], camera.distortion + whole[4:]

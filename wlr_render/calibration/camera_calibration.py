@@ -21,14 +21,14 @@ from wlr_render.calibration.board_poses import (
 from wlr_render.calibration.bundle_adjustment import Adjustment, UndeterminedError, adjust_bundle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.geometry.lens_camera import DISTORTION_TERMS, LENS_PARAMETERS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-VALUES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-
-_PINHOLE = (0, 1, 2, 3)
-_RADIAL = (4, 5, 8)
-_TANGENTIAL = (6, 7)
+_COUNT = len(LENS_PARAMETERS)
+_PINHOLE, _RADIAL, _TANGENTIAL = (
+    tuple(LENS_PARAMETERS.index(name) for name in names)
+    for names in (("fx", "fy", "cx", "cy"), ("k1", "k2", "k3"), ("p1", "p2"))
+)
 _WORTH = 4.0  # chi-square that a distortion term must bring to be kept: two of its sigmas
 _FEWEST_VIEWS = 3
 _START_DOTS = 80  # per view; the start need not be exact, and OpenCV's time grows with dots
@@ -43,7 +43,7 @@ class CameraCalibration:
 
     Attributes:
         poses: of the board in each photograph, with the lens as `poses.camera`; their covariance includes the lens's.
-        sigma: (9,) standard deviations of `VALUES`; 0 for distortion terms that are not used.
+        sigma: (9,) standard deviations of the `LENS_PARAMETERS`; 0 for distortion terms that are not used.
         terms: the distortion terms that the photographs carry; the others are zero.
         noise: rms distance of dots from their places in units of the sigmas they came with; they are all scaled by it.
     """
@@ -72,7 +72,7 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
     usable = [view for view in views if view.name not in rejected]
     while True:
         _refuse_too_few(usable, rejected)
-        fit = _adjusted(usable, np.arange(9), *_start(usable, size_px))
+        fit = _adjusted(usable, np.arange(_COUNT), *_start(usable, size_px))
         worst, reason = _worst(fit)
         if not reason:
             break
@@ -82,9 +82,9 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
     fit = _adjusted(cleaned, fit.free, fit.camera, fit.camera_from_board)
     free = _selected_terms(fit)
     fit = _adjusted(cleaned, free, _with_only(fit.camera, free), fit.camera_from_board)
-    sigma = np.zeros(9)
+    sigma = np.zeros(_COUNT)
     sigma[free] = np.sqrt(np.diag(fit.lens_covariance))
-    if np.any(sigma[:4] > _LOOSEST * np.tile(fit.camera.focal_px, 2)):
+    if np.any(sigma[: len(_PINHOLE)] > _LOOSEST * np.tile(fit.camera.focal_px, 2)):
         raise _undetermined(fit.views)
     poses = BoardPoses(
         fit.camera,
@@ -94,7 +94,7 @@ def calibrate_camera(views: Sequence[BoardView], size_px: tuple[int, int]) -> Ca
         fit.rms_px,
         rejected,
     )
-    return CameraCalibration(poses, sigma, tuple(VALUES[i] for i in free if i > 3), fit.noise)
+    return CameraCalibration(poses, sigma, tuple(LENS_PARAMETERS[i] for i in free if i not in _PINHOLE), fit.noise)
 
 
 def _outlying_photographs(views: Sequence[BoardView]) -> dict[str, str]:
@@ -139,7 +139,10 @@ def _start(views: Sequence[BoardView], size_px: tuple[int, int]) -> tuple[LensCa
     except cv2.error as error:
         raise _undetermined(views) from error
     camera = LensCamera(
-        size_px, np.diag(matrix)[:2].copy(), matrix[:2, 2] - OPENCV_PIXEL_SHIFT, distortion.ravel()[:5].copy()
+        size_px,
+        np.diag(matrix)[:2].copy(),
+        matrix[:2, 2] - OPENCV_PIXEL_SHIFT,
+        distortion.ravel()[: len(DISTORTION_TERMS)].copy(),
     )
     poses = [
         transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
@@ -165,7 +168,7 @@ def _selected_terms(fit: Adjustment) -> IntArray:
     for tangential in (_TANGENTIAL, ()):
         for order in range(len(_RADIAL) + 1):
             free = np.array(sorted({*_PINHOLE, *tangential, *_RADIAL[:order]}))
-            left_out = np.setdiff1d(np.arange(9), free)
+            left_out = np.setdiff1d(np.arange(_COUNT), free)
             block = fit.lens_covariance[np.ix_(left_out, left_out)]
             cost = values[left_out] @ np.linalg.solve(block, values[left_out]) if len(left_out) else 0.0
             choices.append((float(cost) + _WORTH * len(free), free))
@@ -173,7 +176,7 @@ def _selected_terms(fit: Adjustment) -> IntArray:
 
 
 def _with_only(camera: LensCamera, free: IntArray) -> LensCamera:
-    distortion = np.where(np.isin(np.arange(4, 9), free), camera.distortion, 0.0)
+    distortion = np.where(np.isin(np.arange(len(_PINHOLE), _COUNT), free), camera.distortion, 0.0)
     return LensCamera(camera.size_px, camera.focal_px, camera.centre_px, distortion)
 
 

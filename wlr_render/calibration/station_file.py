@@ -15,7 +15,7 @@ from wlr_render.calibration.station import Station
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens_camera import DISTORTION_TERMS, LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table, read_json
 
@@ -139,7 +139,10 @@ def _camera_record(camera: LensCamera) -> dict[str, Any]:
 def _camera(table: Table) -> LensCamera:
     width, height = (int(side) for side in table.vector("size_px", 2))
     return LensCamera(
-        (width, height), table.vector("focal_px", 2), table.vector("centre_px", 2), table.vector("distortion", 5)
+        (width, height),
+        table.vector("focal_px", 2),
+        table.vector("centre_px", 2),
+        table.vector("distortion", len(DISTORTION_TERMS)),
     )
 
 

@@ -14,7 +14,7 @@ from wlr_render.captures.photographs import photographs_in
 from wlr_render.captures.targets.board_file import load_board
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -126,7 +126,7 @@ def _camera(table: Table, root: Path) -> SessionCamera:
     focal, centre = table.vector("focal_px", 2), table.vector("opencv_centre_px", 2)
     if np.any(focal <= 0):
         raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
-    distortion = table.vector("distortion", 5, [0.0] * 5)
+    distortion = table.vector("distortion", len(DISTORTION_TERMS), [0.0] * len(DISTORTION_TERMS))
     return SessionCamera(size, bits, known=LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, distortion))
 
 

@@ -15,6 +15,11 @@ from wlr_render.numerics.arrays import FloatArray
 OPENCV_PIXEL_SHIFT = -0.5
 """OpenCV's pixel position minus ours."""
 
+DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3")
+"""Distortion coefficients in OpenCV's order."""
+LENS_PARAMETERS = ("fx", "fy", "cx", "cy", *DISTORTION_TERMS)
+"""All parameters of a lens, in the order of OpenCV's derivatives."""
+
 _TOLERANCE = 1e-12  # of distorted tangents
 _STEPS = 8  # of Newton's method; five reach rounding error for lenses of 90 degrees
 _REACH = 1.5  # largest true tangent searched, relative to the undistorted tangents of the image edges
@@ -28,14 +33,14 @@ class LensCamera:
         size_px: width and height.
         focal_px: (2,) pixels per unit tangent in u and v.
         centre_px: (2,) principal point.
-        distortion: (5,) k1, k2, p1, p2, k3 of D. C. Brown, "Close-range camera calibration", Photogrammetric
-            Engineering 37 (1971) 855, in OpenCV's order: distorted tangents as a polynomial of true tangents.
+        distortion: (5,) the `DISTORTION_TERMS` of D. C. Brown, "Close-range camera calibration", Photogrammetric
+            Engineering 37 (1971) 855: distorted tangents as a polynomial of true tangents.
     """
 
     size_px: tuple[int, int]
     focal_px: FloatArray
     centre_px: FloatArray
-    distortion: FloatArray = field(default_factory=partial(np.zeros, 5))
+    distortion: FloatArray = field(default_factory=partial(np.zeros, len(DISTORTION_TERMS)))
 
     @property
     def opencv_matrix(self) -> FloatArray:

@@ -20,6 +20,7 @@ class BasePlane:
         """Project `point` (..., 3) onto the plane along rays with `tangents` (..., 2); returns (x, y), (..., 2).
 
         Closed-form projection of the paper (section 3.2); the plane may lie in front of the point or behind it.
+        Two solvers repeat this formula together with its derivative: `models.bundle` and shaders/solve.frag.
         """
         return np.asarray(point[..., :2] + (point[..., 2:] - self.z) * tangents)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -97,4 +97,4 @@ def _lens_camera(size_px: tuple[int, int], matrix: FloatArray, distortion: Float
     """From OpenCV's matrix (9,) and coefficients (5,)."""
     (fx, _, cx), (_, fy, cy), _ = matrix.reshape(3, 3)
     centre = np.array([cx, cy]) - OPENCV_PIXEL_SHIFT
-    return LensCamera(size_px, np.array([fx, fy]), centre, distortion.reshape(5))
+    return LensCamera(size_px, np.array([fx, fy]), centre, distortion.reshape(len(DISTORTION_TERMS)))

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.calibration.calibrate_session import Lens, SessionCalibration
-from wlr_render.calibration.camera_calibration import VALUES
 from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.poses import Pose
 from wlr_render.calibration.regression import FOLDS
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import write_figure
+from wlr_render.geometry.lens_camera import LENS_PARAMETERS
 from wlr_render.jobs.calibrate.fit import fit_blocks, fit_sentence
 from wlr_render.jobs.decode import rejection_colours
 from wlr_render.numerics.polynomial import term_count
@@ -124,7 +124,7 @@ def _lens_rows(name: str, lens: Lens) -> list[list[Cell]]:
     sigma = [None] * len(values) if found is None else [float(one) for one in found.sigma]
     rows: list[list[Cell]] = [
         [name, value, f"{number:.6g}", one]
-        for value, number, one in zip(VALUES, values, sigma, strict=True)
+        for value, number, one in zip(LENS_PARAMETERS, values, sigma, strict=True)
         if number != 0
     ]
     misfit = float(np.sqrt(np.mean(lens.poses.rms_px**2)))
