@@ -117,6 +117,9 @@ def test_each_fault_is_named(session, pattern, text, complaint):
 def test_a_folder_without_a_session_says_so(tmp_path):
     with pytest.raises(BadInputError, match=r"has no session\.toml"):
         load_photo_session(tmp_path)
+    (tmp_path / "bench.toml").write_text("")
+    with pytest.raises(BadInputError, match=r"is a bench session, .* run `wlr-render calibrate captures "):
+        load_photo_session(tmp_path)
 
 
 def test_an_unknown_key_is_refused(session):
