@@ -225,8 +225,9 @@ def _names(seen: Sequence[tuple[BoardPhotograph, BoardObservation]]) -> dict[tup
 
 def _exclusion(names: Sequence[str], moved: CaptureOutlier) -> Excluded:
     reason = (
-        f"what it shows lies {moved.arcmin:.0f}' from where the other photographs have it: it was taken at another "
-        "stage reading or target pose than session.toml says, or something moved; correct its entry, or take it again."
+        f"its points lie {moved.arcmin:.0f}' from the positions predicted from the other photographs: it was taken at "
+        "another stage reading or target pose than session.toml says, or something moved; correct its entry, or take "
+        "it again."
     )
     return Excluded(" and ".join(names), reason, fault=True)
 

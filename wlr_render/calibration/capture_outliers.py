@@ -1,4 +1,4 @@
-"""Outliers among captures: photographs taken elsewhere than stated, and dots measured beside their place.
+"""Outliers among captures: photographs not taken at the stated position, and dots measured beside their place.
 
 Each capture in turn is predicted by a model of low degree fitted to the others. Model errors oscillate over the field;
 a camera that stood elsewhere shifts everything it saw in one direction. So the mean error is tested.

@@ -66,9 +66,11 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
     ]
     columns = ("error, rms (arcmin)", "bench as described", "corrected bench", "improvement (%)")
     notes = (
-        "Refitted: on held-out captures, placed by the corrected bench. Rendered: misalignment of virtual points with "
-        "the real points that they are drawn onto, seen through the corrected device (refitted models) or through the "
-        "models that were refitted with the corrected bench (prescription).",
+        "Refitted model: its error on held-out captures, which the corrected bench locates.",
+        "Picture rendered with the refitted models: misalignment between virtual and real points in the corrected "
+        "device.",
+        "Picture rendered with the device's prescription: the same misalignment by the models that were refitted with "
+        "the corrected bench.",
         *in_use.unavailable,
     )
     return ReportTable("Improvement in use", columns, rows, notes)
@@ -84,8 +86,8 @@ def parameters_table(diagnosis: Diagnosis) -> ReportTable:
             rows.append(
                 [cause.name, parameter.name, value, sigma, parameter.unit, ratio, parameter.prior_sigma, cause.variant]
             )
-    columns = ("cause", "parameter", "value", "one sigma", "unit", "value / sigma", "usual size", "acting")
-    note = "Usual size: standard deviation of what is met in practice; a value many times that asks for a second look."
+    columns = ("cause", "parameter", "value", "one sigma", "unit", "value / sigma", "usual size", "variant")
+    note = "Usual size: standard deviation of what is met in practice; check a value that is many times larger."
     return ReportTable("Parameters", columns, rows, (note,))
 
 
@@ -111,7 +113,7 @@ def ranking_table(diagnosis: Diagnosis) -> ReportTable:
         for place, cause in enumerate(diagnosis.causes, start=1)
         for each in cause.ranking[:_RANKED]
     ]
-    columns = ("place", "candidate", "acting", "reduced chi-squared", "log10 odds against")
+    columns = ("place", "candidate", "variant", "reduced chi-squared", "log10 odds against")
     note = (
         "Reduced chi-squared: mean square residual over the noise's; 1 is noise. Odds of the best candidate against "
         "this one, from their marginal likelihoods; a dash: to first order too far behind to be fitted."
@@ -197,10 +199,8 @@ def noise_table(diagnosis: Diagnosis) -> ReportTable:
         "used",
         "stated agrees",
     )
-    note = (
-        "Within photographs: what a smooth surface leaves of each, since every physical effect is smooth over the "
-        "image. Repeats: photographs taken twice from one place. Measured: both combined by inverse variance."
-    )
+    note = "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice from "
+        "one place. Measured: both combined by inverse variance."
     return ReportTable("Noise", columns, rows, (note,))
 
 

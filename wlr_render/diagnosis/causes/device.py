@@ -269,7 +269,7 @@ READOUT = (
     ),
     Cause(
         "pixel_origin",
-        "pixels counted from elsewhere",
+        "wrong pixel origin",
         "device",
         (Parameter("offset_u", "px", 0.5), Parameter("offset_v", "px", 0.5)),
         source="conventions put the origin at the centre or at the corner of the first pixel",

@@ -138,7 +138,9 @@ def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[
     plots = []
     for side, groups in maps.items():
         rms = [float(np.sqrt(np.nanmean(np.sum(arrow**2, axis=1)))) for _, arrow in groups.values()]
-        caption = "One photograph, or set of photographs, that stands out was taken elsewhere than its entry says."
+        caption = (
+            "A photograph, or set of photographs, that stands out was taken at a position other than its entry states."
+        )
         plots.append(
             bars(
                 f"Residual of the {side}, by camera position",
