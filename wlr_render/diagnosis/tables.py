@@ -199,8 +199,10 @@ def noise_table(diagnosis: Diagnosis) -> ReportTable:
         "used",
         "stated agrees",
     )
-    note = "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice from "
-        "one place. Measured: both combined by inverse variance."
+    note = (
+        "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice "
+        "from one place. Measured: both combined by inverse variance."
+    )
     return ReportTable("Noise", columns, rows, (note,))
 
 
