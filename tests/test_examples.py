@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, planned_frames
+from wlr_render.jobs.render import RenderOptions, planned_frames, read_trajectories
 from wlr_render.rendering.native_contexts import OsMesaContext
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
@@ -62,7 +62,9 @@ def test_the_trajectories_cover_three_seconds_inside_the_eye_boxes():
     options = RenderOptions(
         "northstar", "desk", head=data / "head.tum", eye_track=data / "eyes.txt", eye="both", frames_per_second=10.0
     )
-    plan = planned_frames(options, {eye: open_eye("northstar", eye) for eye in ("left", "right")})
+    plan = planned_frames(
+        options, {eye: open_eye("northstar", eye) for eye in ("left", "right")}, *read_trajectories(options)
+    )
     assert [(frame.time_s, frame.eye) for frame in plan[:: len(plan) - 1]] == [(0.0, "left"), (3.0, "right")]
     assert len(plan) == 62
     assert len({tuple(frame.viewpoint) for frame in plan}) > 20

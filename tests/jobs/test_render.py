@@ -10,7 +10,7 @@ import pytest
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, planned_frames, render
+from wlr_render.jobs.render import RenderOptions, planned_frames, read_trajectories, render
 from wlr_render.mappings import EyeBox
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.rendering import gl
@@ -311,7 +311,8 @@ def test_an_eye_that_was_not_tracked_is_refused(options, tmp_path):
 def test_the_last_frame_is_not_rounded_beyond_the_track(options, tmp_path):
     # 0.1 + 1 / 20 is more than 0.15 by one bit.
     head = still_head(tmp_path / "head.tum", [0.1, 0.15])
-    plan = planned_frames(replace(options, head=head, frames_per_second=20.0), {"right": open_eye(options.headset)})
+    job = replace(options, head=head, frames_per_second=20.0)
+    plan = planned_frames(job, {"right": open_eye(options.headset)}, *read_trajectories(job))
     assert [planned.time_s for planned in plan] == [0.1, 0.15]
 
 
@@ -352,6 +353,19 @@ def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
     left_viewpoint, right_viewpoint = (np.array(frame["viewpoint_in_device_m"]) for frame in frames)
     np.testing.assert_allclose(left_viewpoint - right_viewpoint, [0.001, 0.002, 0.0], atol=1e-12)
     assert len(set(pictures(options.out).values())) == 2
+
+
+def test_a_head_trajectory_in_milliseconds_is_asked_about(options, tmp_path):
+    times = np.arange(20) / 90
+    job = replace(options, head=still_head(tmp_path / "head.tum", times), frame_limit=1)
+    assert render(job).warnings == []
+    head = still_head(tmp_path / "milliseconds.tum", 1e3 * times, turn_rate=5e-5)
+    eyes = moving_pupil(tmp_path / "eyes.txt", "right", 10 * times, open_eye(options.headset).eye_box.centre)
+    report = render(replace(job, head=head, eye_track=eyes, out=tmp_path / "slow"))
+    (sentence,) = report.warnings
+    assert sentence.startswith(f"{head}: neighbouring samples are up to 11.1 s apart")
+    assert sentence.endswith("are the times in seconds?")
+    assert sentence in (tmp_path / "slow" / "report.md").read_text()
 
 
 def test_the_report_lists_frames_inputs_and_files(moving):

@@ -6,7 +6,7 @@ holds the options of the job, and the time stamp, viewpoint and head pose of eac
 
 import json
 from collections.abc import Iterator
-from dataclasses import KW_ONLY, asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -34,6 +34,8 @@ from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
 COLOURS = ("red", "green", "blue")
 RECORD = "sequence.json"
+LONGEST_GAP_S = 1.0
+"""Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,8 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
             nothing is written then.
     """
     channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
-    plan = planned_frames(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()})
+    head, eyes = read_trajectories(options)
+    plan = planned_frames(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()}, head, eyes)
     scene = load_scene(options.scene)
     record = _record(options, plan)
     folder = output_folder(options.out)
@@ -152,7 +155,8 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
         for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
             pass
     videos = [_video(folder, eye, plan, options) for eye in channels] if options.video else []
-    return save_report(_report(options, plan, len(missing), [sequence, *videos]), folder)
+    report = _report(options, plan, len(missing), [sequence, *videos])
+    return save_report(replace(report, warnings=_gap_warnings(options, head, eyes)), folder)
 
 
 def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
@@ -192,14 +196,20 @@ def _drawn_from(options: RenderOptions) -> list[Path]:
     return [headset_path(options.headset), *models, scene_path(options.scene)]
 
 
-def planned_frames(options: RenderOptions, mappings: dict[str, EyeMappings]) -> list[PlannedFrame]:
+def read_trajectories(options: RenderOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
+    """Trajectories of head and eyes; None for each that is not given."""
+    head = read_head_trajectory(options.head) if options.head else None
+    return head, read_eye_trajectory(options.eye_track) if options.eye_track else None
+
+
+def planned_frames(
+    options: RenderOptions, mappings: dict[str, EyeMappings], head: HeadTrajectory | None, eyes: EyeTrajectory | None
+) -> list[PlannedFrame]:
     """When and from where each frame is drawn, in time order.
 
     Raises:
         BadInputError: trajectories that do not overlap in time, or a viewpoint outside the eye box.
     """
-    head = read_head_trajectory(options.head) if options.head else None
-    eyes = read_eye_trajectory(options.eye_track) if options.eye_track else None
     plan = []
     for index, time_s in enumerate(_times(options, head, eyes)):
         pose = head.at(time_s) if head else np.eye(4)
@@ -211,11 +221,7 @@ def planned_frames(options: RenderOptions, mappings: dict[str, EyeMappings]) -> 
 
 
 def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
-    tracks = [head] if head else []
-    spans = [(track.time_s[0], track.time_s[-1]) for track in tracks]
-    if eyes:
-        tracks_of_eyes = (track for eye, track in eyes.tracks.items() if eye in eyes_of(options.eye))
-        spans += [(track.time_s[0], track.time_s[-1]) for track in tracks_of_eyes]
+    spans = [(time_s[0], time_s[-1]) for _, time_s in _sample_times(options, head, eyes)]
     if not spans:
         return np.zeros(1)
     start, end = max(first for first, _ in spans), min(last for _, last in spans)
@@ -225,6 +231,28 @@ def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTraject
     times = start + np.arange(int((end - start) * options.frames_per_second + 1e-9) + 1) / options.frames_per_second
     # Rounding must not carry the last frame beyond the tracks.
     return np.asarray(np.minimum(times, end)[: options.frame_limit])
+
+
+def _sample_times(
+    options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None
+) -> list[tuple[Path | None, FloatArray]]:
+    """File and sample times (n,) of the head and of each eye that is drawn."""
+    tracks = eyes.tracks if eyes else {}
+    drawn = [(options.eye_track, track.time_s) for eye, track in tracks.items() if eye in eyes_of(options.eye)]
+    return [(options.head, head.time_s), *drawn] if head else drawn
+
+
+def _gap_warnings(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
+    """A sentence for each file with neighbouring samples farther apart than `LONGEST_GAP_S`."""
+    gaps: dict[Path | None, float] = {}
+    for file, time_s in _sample_times(options, head, eyes):
+        gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
+    return [
+        f"{file}: neighbouring samples are up to {gap:.3g} s apart, and poses between them are interpolated; are the "
+        "times in seconds?"
+        for file, gap in gaps.items()
+        if gap > LONGEST_GAP_S
+    ]
 
 
 def _record(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, Any]:
