@@ -10,7 +10,7 @@ import numpy as np
 from oracle.effects import LISTED, UNLISTED
 
 from benchmarks.diagnosis.tables import tables
-from benchmarks.diagnosis.trial import Kind, Outcome, Trial, run_trial
+from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, run_trial
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
@@ -46,7 +46,7 @@ def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = S
     """Run all trials; writes diagnosis.html, .md and .json into `options.out`, interrupted or not."""
     folder = output_folder(options.out)
     tasks = trials(options.trials, options.seed)
-    outcomes: list[Outcome] = []
+    outcomes: list[DiagnosisOutcome] = []
     try:
         finished = as_finished(partial(run_trial, seed=options.seed), tasks, options.workers)
         for outcome in progress(finished, len(tasks), "trials"):
@@ -59,7 +59,7 @@ def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = S
     return report
 
 
-def trials(count: int, seed: int) -> list[Trial]:
+def trials(count: int, seed: int) -> list[DiagnosisTrial]:
     """All trials of a study, mixed so that an interrupted study has some of each."""
     rng = np.random.default_rng(seed)
     pairs = [tuple(str(name) for name in rng.choice(LISTED, 2, replace=False)) for _ in range(_PAIRS * count)]
@@ -68,12 +68,12 @@ def trials(count: int, seed: int) -> list[Trial]:
         trial
         for number in range(count)
         for trial in (
-            *(Trial(Kind.ONE, (name,), number) for name in CAUSES),
-            *(Trial(Kind.UNLISTED, (name,), number) for name in UNLISTED),
-            *(Trial(Kind.CLEAN, (), _CLEAN * number + i) for i in range(_CLEAN)),
-            Trial(Kind.CLEAN_RUN_TIME, (), number),
-            *(Trial(Kind.TWO, pairs[i], i) for i in _share(number, _PAIRS)),
-            *(Trial(Kind.MOVED, beside[i], i) for i in _share(number, _MOVED)),
+            *(DiagnosisTrial(TrialKind.ONE, (name,), number) for name in CAUSES),
+            *(DiagnosisTrial(TrialKind.UNLISTED, (name,), number) for name in UNLISTED),
+            *(DiagnosisTrial(TrialKind.CLEAN, (), _CLEAN * number + i) for i in range(_CLEAN)),
+            DiagnosisTrial(TrialKind.CLEAN_RUN_TIME, (), number),
+            *(DiagnosisTrial(TrialKind.TWO, pairs[i], i) for i in _share(number, _PAIRS)),
+            *(DiagnosisTrial(TrialKind.MOVED, beside[i], i) for i in _share(number, _MOVED)),
         )
     ]
 

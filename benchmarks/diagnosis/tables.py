@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from benchmarks.diagnosis.trial import Kind, Outcome
+from benchmarks.diagnosis.trial import DiagnosisOutcome, TrialKind
 from benchmarks.intervals import INTERVAL, interval_percent
 from wlr_render.diagnosis.diagnosis import NO_EFFECT, UNEXPLAINED
 from wlr_render.report.blocks import Cell, ReportTable
@@ -14,22 +14,22 @@ _FIVE_SIGMA = 25.0  # chi-squared
 _AT_FLOOR = 1.03
 
 
-def tables(outcomes: Sequence[Outcome]) -> list[ReportTable]:
+def tables(outcomes: Sequence[DiagnosisOutcome]) -> list[ReportTable]:
     """Figures, confusion, estimates, unlisted effects, faults; those of what has not been tried are left out."""
     made = (_figures(outcomes), _confusion(outcomes), _estimates(outcomes), _unlisted(outcomes), _faults(outcomes))
     return [table for table in made if table.rows]
 
 
-def _of(outcomes: Sequence[Outcome], *kinds: Kind) -> list[Outcome]:
+def _of(outcomes: Sequence[DiagnosisOutcome], *kinds: TrialKind) -> list[DiagnosisOutcome]:
     return [outcome for outcome in outcomes if outcome.trial.kind in kinds]
 
 
-def _strong(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def _strong(outcomes: Sequence[DiagnosisOutcome]) -> list[DiagnosisOutcome]:
     """Trials in which every hidden cause leaves 5 sigma that no other single cause explains."""
     return [outcome for outcome in outcomes if min(outcome.remainder) > _FIVE_SIGMA]
 
 
-def _right(outcome: Outcome) -> bool:
+def _right(outcome: DiagnosisOutcome) -> bool:
     """Whether the hidden cause is the first that was named."""
     return outcome.first == outcome.trial.effects[0]
 
@@ -50,16 +50,16 @@ def _median(values: Sequence[float]) -> float:
     return float(np.median(values))
 
 
-def _deviations(outcomes: Sequence[Outcome]) -> list[float]:
+def _deviations(outcomes: Sequence[DiagnosisOutcome]) -> list[float]:
     return [each for outcome in outcomes for each in outcome.deviations]
 
 
-def _figures(outcomes: Sequence[Outcome]) -> ReportTable:
-    one, two, moved = (_of(outcomes, kind) for kind in (Kind.ONE, Kind.TWO, Kind.MOVED))
-    clean, unlisted = _of(outcomes, Kind.CLEAN, Kind.CLEAN_RUN_TIME), _of(outcomes, Kind.UNLISTED)
+def _figures(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
+    one, two, moved = (_of(outcomes, kind) for kind in (TrialKind.ONE, TrialKind.TWO, TrialKind.MOVED))
+    clean, unlisted = _of(outcomes, TrialKind.CLEAN, TrialKind.CLEAN_RUN_TIME), _of(outcomes, TrialKind.UNLISTED)
     held_out = [outcome.held_out for outcome in one if outcome.exact]
     deviations = _deviations(outcomes)
-    figures: list[tuple[str, Sequence[Outcome] | Sequence[float], Callable[..., float], str | None]] = [
+    figures: list[tuple[str, Sequence[DiagnosisOutcome] | Sequence[float], Callable[..., float], str | None]] = [
         ("right cause first, where 5 sigma remain (%)", _strong(one), _share(_right), ">= 95"),
         ("right cause first, in all trials (%)", one, _share(_right), None),
         ("right cause and no other, where 5 sigma remain (%)", _strong(one), _share(_exact), None),
@@ -95,11 +95,11 @@ _NOTES = (
 )
 
 
-def _share(holds: Callable[[Outcome], bool]) -> Callable[[Sequence[Outcome]], float]:
+def _share(holds: Callable[[DiagnosisOutcome], bool]) -> Callable[[Sequence[DiagnosisOutcome]], float]:
     return lambda outcomes: _percent(holds(outcome) for outcome in outcomes)
 
 
-def _exact(outcome: Outcome) -> bool:
+def _exact(outcome: DiagnosisOutcome) -> bool:
     return outcome.exact
 
 
@@ -107,24 +107,24 @@ def _at_floor(held_out: Sequence[float]) -> float:
     return _percent(each <= _AT_FLOOR for each in held_out)
 
 
-def _admitted(outcome: Outcome) -> bool:
+def _admitted(outcome: DiagnosisOutcome) -> bool:
     return outcome.verdict == UNEXPLAINED
 
 
-def _wrongly(outcome: Outcome) -> set[str]:
+def _wrongly(outcome: DiagnosisOutcome) -> set[str]:
     """Excluded captures that did not move."""
     return set(outcome.excluded) - set(outcome.moved)
 
 
-def _confusion(outcomes: Sequence[Outcome]) -> ReportTable:
+def _confusion(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
     """The confusion matrix, without its zeros."""
     rows: list[list[Cell]] = []
-    for name, mine in _by_effect(_of(outcomes, Kind.ONE)).items():
+    for name, mine in _by_effect(_of(outcomes, TrialKind.ONE)).items():
         strong = _strong(mine)
         right = _percent(map(_right, strong)) if strong else None
         interval = None if right is None else _interval(right, len(strong))
         rows.append([name, _counted(outcome.first for outcome in mine), _size(mine), len(strong), right, interval])
-    for kind in (Kind.CLEAN, Kind.CLEAN_RUN_TIME):
+    for kind in (TrialKind.CLEAN, TrialKind.CLEAN_RUN_TIME):
         if mine := _of(outcomes, kind):
             rows.append([kind.value, _counted(outcome.first for outcome in mine), _size(mine), None, None, None])
     columns = ("hidden", "named first (trials)", "size over noise", "5 sigma remain", "of these right (%)", INTERVAL)
@@ -134,9 +134,9 @@ def _confusion(outcomes: Sequence[Outcome]) -> ReportTable:
 _SIZE_NOTE = "Size over noise: median rms change of the readings, in units of their noise."
 
 
-def _estimates(outcomes: Sequence[Outcome]) -> ReportTable:
+def _estimates(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
     rows: list[list[Cell]] = []
-    for name, mine in _by_effect(_of(outcomes, Kind.ONE)).items():
+    for name, mine in _by_effect(_of(outcomes, TrialKind.ONE)).items():
         deviations = _deviations(mine)
         if deviations:
             held_out = _median([outcome.held_out for outcome in mine if outcome.exact])
@@ -147,7 +147,7 @@ def _estimates(outcomes: Sequence[Outcome]) -> ReportTable:
     return ReportTable("Parameters", columns, rows)
 
 
-def _unlisted(outcomes: Sequence[Outcome]) -> ReportTable:
+def _unlisted(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
     rows: list[list[Cell]] = [
         [
             name,
@@ -156,13 +156,13 @@ def _unlisted(outcomes: Sequence[Outcome]) -> ReportTable:
             _counted(cause for outcome in mine for cause in outcome.named),
             _size(mine),
         ]
-        for name, mine in _by_effect(_of(outcomes, Kind.UNLISTED)).items()
+        for name, mine in _by_effect(_of(outcomes, TrialKind.UNLISTED)).items()
     ]
     columns = ("effect", "verdict (trials)", "depends on (trials)", "causes named (trials)", "size over noise")
     return ReportTable("Effects that no cause stands for", columns, rows)
 
 
-def _faults(outcomes: Sequence[Outcome]) -> ReportTable:
+def _faults(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
     """Trials to be looked into, so that they can be run again."""
     rows: list[list[Cell]] = [
         [
@@ -179,27 +179,27 @@ def _faults(outcomes: Sequence[Outcome]) -> ReportTable:
     return ReportTable("Trials that went wrong", columns, rows)
 
 
-def _faulty(outcome: Outcome) -> bool:
+def _faulty(outcome: DiagnosisOutcome) -> bool:
     match outcome.trial.kind:
-        case Kind.ONE | Kind.TWO:
+        case TrialKind.ONE | TrialKind.TWO:
             wrong = min(outcome.remainder) > _FIVE_SIGMA and not outcome.exact
-        case Kind.MOVED:
+        case TrialKind.MOVED:
             wrong = outcome.moved[0] not in outcome.excluded
-        case Kind.UNLISTED:
+        case TrialKind.UNLISTED:
             wrong = not _admitted(outcome)
         case _:
             wrong = outcome.verdict != NO_EFFECT
     return wrong or bool(_wrongly(outcome))
 
 
-def _by_effect(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
-    groups: dict[str, list[Outcome]] = {}
+def _by_effect(outcomes: Sequence[DiagnosisOutcome]) -> dict[str, list[DiagnosisOutcome]]:
+    groups: dict[str, list[DiagnosisOutcome]] = {}
     for outcome in outcomes:
         groups.setdefault(outcome.trial.effects[0], []).append(outcome)
     return groups
 
 
-def _size(outcomes: Sequence[Outcome]) -> float:
+def _size(outcomes: Sequence[DiagnosisOutcome]) -> float:
     return _median([outcome.size for outcome in outcomes])
 
 

@@ -39,7 +39,7 @@ _SIGMA_PX = (0.05, 0.2)
 _SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
 
 
-class Kind(StrEnum):
+class TrialKind(StrEnum):
     """What is hidden."""
 
     CLEAN = "nothing"
@@ -51,23 +51,23 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Trial:
+class DiagnosisTrial:
     """What is to be hidden; everything else is drawn.
 
     Attributes:
-        kind: see `Kind`.
+        kind: see `TrialKind`.
         effects: names of the effects, but for that of a capture that moved.
         number: tells trials alike from each other.
     """
 
-    kind: Kind
+    kind: TrialKind
     effects: tuple[str, ...]
     number: int
 
     @property
     def at_run_time(self) -> bool:
         """Whether its session is one of glasses that run."""
-        return self.kind is Kind.CLEAN_RUN_TIME or not set(self.effects).isdisjoint(LISTED_AT_RUN_TIME)
+        return self.kind is TrialKind.CLEAN_RUN_TIME or not set(self.effects).isdisjoint(LISTED_AT_RUN_TIME)
 
     def generator(self, seed: int) -> np.random.Generator:
         """Random numbers that depend on the study's seed and this trial alone."""
@@ -76,7 +76,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DiagnosisOutcome:
     """What became of a trial.
 
     Attributes:
@@ -95,7 +95,7 @@ class Outcome:
         seconds: that the diagnosis took.
     """
 
-    trial: Trial
+    trial: DiagnosisTrial
     device: str
     amounts: tuple[dict[str, float], ...]
     verdict: str
@@ -120,18 +120,18 @@ class Outcome:
         return self.named[0] if self.named else self.verdict
 
 
-def run_trial(trial: Trial, seed: int) -> Outcome:
+def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
     """Run one trial; the same seed gives the same outcome."""
     rng = trial.generator(seed)
     plan = _plan(trial, rng)
     effects = [draw_effect(name, rng) for name in trial.effects]
-    moved = [draw_outlier(plan, rng)] if trial.kind is Kind.MOVED and isinstance(plan, Plan) else []
+    moved = [draw_outlier(plan, rng)] if trial.kind is TrialKind.MOVED and isinstance(plan, Plan) else []
     nominal, session = observed(plan, [*effects, *moved], rng)
     start = time.perf_counter()
     said = diagnose(nominal, session, settings=Settings(subsample=_SUBSAMPLE))
     seconds = time.perf_counter() - start
-    hidden = trial.effects if trial.kind in (Kind.ONE, Kind.TWO) else ()
-    return Outcome(
+    hidden = trial.effects if trial.kind in (TrialKind.ONE, TrialKind.TWO) else ()
+    return DiagnosisOutcome(
         trial,
         plan.device,
         tuple(dict(effect.amount) for effect in [*effects, *moved]),
@@ -158,7 +158,7 @@ def observed(plan: AnyPlan, effects: Sequence[Effect], rng: np.random.Generator)
         return load_session(folder)
 
 
-def _plan(trial: Trial, rng: np.random.Generator) -> AnyPlan:
+def _plan(trial: DiagnosisTrial, rng: np.random.Generator) -> AnyPlan:
     device = NAMES[rng.integers(len(NAMES))]
     sigma_px = float(np.round(np.exp(rng.uniform(*np.log(_SIGMA_PX))), 4))
     if trial.at_run_time:

@@ -45,7 +45,7 @@ class FieldMap:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class BenchResiduals:
     """Residuals by one bench, right and down; NaN where a reading does not count or is not predicted.
 
     Attributes:
@@ -75,7 +75,7 @@ class PartView:
     """
 
     name: str
-    states: tuple[State, ...]
+    states: tuple[BenchResiduals, ...]
     sigma_arcmin: float
     place: FloatArray
     map_unit: str
@@ -106,7 +106,7 @@ def _display(diagnosis: Diagnosis) -> PartView:
     used = diagnosis.used[observations.part == DISPLAY]
     maps = _display_maps(plan, used, observations.nominal.stage.origin)
     states = tuple(
-        State(
+        BenchResiduals(
             name,
             _seen(diagnosis, DISPLAY, residual),
             _where(used, observations.panel_pixels(residual)),
@@ -166,7 +166,7 @@ def _angular_part(
 ) -> PartView:
     """A part whose maps show angles at angles."""
     seen = [(name, _seen(diagnosis, part, residual)) for name, residual in _residuals(diagnosis)]
-    states = tuple(State(name, residual, residual) for name, residual in seen)
+    states = tuple(BenchResiduals(name, residual, residual) for name, residual in seen)
     sigma, labels = _sigma_arcmin(diagnosis.observations, part), ("right (deg)", "down (deg)")
     return PartView(PART_NAMES[part], states, sigma, place, "arcmin", labels, maps, _varying(variables))
 

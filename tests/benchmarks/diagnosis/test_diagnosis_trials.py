@@ -11,7 +11,7 @@ from oracle.run_time import RunTimePlan
 
 from benchmarks.diagnosis import study, trial
 from benchmarks.diagnosis.tables import tables
-from benchmarks.diagnosis.trial import Kind, Outcome, Trial, observed, run_trial
+from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, observed, run_trial
 from benchmarks.diagnosis.truths import truth_of
 from benchmarks.intervals import INTERVAL
 from wlr_render.diagnosis.causes import CAUSES
@@ -48,8 +48,8 @@ def outcome(kind, effects, named, number=0, **changes):
     """A faked outcome in which a strong effect has been diagnosed."""
     verdict = "explained" if named else "no effect"
     strong = (100.0,) * len(effects)
-    faked = Outcome(
-        Trial(kind, effects, number), "northstar", ({},), verdict, named, "", (), (), (), 2.0, strong, 1.0, 3.0
+    faked = DiagnosisOutcome(
+        DiagnosisTrial(kind, effects, number), "northstar", ({},), verdict, named, "", (), (), (), 2.0, strong, 1.0, 3.0
     )
     return replace(faked, **changes)
 
@@ -61,8 +61,8 @@ def figures(outcomes):
 
 def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
     tilt, shift = ("combiner_tilt",), ("panel_shift",)
-    wrong = [outcome(Kind.ONE, tilt, shift, 0), outcome(Kind.ONE, tilt, shift, 1, remainder=(20.0,))]
-    right = [outcome(Kind.ONE, tilt, tilt, 2), outcome(Kind.ONE, tilt, (*tilt, *shift), 3)]
+    wrong = [outcome(TrialKind.ONE, tilt, shift, 0), outcome(TrialKind.ONE, tilt, shift, 1, remainder=(20.0,))]
+    right = [outcome(TrialKind.ONE, tilt, tilt, 2), outcome(TrialKind.ONE, tilt, (*tilt, *shift), 3)]
     found = figures(wrong + right)
     assert found["right cause first, where 5 sigma remain (%)"] == (pytest.approx(200 / 3), 3)
     assert found["right cause first, in all trials (%)"] == (50.0, 4)
@@ -73,8 +73,8 @@ def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
 
 def test_every_share_has_its_interval():
     tilt = ("combiner_tilt",)
-    outcomes = [outcome(Kind.ONE, tilt, tilt, number, deviations=(0.5,)) for number in range(4)]
-    outcomes.append(outcome(Kind.ONE, tilt, ("panel_shift",), 4))
+    outcomes = [outcome(TrialKind.ONE, tilt, tilt, number, deviations=(0.5,)) for number in range(4)]
+    outcomes.append(outcome(TrialKind.ONE, tilt, ("panel_shift",), 4))
     figure_table, confusion, parameters, *_ = tables(outcomes)
     column = figure_table.columns.index(INTERVAL)
     intervals = {row[0]: row[column] for row in figure_table.rows}
@@ -87,14 +87,14 @@ def test_every_share_has_its_interval():
 
 def test_coverage_and_efficiency_are_those_of_the_deviations():
     deviations = (0.5, -0.9, 2.0, -1.5)
-    found = figures([outcome(Kind.ONE, ("latency",), ("latency",), deviations=deviations)])
+    found = figures([outcome(TrialKind.ONE, ("latency",), ("latency",), deviations=deviations)])
     assert found["68 % intervals cover (%)"] == (50.0, 4)
     assert found["variance of estimates over the Cramer-Rao bound"] == (pytest.approx((0.25 + 0.81 + 4 + 2.25) / 4), 4)
 
 
 def test_an_alarm_of_any_kind_in_a_clean_session_is_false():
-    clean = [outcome(Kind.CLEAN, (), ()), outcome(Kind.CLEAN, (), (), 1, verdict="unexplained")]
-    clean += [outcome(Kind.CLEAN, (), ("latency",), 2), outcome(Kind.CLEAN_RUN_TIME, (), ())]
+    clean = [outcome(TrialKind.CLEAN, (), ()), outcome(TrialKind.CLEAN, (), (), 1, verdict="unexplained")]
+    clean += [outcome(TrialKind.CLEAN, (), ("latency",), 2), outcome(TrialKind.CLEAN_RUN_TIME, (), ())]
     assert figures(clean)["false alarms in clean sessions (%)"] == (50.0, 4)
 
 
@@ -102,8 +102,8 @@ def test_moved_captures_are_found_missed_or_wrong():
     cause, moved = ("panel_scale",), ("display capture 3",)
     found = figures(
         [
-            outcome(Kind.MOVED, cause, cause, 0, moved=moved, excluded=moved),
-            outcome(Kind.MOVED, cause, cause, 1, moved=moved, excluded=("display capture 4",)),
+            outcome(TrialKind.MOVED, cause, cause, 0, moved=moved, excluded=moved),
+            outcome(TrialKind.MOVED, cause, cause, 1, moved=moved, excluded=("display capture 4",)),
         ]
     )
     assert found["capture that moved excluded (%)"] == (50.0, 2)
@@ -112,8 +112,8 @@ def test_moved_captures_are_found_missed_or_wrong():
 
 def test_both_of_two_causes_must_leave_something():
     pair = ("panel_scale", "target_bow")
-    strong = outcome(Kind.TWO, pair, pair[::-1], 0)
-    half = outcome(Kind.TWO, pair, pair[:1], 1)
+    strong = outcome(TrialKind.TWO, pair, pair[::-1], 0)
+    half = outcome(TrialKind.TWO, pair, pair[:1], 1)
     weak = replace(half, remainder=(100.0, 3.0))
     both = "both of two causes and no other, where 5 sigma remain (%)"
     assert figures([strong, weak])[both] == (100.0, 1)
@@ -121,7 +121,7 @@ def test_both_of_two_causes_must_leave_something():
 
 
 def test_faults_name_the_trials_to_run_again():
-    faults = tables([outcome(Kind.ONE, ("panel_scale",), ("latency",), 7)])[-1]
+    faults = tables([outcome(TrialKind.ONE, ("panel_scale",), ("latency",), 7)])[-1]
     assert faults.title == "Trials that went wrong"
     assert faults.rows == [["one cause", "panel_scale", 7, "northstar", "explained, latency"]]
 
@@ -129,17 +129,17 @@ def test_faults_name_the_trials_to_run_again():
 def test_a_study_has_every_cause_and_every_unlisted_effect_as_often_as_said():
     planned = study.trials(3, seed=5)
     assert len(set(planned)) == len(planned)
-    of_kind = {kind: [each for each in planned if each.kind is kind] for kind in Kind}
-    for names, kind in ((CAUSES, Kind.ONE), (UNLISTED, Kind.UNLISTED)):
+    of_kind = {kind: [each for each in planned if each.kind is kind] for kind in TrialKind}
+    for names, kind in ((CAUSES, TrialKind.ONE), (UNLISTED, TrialKind.UNLISTED)):
         assert sorted(each.effects[0] for each in of_kind[kind]) == sorted(list(names) * 3)
-    assert all(of_kind[kind] for kind in Kind)
-    assert all(len(set(each.effects)) == 2 for each in of_kind[Kind.TWO])
+    assert all(of_kind[kind] for kind in TrialKind)
+    assert all(len(set(each.effects)) == 2 for each in of_kind[TrialKind.TWO])
     assert study.trials(3, seed=5) == planned
     assert study.trials(3, seed=6) != planned
 
 
 def test_trials_draw_apart_from_each_other_and_alike_for_a_seed():
-    first, second = Trial(Kind.CLEAN, (), 0), Trial(Kind.CLEAN, (), 1)
+    first, second = DiagnosisTrial(TrialKind.CLEAN, (), 0), DiagnosisTrial(TrialKind.CLEAN, (), 1)
     draws = [each.generator(seed).uniform() for each, seed in ((first, 1), (first, 1), (second, 1), (first, 2))]
     assert draws[0] == draws[1]
     assert len(set(draws)) == 3
@@ -162,7 +162,7 @@ def test_an_interrupted_study_keeps_what_is_finished(monkeypatch, tmp_path):
 def test_a_trial_is_judged_by_what_was_hidden(monkeypatch):
     small = Plan("birdbath28", grid=(8, 6), dots=(6, 5), nodes=4, off_plane=10, sigma_px=0.05)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: small)
-    ran = run_trial(Trial(Kind.ONE, ("panel_axial_shift",), 0), 1)
+    ran = run_trial(DiagnosisTrial(TrialKind.ONE, ("panel_axial_shift",), 0), 1)
     assert ran.exact
     assert ran.size > 0.5
     assert min(ran.remainder) > 25.0
