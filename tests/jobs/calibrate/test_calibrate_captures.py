@@ -78,7 +78,7 @@ def test_written_files_are_read_back(calibrated):
     options = record["options"]
     assert (options["viewpoints"], options["noise_px"], options["seed"]) == (12, 0.1, 4)
     assert record["fits"]["right"] == json.loads(json.dumps(model.report))
-    assert "Against the traced truth" in (folder / "report.md").read_text()
+    assert "Error against the traced device in the nominal field" in (folder / "report.md").read_text()
 
 
 TWO_EYES = replace(SMALL, device="northstar", noise_px=0.1)
@@ -120,6 +120,14 @@ def test_a_calibrated_eye_is_near_the_truth(calibrated):
     errors = truth_errors(calibrated[1])
     assert 0.01 < errors["direction of a pixel (arcmin)"] < 0.5
     assert 0.005 < errors["direction of a real point (arcmin)"] < 0.3
+
+
+def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated):
+    report = calibrated[1]
+    field, panel = ({row[0]: row[1] for row in table.rows} for table in report.tables[-2:])
+    field, panel = (each["direction of a pixel (arcmin)"] for each in (field, panel))
+    assert f"rms: {field:.3g}' in the nominal field, {panel:.3g}' over the whole panel." in report.verdict
+    assert field < 0.9 * panel
 
 
 def test_stage_error_spoils_the_calibration_by_its_pupil_swim(calibrated, tmp_path):

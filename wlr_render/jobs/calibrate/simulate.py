@@ -11,9 +11,10 @@ from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.files import output_folder
+from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, fit_blocks, fit_sentence, save_models
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Range, Seed, described, eyes_of, seed_of
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import EyeMappings, FieldOfView
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
@@ -24,6 +25,7 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 
 _TESTS = (100, 60)  # random viewpoints, and random pixels seen from each
 _TEST_DEPTHS_M = (0.3, 5.0)
+_PIXEL_DIRECTION = "direction of a pixel (arcmin)"
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class CalibrateSimulateOptions(Options):
     eye: Annotated[Eyes, described("Eyes to calibrate.")] = "right"
     viewpoints: Annotated[int, described("Number of camera positions."), Range(at_least=1)] = 25
     noise_px: Annotated[
-        float, described("Camera noise in pixels of 1 arcmin, standard deviation per axis."), Range(at_least=0)
+        float, described("Camera noise, standard deviation per axis, in pixels of 1 arcmin."), Range(at_least=0)
     ] = 0.25
     stage_error_mm: Annotated[
         float, described("Error of each camera position in mm, standard deviation per axis."), Range(at_least=0)
@@ -58,11 +60,14 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
     for eye, truth in progress(truths.items(), len(truths), "eyes"):
         captures[eye] = simulate_captures(truth, options)
         fit = options.fit.fit(captures[eye])
-        errors = truth_errors(fit.mappings, truth, options.seed)
+        errors = {"over the whole panel": truth_errors(fit.mappings, truth, options.seed)}
+        if truth.field is not None:
+            errors = {"in the nominal field": truth_errors(fit.mappings, truth, options.seed, truth.field)} | errors
         fits.append(fit)
-        direction = errors["direction of a pixel (arcmin)"].rms
-        sentences.append(f"{fit_sentence(fit)} Display error against the traced device: {direction:.3g}' rms.")
-        blocks += [Section(f"The {eye} eye"), *fit_blocks(fit, captures[eye]), _truth_table(errors)]
+        rms = ", ".join(f"{found[_PIXEL_DIRECTION].rms:.3g}' {where}" for where, found in errors.items())
+        sentences.append(f"{fit_sentence(fit)} Display error against the traced device, rms: {rms}.")
+        blocks += [Section(f"The {eye} eye"), *fit_blocks(fit, captures[eye])]
+        blocks += [_truth_table(where, found) for where, found in errors.items()]
     folder = output_folder(options.out)
     model, notes = save_models(folder, fits)
     files = [model, *(save_captures(folder / f"captures-{eye}.npz", each) for eye, each in captures.items())]
@@ -90,30 +95,41 @@ def simulate_captures(truth: EyeMappings, options: CalibrateSimulateOptions) -> 
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def truth_errors(model: EyeMappings, truth: EyeMappings, seed: int) -> dict[str, Summary]:
-    """Errors of a model at random viewpoints in the eye box and random pixels and real points, by name with unit."""
+def truth_errors(
+    model: EyeMappings, truth: EyeMappings, seed: int, field: FieldOfView | None = None
+) -> dict[str, Summary]:
+    """Errors of a model at random viewpoints in the eye box, by name with unit.
+
+    Pixels are random on the panel or, if `field` is given, in random directions of that field of view; real points lie
+    in the same directions.
+    """
     rng = np.random.default_rng(seed_of(seed, truth.eye, 1))  # not the numbers that the captures were made with
     count, each = _TESTS
     viewpoint = viewpoints.random_in_eye_box(truth.eye_box, count, rng)[:, None]
-    pixel = rng.uniform(0.0, 1.0, (count, each, 2)) * truth.display.panel.size_px
-    seen = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
+    if field is None:
+        pixel = rng.uniform(0.0, 1.0, (count, each, 2)) * truth.display.panel.size_px
+        seen = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
+    else:
+        view_dir = dir_of_tangents(rng.uniform(field.low, field.high, (count, each, 2)))
+        seen = mapping_error.observations_of_dirs(truth.display, viewpoint, view_dir)
     display = mapping_error.display_error(model.display, seen)
     near, far = _TEST_DEPTHS_M
     depth = 1.0 / rng.uniform(1.0 / far, 1.0 / near, len(seen.pixel))
     points = mapping_error.see_through_observations(truth.see_through, seen.viewpoint, seen.view_dir, depth)
     world = mapping_error.see_through_error(model.see_through, points)
     return {
-        "direction of a pixel (arcmin)": summary(display.forward_arcmin),
+        _PIXEL_DIRECTION: summary(display.forward_arcmin),
         "pixel of a direction (px)": summary(display.backward_px),
         "direction of a real point (arcmin)": summary(world.backward_arcmin),
         "direction of a real ray (arcmin)": summary(world.forward_arcmin),
     }
 
 
-def _truth_table(errors: dict[str, Summary]) -> ReportTable:
+def _truth_table(where: str, errors: dict[str, Summary]) -> ReportTable:
     rows: list[list[Cell]] = [
         [name, each.rms, each.median, each.p95, each.maximum, each.count, each.missing] for name, each in errors.items()
     ]
     (count, _), (near, far) = _TESTS, _TEST_DEPTHS_M
-    title = f"Against the traced truth: {count} random viewpoints in the eye box, real points at {near:g} to {far:g} m"
-    return ReportTable(title, ["error", "rms", "median", "p95", "maximum", "tests", "no answer"], rows)
+    title = f"Error against the traced device {where}"
+    note = f"{count} random viewpoints in the eye box; real points at {near:g} to {far:g} m."
+    return ReportTable(title, ["error", "rms", "median", "p95", "maximum", "tests", "no answer"], rows, (note,))
