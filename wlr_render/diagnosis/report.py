@@ -100,13 +100,17 @@ def _next_steps(diagnosis: Diagnosis, folder: Path) -> list[Block]:
         return []
     plan = diagnosis.observations.session.plan
     corrected = folder / CORRECTED
-    commands = [("diagnose", corrected, "--out", folder / "again")]
+
+    def quote(path: Path) -> str:
+        return shlex.quote(str(path))
+
+    commands = [f"diagnose {quote(corrected)} --out {quote(folder / 'again')}"]
     if plan.display is not None and plan.see_through is not None:
-        commands.append(("calibrate", "captures", corrected))
+        commands.append(f"calibrate captures {quote(corrected)}")
     if diagnosis.corrected.device is not diagnosis.observations.nominal.device:
-        commands.append(("render", corrected / "device.toml", "desk"))
+        commands.append(f"render {quote(corrected / 'device.toml')} desk")
     text = (
         f"The folder {corrected} is a session: the readings that were used, and the corrected bench. Check that it "
         "predicts the readings, and use it:"
     )
-    return [Text(text, [shlex.join(("wlr-render", *map(str, command))) for command in commands])]
+    return [Text(text, [f"wlr-render {command}" for command in commands])]
