@@ -127,7 +127,9 @@ def _calibrated(
     file = folder / f"station-{session.eye}.json"
     save_station(file, station, eyeball.camera, tracking.camera, session.device_from_tracking)
     refuse_contradictions(station.checks)
-    captures, excluded = _sound_captures(session, reading, _captures(session, reading, eyeball.camera, station))
+    places = _camera_places([each for each, _ in through])
+    captures = _captures(session, reading, eyeball.camera, station, through, places)
+    captures, excluded = _sound_captures(session, reading, captures, _names(through, places))
     reading = replace(reading, excluded=(*reading.excluded, *excluded))
     save_captures(folder / f"captures-{session.eye}.npz", captures)
     return SessionCalibration(session, reading, eyeball, tracking, station, captures, fit(captures))
@@ -150,14 +152,20 @@ def _lens(session: PhotoSession, camera: SessionCamera, name: str, seen: Seen, r
     return Lens(found.poses, found)
 
 
-def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, station: Station) -> EyeCaptures:
+def _captures(
+    session: PhotoSession,
+    reading: Reading,
+    camera: LensCamera,
+    station: Station,
+    through: Seen,
+    places: Sequence[int],
+) -> EyeCaptures:
+    """Captures from both kinds of photographs; `places` numbers the camera position of each see-through photograph."""
     headset = Headset(session.device, session.eye, session.eye_box)
     panels = [
         PanelView(station.device_from_camera(each.stage), found.samples)
         for each, found in reading.decoded(session.display)
     ]
-    seen = reading.seen(session.see_through)
-    places = _camera_places([each for each, _ in seen])
     targets = [
         TargetView(
             station.device_from_camera(each.stage),
@@ -166,7 +174,7 @@ def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, stati
             place,
             observation,
         )
-        for (each, observation), place in zip(seen, places, strict=True)
+        for (each, observation), place in zip(through, places, strict=True)
     ]
     display = display_captures(headset, session.pattern.panel, camera, panels)
     see_through = see_through_captures(headset, session.board, camera, targets)
@@ -174,7 +182,7 @@ def _captures(session: PhotoSession, reading: Reading, camera: LensCamera, stati
 
 
 def _sound_captures(
-    session: PhotoSession, reading: Reading, captures: EyeCaptures
+    session: PhotoSession, reading: Reading, captures: EyeCaptures, names: dict[tuple[int, int], list[str]]
 ) -> tuple[EyeCaptures, tuple[Excluded, ...]]:
     """Leave out captures that were not taken where they are said to be, and dots that lie beside their place.
 
@@ -195,7 +203,6 @@ def _sound_captures(
     sets = [session.name_of(each.folder) for each, _ in reading.decoded(session.display)]
     excluded = [_exclusion([sets[each.group]], each) for each in moved]
     display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
-    names = _names(reading.seen(session.see_through))
     gone = see_through_outliers(see_through, photograph)
     excluded += [_exclusion(names[keys[each.group]], each) for each in gone]
     see_through = select(see_through, ~np.isin(photograph, [each.group for each in gone]))
@@ -204,8 +211,8 @@ def _sound_captures(
 
 def _camera_places(photographs: Sequence[BoardPhotograph]) -> list[int]:
     """A number for each photograph, the same for those at one stage reading."""
-    numbers: dict[bytes, int] = {}
-    return [numbers.setdefault(each.stage.tobytes(), len(numbers)) for each in photographs]
+    numbers: dict[tuple[float, ...], int] = {}
+    return [numbers.setdefault(tuple(each.stage), len(numbers)) for each in photographs]
 
 
 def _photographs(captures: SeeThroughCaptures) -> tuple[list[tuple[int, int]], IntArray]:
@@ -214,11 +221,10 @@ def _photographs(captures: SeeThroughCaptures) -> tuple[list[tuple[int, int]], I
     return [(int(pose), int(place)) for pose, place in keys], np.asarray(index.ravel())
 
 
-def _names(seen: Sequence[tuple[BoardPhotograph, BoardObservation]]) -> dict[tuple[int, int], list[str]]:
+def _names(through: Seen, places: Sequence[int]) -> dict[tuple[int, int], list[str]]:
     """Names of photographs by target pose and camera position; one position may have been photographed twice."""
-    photographs = [each for each, _ in seen]
     names: dict[tuple[int, int], list[str]] = {}
-    for each, place in zip(photographs, _camera_places(photographs), strict=True):
+    for (each, _), place in zip(through, places, strict=True):
         names.setdefault((each.target_pose, place), []).append(each.name)
     return names
 
