@@ -53,6 +53,8 @@ def working(tmp_path):
         env=os.environ | {"PYTHONPATH": path},
         stderr=subprocess.PIPE,
         start_new_session=True,
+        # What runs the tests in the background has them ignore Ctrl-C, which a child inherits.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     assert until(lambda: len(list(tmp_path.glob("begun *"))) == 2)
     yield process, [int(each.name.split()[1]) for each in tmp_path.glob("begun *")]
