@@ -55,7 +55,7 @@ VERBS = (
         "verify session",
         CALIBRATE,
         "verify.session:verify_session",
-        "Draw the target with a calibration on the simulated bench, photograph it, and measure the misalignment.",
+        "Simulate photographs of the drawn target, using a calibration, and measure the misalignment.",
     ),
     Verb(
         "verify pairs",
@@ -90,13 +90,14 @@ VERBS = (
 )
 FOLDERS_OF_VERBS = {
     "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),
-    "verify": (CALIBRATE, "Photograph the drawn target over the real one and measure the misalignment."),
+    "verify": (CALIBRATE, "Measure how far the drawn target appears from the real one."),
 }
 """Verbs that have verbs of their own."""
 
+DEBUG_NOTE = "Add --debug to any verb for a traceback."
 EPILOGUE = (
     "HEADSET is a shipped device by name, a device file (.toml) or a fitted model (.json). SCENE is a shipped scene by "
-    "name, a scene file (.toml) or a mesh (.glb, .gltf, .obj, .ply). Add --debug to any verb for a traceback."
+    f"name, a scene file (.toml) or a mesh (.glb, .gltf, .obj, .ply). {DEBUG_NOTE}"
 )
 
 
@@ -142,13 +143,16 @@ def make_app() -> App:
     groups = {title: Group(title, sort_key=order) for order, title in enumerate((DRAW, CALIBRATE, EXPLAIN, DATA))}
     folders = {}
     for name, (group, text) in FOLDERS_OF_VERBS.items():
-        folders[name] = App(name=name, help=text, group=groups[group])
+        folders[name] = App(name=name, help=text, help_epilogue=DEBUG_NOTE, group=groups[group])
         app.command(folders[name])
     for verb in VERBS:
         *folder, name = verb.words.split()
         parent = folders[folder[0]] if folder else app
         group_of_verb = None if folder else groups[verb.group]
-        parent.command(f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group_of_verb)
+        note = EPILOGUE if verb.words in ("render", "compare") else DEBUG_NOTE
+        parent.command(
+            f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group_of_verb, help_epilogue=note
+        )
     app.register_install_completion_command()
     return app
 

@@ -1,6 +1,6 @@
-"""Baselines without this package: raw Embree, and a bare OpenGL pass with a fixed warp map.
+"""Baselines: raw Embree, and a bare OpenGL pass with a fixed warp map.
 
-For the benchmark only. These know their libraries directly, because a baseline that went through our own layers would
+They call their libraries directly, because a baseline that went through our own layers would
 measure those.
 """
 

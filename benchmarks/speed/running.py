@@ -32,7 +32,7 @@ def later_pose(pose: FloatArray, seconds: float = LATE_S) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Running:
-    """A compositor for the workload's eyes, fed by our own raster_backend; a context manager."""
+    """A compositor for the workload's eyes, fed by our own rasteriser; a context manager."""
 
     work: Workload
     compositor: Compositor

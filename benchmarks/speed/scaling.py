@@ -32,7 +32,7 @@ def time_over(
     prepare: Callable[[int], Run],
     rounds: int = ROUNDS,
 ) -> Scaling:
-    """Time a job over sizes; all sizes take turns, so that a machine that becomes busy does not ray the line.
+    """Time a job over sizes; all sizes take turns, so that a machine that becomes busy does not bend the curve.
 
     Args:
         job: its name.

@@ -23,7 +23,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.files import output_folder
-from wlr_render.geometry import directions, transforms
+from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.demo_picture import (
     Panorama,
@@ -201,9 +201,7 @@ def _misalignment(truth: EyeMappings, viewpoint: FloatArray, frame: Frame) -> Fl
     assert frame.position is not None
     shown = frame.position[pixel[:, 1].astype(int), pixel[:, 0].astype(int)].astype(np.float64)
     kept = np.isfinite(shown[:, 0])
-    return misalignment_arcmin(
-        truth, viewpoint, pixel[kept], transforms.apply(transforms.inverse(HEAD_POSE), shown[kept])
-    )
+    return misalignment_arcmin(truth, viewpoint, pixel[kept], shown[kept])
 
 
 def _overall(truth: EyeMappings, scene: Scene, seen: list[_View]) -> ReportTable:
@@ -261,7 +259,7 @@ def _content_tangents(truth: EyeMappings, scene: Scene, viewpoint: FloatArray) -
     edge = truth.display.view_dir_of_pixel(panel.grid(9, 9).reshape(-1, 2), viewpoint)
     field = directions.tangents_of_dir(edge.value[edge.usable])
     corners = np.stack(np.meshgrid(*scene.bounds.T, indexing="ij"), axis=-1).reshape(-1, 3)
-    content = directions.tangents_of_dir(transforms.apply(transforms.inverse(HEAD_POSE), corners) - viewpoint)
+    content = directions.tangents_of_dir(corners - viewpoint)
     low, high = np.nanmin(content, axis=0), np.nanmax(content, axis=0)
     margin = 0.05 * (high - low)
     return np.stack([np.maximum(low - margin, field.min(axis=0)), np.minimum(high + margin, field.max(axis=0))])

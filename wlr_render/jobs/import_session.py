@@ -15,7 +15,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis
 from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.session_folder import save_session
@@ -54,17 +54,6 @@ def import_session(options: ImportOptions, *, progress: ProgressArgument = SILEN
         f"Import of {options.folder.resolve().name}",
         verdict=f"{captures} captures, {readings} readings; they scatter by {sigma_px:.3f} px per axis.",
         advice=[f"Diagnose the session: wlr-render diagnose {folder}"],
-        blocks=[
-            ReportTable(
-                "The session",
-                ("quantity", "value"),
-                [
-                    ["captures", captures],
-                    ["readings", readings],
-                    ["sigma per reading and axis (px)", sigma_px],
-                ],
-            )
-        ],
         inputs=[options.folder],
         files=[folder],
     )

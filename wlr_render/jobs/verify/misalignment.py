@@ -115,7 +115,7 @@ def misalignment_report(
         files=[arrows, close_up],
         record=record,
     )
-    return save_report(report, into, "report")
+    return save_report(report, into)
 
 
 def _tables(judged: Sequence[Judged], models: str) -> tuple[ReportTable, ReportTable]:
