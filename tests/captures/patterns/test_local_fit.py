@@ -1,6 +1,6 @@
 import numpy as np
 
-from wlr_render.captures.patterns.axis_readings import fit_planes
+from wlr_render.captures.patterns.pixel_rejection import fit_planes
 
 
 def slow(position, valid, row, column):

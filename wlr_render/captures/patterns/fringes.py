@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.phase_steps import (
     FringeAxis,
@@ -18,6 +17,7 @@ from wlr_render.captures.patterns.phase_steps import (
     read_fringe,
 )
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
+from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
 _LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
 _RATIO = 6.0  # of two periods at most: the phase of the longer must tell the periods of the shorter apart

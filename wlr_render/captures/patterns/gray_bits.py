@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
-from wlr_render.captures.patterns.axis_readings import neighbour_slices
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.patterns.photometry import (
     Grey,
@@ -26,6 +25,7 @@ from wlr_render.captures.patterns.photometry import (
     check_range,
     read_light,
 )
+from wlr_render.captures.patterns.pixel_rejection import neighbour_slices
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
 from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
+from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
 
 @dataclass(frozen=True)

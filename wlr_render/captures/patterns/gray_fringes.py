@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.axis_readings import AxisReading
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
 from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.phase_steps import (
@@ -18,6 +17,7 @@ from wlr_render.captures.patterns.phase_steps import (
     read_fringe,
 )
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
+from wlr_render.captures.patterns.pixel_rejection import AxisReading
 from wlr_render.errors import BadInputError
 
 _FAR = 0.375  # of a period from the middle of its cell, half-way between the cell's end (1/4) and ambiguity (1/2)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, Decoded, DecodeOptions
-from wlr_render.captures.patterns.axis_readings import AxisReading, combine_axes
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader, read_light
+from wlr_render.captures.patterns.pixel_rejection import AxisReading, combine_axes
 from wlr_render.captures.photographs import Photograph
 from wlr_render.mappings import Panel
 

@@ -1,4 +1,4 @@
-"""Combine the readings of both axes into panel positions: local plane fits, and one set of rejection rules."""
+"""Which decoded pixels are rejected, and how the readings of both axes become panel positions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
