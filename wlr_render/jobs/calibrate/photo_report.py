@@ -171,7 +171,7 @@ def _poses_table(found: SessionCalibration) -> ReportTable:
 def _checks_table(found: SessionCalibration) -> ReportTable:
     rows: list[list[Cell]] = [
         [
-            "right" if check.ok else "OFF",
+            "passed" if check.ok else "FAILED",
             check.step,
             check.quantity,
             float(check.value),
@@ -180,7 +180,7 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
         ]
         for check in sorted(found.station.checks, key=lambda check: check.ok)
     ]
-    columns = ["", "step", "quantity", "value", "limit", "what it says"]
+    columns = ["check", "step", "quantity", "value", "limit", "what it says"]
     return ReportTable("Checks of the station", columns, rows, tuple(found.station.unchecked))
 
 
