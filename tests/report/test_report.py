@@ -67,6 +67,26 @@ def test_a_changed_file_in_a_folder_changes_its_hash(tmp_path):
     assert hashes[0] != hashes[1]
 
 
+def input_hash(out, inputs):
+    report = save_report(Report("T", inputs=inputs), out, "report")
+    return json.loads(report.files[2].read_text())["provenance"]["inputs"][0]["sha256"]
+
+
+def test_a_report_inside_its_input_does_not_change_the_hash(tmp_path):
+    (tmp_path / "session").mkdir()
+    (tmp_path / "session" / "a").write_text("1")
+    inside = tmp_path / "session" / "out"
+    assert input_hash(inside, [tmp_path / "session"]) == input_hash(inside, [tmp_path / "session"])
+
+
+def test_an_input_that_is_gone_loses_no_report(tmp_path):
+    assert input_hash(tmp_path, [tmp_path / "gone"]) == "not readable (No such file or directory)"
+
+
+def test_a_cell_of_several_lines_stays_in_its_row():
+    assert "| a b |" in markdown_table(ReportTable("T", ["n"], [["a\nb"]]))
+
+
 def test_markdown_links_pictures_and_escapes_bars(saved):
     text = saved.files[1].read_text()
     assert "](../dots.png)" in text

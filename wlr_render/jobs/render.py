@@ -260,7 +260,7 @@ def _record(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, Any]:
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     for key in ("out", "video", "frame_limit", "backend"):  # these do not change what a frame shows
         job.pop(key)
-    job["sha256"] = [file.sha256 for file in provenance(_drawn_from(options)).inputs]
+    job["sha256"] = [file.sha256 for file in provenance(_drawn_from(options), options.out).inputs]
     frames = [
         {
             "file": _picture_file(Path(), m).name,

@@ -21,7 +21,8 @@ from wlr_render.report.records import fields_of, json_text
 class InputFile:
     """An input of a result: its name and the SHA-256 of its content.
 
-    The hash of a folder is that of the sorted list of its files' relative names and hashes.
+    The hash of a folder is that of the sorted list of its files' relative names and hashes, without the files of the
+    output folder if that lies inside. An input that can no longer be read has the reason in place of its hash.
     """
 
     name: str
@@ -46,7 +47,7 @@ def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
     Raises:
         BadInputError: a file cannot be written.
     """
-    origin = provenance(report.inputs)
+    origin = provenance(report.inputs, folder)
     record = {
         "provenance": origin,
         "title": report.title,
@@ -66,24 +67,35 @@ def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
     return dataclasses.replace(report, files=(*report.files, *written))
 
 
-def provenance(inputs: Sequence[Path]) -> Provenance:
-    """Date, version, command line and input hashes of the running program."""
+def provenance(inputs: Sequence[Path], output: Path) -> Provenance:
+    """Date, version, command line and input hashes of the running program, which writes into the folder `output`."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     started = Path(sys.argv[0])
     is_module = started.name == "__main__.py"
     program = ["python", "-m", started.parent.name] if is_module else [started.name]
     command = shlex.join([*program, *sys.argv[1:]])
-    return Provenance(now, __version__, command, tuple(InputFile(str(path), _sha256(path)) for path in inputs))
+    return Provenance(now, __version__, command, tuple(InputFile(str(path), _sha256(path, output)) for path in inputs))
 
 
-def _sha256(path: Path) -> str:
-    if not path.is_dir():
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    total = hashlib.sha256()
-    for file_path in sorted(item for item in path.rglob("*") if item.is_file()):
-        total.update(f"{file_path.relative_to(path).as_posix()} {_sha256(file_path)}\n".encode())
-    return total.hexdigest()
+def _sha256(path: Path, output: Path) -> str:
+    try:
+        if not path.is_dir():
+            return _file_sha256(path)
+        files = [item for item in path.rglob("*") if item.is_file()]
+        if path.resolve() in output.resolve().parents:
+            files = [item for item in files if not item.resolve().is_relative_to(output.resolve())]
+        total = hashlib.sha256()
+        for each in sorted(files):
+            total.update(f"{each.relative_to(path).as_posix()} {_file_sha256(each)}\n".encode())
+        return total.hexdigest()
+    except OSError as error:
+        # The work is done: its report must not be lost with an input that was removed meanwhile.
+        return f"not readable ({error.strerror})"
+
+
+def _file_sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def table_record(table: ReportTable) -> dict[str, object]:
@@ -124,4 +136,4 @@ def markdown_table(table: ReportTable) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
