@@ -11,6 +11,8 @@ uniform vec2 step_px;
 uniform vec3 viewpoint;
 uniform float behind_display_plane;  // metres from the base plane back to the viewpoint, along +z
 uniform float behind_see_through_plane;
+uniform vec2 display_plane_slope;  // rise of the base plane's z per metre of x and y
+uniform vec2 see_through_plane_slope;
 uniform bool viewpoint_inside;
 uniform mat3 camera_from_device;
 
@@ -30,7 +32,25 @@ struct Root {
     int iterations;  // evaluations of the polynomial
 };
 
-// Newton on p~ - viewpoint_xy - dz t(pixel, p~); steps that do not shrink the residual are halved. The last step is
+// Depth along -z at which a ray from the viewpoint meets the plane, over the viewpoint's height over it.
+float depth_per_height(vec2 plane_slope, vec2 tangents)
+{
+    return 1.0 / (1.0 + dot(plane_slope, tangents));
+}
+
+// Derivative by the tangents of the place on the display's base plane.
+mat2 place_by_tangents(vec2 tangents)
+{
+    float per_height = depth_per_height(display_plane_slope, tangents);
+    return behind_display_plane * per_height * (mat2(1.0) - outerProduct(tangents, per_height * display_plane_slope));
+}
+
+vec2 place_on_display_plane(vec2 tangents)
+{
+    return viewpoint.xy + behind_display_plane * depth_per_height(display_plane_slope, tangents) * tangents;
+}
+
+// Newton on p~ - viewpoint_xy - s t(pixel, p~); steps that do not shrink the residual are halved. The last step is
 // short enough for t to follow its slope, so that it costs no evaluation. A start from `tangents` of another frame that
 // leads nowhere is followed by the cold one.
 //
@@ -44,17 +64,18 @@ Root solve(vec2 tangents, bool cold)
     int limit = cold ? MAX_ITERATIONS : 2 * MAX_ITERATIONS;
     while (!root.solved && root.iterations < limit) {
         if (root.iterations % MAX_ITERATIONS == 0) {
-            base = viewpoint.xy + (root.iterations == 0 ? behind_display_plane * tangents : vec2(0.0));
+            base = root.iterations == 0 ? place_on_display_plane(tangents) : viewpoint.xy;
             advance = vec2(0.0);
             size_at_base = INFINITE;
         }
         vec2 point = base - advance;
         vec2 tangents_at_point = display(point, root.slope);
-        vec2 residual = point - viewpoint.xy - behind_display_plane * tangents_at_point;
+        vec2 residual = point - place_on_display_plane(tangents_at_point);
         float size = length(residual);
         bool shrunk = size < size_at_base;
         base = shrunk ? point : base;
-        advance = shrunk ? inverse(mat2(1.0) - behind_display_plane * root.slope) * residual : 0.5 * advance;
+        mat2 by_point = mat2(1.0) - place_by_tangents(tangents_at_point) * root.slope;
+        advance = shrunk ? inverse(by_point) * residual : 0.5 * advance;
         size_at_base = shrunk ? size : size_at_base;
         root.solved = shrunk && length(advance) <= LAST_STEP_M;
         root.point = point - advance;
@@ -71,14 +92,16 @@ void main()
     vec2 place = gl_FragCoord.xy / vec2(textureSize(last_view_tangents, 0));
     vec2 last = texture(last_view_tangents, place).xy;
     vec4 slope = texture(last_slopes, place);
-    vec2 start = last + mat2(slope.xy, slope.zw) * (moved.xy + moved.z * last);
+    vec2 moved_place = moved.xy + moved.z * depth_per_height(display_plane_slope, last) * last;
+    vec2 start = last + mat2(slope.xy, slope.zw) * moved_place;
     bool cold = !has_last || any(isnan(start));
     Root root = solve(cold ? vec2(0.0) : start, cold);
 
-    vec4 inputs = vec4(viewpoint.xy + behind_see_through_plane * root.tangents, root.tangents);
+    float depth = behind_see_through_plane * depth_per_height(see_through_plane_slope, root.tangents);
+    vec4 inputs = vec4(viewpoint.xy + depth * root.tangents, root.tangents);
     vec4 bent = deviation(inputs);
-    // Where the ray, taken straight back, passes the viewpoint's z: B - dz A beside the viewpoint.
-    vec3 offset = camera_from_device * vec3(bent.zw - behind_see_through_plane * bent.xy, 0.0);
+    // Where the ray, taken straight back, passes the viewpoint's z: B - s A beside the viewpoint.
+    vec3 offset = camera_from_device * vec3(bent.zw - depth * bent.xy, 0.0);
     vec3 direction = camera_from_device * vec3(root.tangents + bent.xy, -1.0);
     vec2 tangents = direction.xy / -direction.z;
     vec4 ray = vec4(tangents, offset.xy + offset.z * tangents);
@@ -90,6 +113,6 @@ void main()
     slope_offset = solved && forwards ? ray : vec4(NOWHERE);
     view_tangents = solved ? root.tangents : vec2(NOWHERE);
     status_and_iterations = uvec2(status, root.iterations);
-    mat2 by_viewpoint = inverse(mat2(1.0) - behind_display_plane * root.slope) * root.slope;
+    mat2 by_viewpoint = root.slope * inverse(mat2(1.0) - place_by_tangents(root.tangents) * root.slope);
     slopes = vec4(by_viewpoint[0], by_viewpoint[1]);
 }

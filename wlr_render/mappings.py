@@ -259,7 +259,8 @@ class PlanarDisplay(Protocol):
 class PlanarSeeThrough(Protocol):
     """Protocol of see-through mappings that a shader can evaluate: deviation from the straight ray.
 
-    Through p~ = base_plane.carry(viewpoint, t) the ray in the world passes p~ + B with tangents t + A.
+    With p~ = base_plane.carry(viewpoint, t) the ray in the world passes through (p~ + B, z of the plane at p~) with
+    tangents t + A: B is an offset at constant z, also on a tilted plane.
     """
 
     @property

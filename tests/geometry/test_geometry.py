@@ -50,15 +50,33 @@ def test_rotation_about_is_right_handed():
     np.testing.assert_allclose(transforms.rotation_about("x", np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
 
 
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.3, -0.2)])
 @pytest.mark.parametrize("lead", LEADS)
-def test_carrying_to_the_base_plane_stays_on_the_ray(lead):
+def test_carrying_to_the_base_plane_stays_on_the_ray(lead, slope):
     rng = np.random.default_rng(4)
-    plane = planes.BasePlane(-0.03)
+    plane = planes.BasePlane(-0.03, slope)
     point, tangents = rng.normal(size=(*lead, 3)), rng.uniform(-1, 1, (*lead, 2))
     carried = plane.lift(plane.carry(point, tangents))
     ray = rays.pack(point, directions.dir_of_tangents(tangents))
     np.testing.assert_allclose(rays.distance_to_point(ray, carried), 0, atol=1e-14)
-    np.testing.assert_allclose(rays.at_z(ray, plane.z)[..., :3], carried, atol=1e-13)
+    np.testing.assert_allclose(carried[..., 2], plane.z + carried[..., :2] @ slope, atol=1e-14)
+    np.testing.assert_allclose(rays.at_z(ray, carried[..., 2])[..., :3], carried, atol=1e-12)
+    np.testing.assert_allclose(plane.depth_of(carried), 0, atol=1e-14)
+    np.testing.assert_allclose(plane.carry(carried, tangents), carried[..., :2], atol=1e-14)
+
+
+def test_derivatives_of_carrying_are_those_of_differences():
+    rng = np.random.default_rng(5)
+    plane = planes.BasePlane(-0.03, (0.3, -0.2))
+    point, tangents, step = rng.normal(size=(6, 3)), rng.uniform(-1, 1, (6, 2)), 1e-6
+    depth = plane.depth_along(point, tangents)
+    for axis, away in enumerate(step * np.eye(2)):
+        carried = plane.carry(point, tangents + away) - plane.carry(point, tangents - away)
+        deeper = plane.depth_along(point, tangents + away) - plane.depth_along(point, tangents - away)
+        expected = plane.carry_by_tangents(depth, tangents)[..., axis]
+        np.testing.assert_allclose(carried / (2 * step), expected, rtol=1e-6, atol=1e-8)
+        expected = plane.depth_by_tangents(depth, tangents)[..., axis]
+        np.testing.assert_allclose(deeper / (2 * step), expected, rtol=1e-6, atol=1e-8)
 
 
 def test_pinhole_covers_and_round_trips_with_v_down():

@@ -6,6 +6,7 @@ import pytest
 from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_see_through
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
 from wlr_render.numerics.polynomial import Polynomial
@@ -36,6 +37,11 @@ def test_every_kind_comes_back_bit_for_bit(tmp_path, display, see_through):
     written = model(DISPLAYS[display](), SEE_THROUGHS[see_through]())
     read = load_eye_model(save_eye_models(tmp_path / "eye.json", [written]))
     assert_same(written, read)
+
+
+def test_a_tilted_base_plane_comes_back(tmp_path):
+    tilted = dataclasses.replace(bundle_display(), base_plane=BasePlane(0.02, (0.1, -0.2)))
+    assert_same(load_eye_model(save_eye_models(tmp_path / "eye.json", [model(tilted)])), model(tilted))
 
 
 def test_terms_written_are_the_polynomial(tmp_path):
@@ -73,7 +79,7 @@ def forward(record):
     [
         (lambda r: r.update(format="other"), "not a model file: its format is not 'wlr-eye-model'"),
         (lambda r: r.pop("format"), "not a model file"),
-        (lambda r: r.update(version=3), "has version 3; this program reads version 1 or 2"),
+        (lambda r: r.update(version=4), "has version 4; this program reads versions 1 to 3"),
         (lambda r: r.update(frame="opencv"), "'frame' is 'opencv'; it must be one of openxr"),
         (
             lambda r: first(r)["display"].pop("base_plane"),
@@ -178,10 +184,34 @@ def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_
     assert list(load_eye_models(path)) == ["right"]
 
 
+def as_before_version_3(record):
+    """Untilted base planes without a slope; a display's backward polynomial was the answer of backward queries."""
+    display, see_through = first(record)["display"], first(record)["see_through"]
+    for each in display, see_through:
+        if "base_plane" in each:
+            del each["base_plane"]["slope"]
+    display["backward"] = display.pop("backward_start")
+    if "forward" in see_through:
+        see_through["backward"] = see_through["forward"]
+    return record
+
+
+@pytest.mark.parametrize("kind", SEE_THROUGHS)
+def test_files_of_version_2_are_still_read(tmp_path, kind):
+    written = model(DISPLAYS[kind](), SEE_THROUGHS[kind]())
+    path = save_eye_models(tmp_path / "eye.json", [written])
+    record = as_before_version_3(json.loads(path.read_text())) | {"version": 2}
+    path.write_text(json.dumps(record))
+    assert_same(load_eye_model(path), written)
+    path.write_text(json.dumps(record | {"version": 3}))
+    with pytest.raises(BadInputError, match="key 'backward_start' is missing"):
+        load_eye_model(path)
+
+
 def test_files_of_version_1_are_still_read(tmp_path):
     """They hold one eye, whose keys stand beside those of the header."""
     written = model()
-    record = json.loads(save_eye_models(tmp_path / "eye.json", [written]).read_text())
+    record = as_before_version_3(json.loads(save_eye_models(tmp_path / "eye.json", [written]).read_text()))
     (eye,) = record.pop("eyes")
     path = tmp_path / "old.json"
     path.write_text(json.dumps(record | eye | {"version": 1}))

@@ -37,10 +37,8 @@ def test_the_ray_of_the_direction_in_which_a_point_is_seen_meets_the_point(see_t
     ray = see_through.real_ray_of_view_dir(seen.value, VIEWPOINT)
     assert ray.ok.all()
     np.testing.assert_allclose(np.linalg.norm(split(ray.value)[1], axis=1), 1.0)
-    # Planar solves for it; the others have two maps that agree to the square of the deviation (here 3e-3).
-    tolerance = 1e-11 if type(see_through) is type(bundle_see_through()) else 2e-5
     distance = np.linalg.norm(POINT - VIEWPOINT, axis=1)
-    assert (distance_to_point(ray.value, POINT) / distance).max() < tolerance
+    assert (distance_to_point(ray.value, POINT) / distance).max() < 1e-11
 
 
 @pytest.mark.parametrize("lead", LEADS)

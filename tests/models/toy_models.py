@@ -86,11 +86,7 @@ def volumetric_see_through():
     def forward(inputs):
         return bend(np.delete(inputs, 2, axis=1))
 
-    def backward(inputs):
-        return -forward(inputs)  # to first order in the deviation
-
-    domain = box(IN_BOX, TANGENTS)
-    return VolumetricSeeThrough(EYE_BOX, polynomial(forward, domain, 2), polynomial(backward, domain, 2))
+    return VolumetricSeeThrough(EYE_BOX, polynomial(forward, box(IN_BOX, TANGENTS), 2))
 
 
 def at_centre(function, first):
@@ -109,10 +105,7 @@ def static_display():
 
 
 def static_see_through():
-    forward, domain = at_centre(bend, False), box(TANGENTS)
-    return StaticSeeThrough(
-        EYE_BOX, polynomial(forward, domain, 2), polynomial(lambda inputs: -forward(inputs), domain, 2)
-    )
+    return StaticSeeThrough(EYE_BOX, polynomial(at_centre(bend, False), box(TANGENTS), 2))
 
 
 def point_per_pixel_display():

@@ -59,6 +59,17 @@ def with_planes_apart(eye):
     return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, base_plane=plane))
 
 
+def with_planes_tilted(eye):
+    """The same polynomials on tilted base planes through the eye box's centre: another mapping, not a better one."""
+
+    def tilted(mapping, slope):
+        plane = BasePlane(eye.eye_box.centre[2] - np.dot(slope, eye.eye_box.centre[:2]), slope)
+        return dataclasses.replace(mapping, base_plane=plane)
+
+    display, see_through = tilted(eye.display, (0.3, -0.2)), tilted(eye.see_through, (-0.1, 0.25))
+    return dataclasses.replace(eye, display=display, see_through=see_through)
+
+
 def narrowed(polynomial, low, high):
     """The same polynomial over a part of its box, given in box coordinates -1..1 (4,)."""
     centre, half = 0.5 * (polynomial.box.low + polynomial.box.high), 0.5 * (polynomial.box.high - polynomial.box.low)
@@ -69,7 +80,7 @@ def narrowed(polynomial, low, high):
 @pytest.mark.parametrize("device", DEVICES)
 def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
     eye = fitted_eye(device, degree)
-    for case in (eye, with_planes_apart(eye)):
+    for case in (eye, with_planes_apart(eye), with_planes_tilted(eye)):
         solve = gl_solve(gl_context, case)
         for unit in PLACES:
             field, exact = solve.solve(at(case, unit)).read(), float64_field(case, at(case, unit))
@@ -124,8 +135,9 @@ def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, w
 
 @pytest.mark.parametrize("moved", [(1e-4, 0, 0), (-6e-4, 5e-4, -6e-4)], ids=["0.1 mm", "1 mm"])
 @pytest.mark.parametrize("device", DEVICES)
-def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, device, moved):
-    eye = fitted_eye(device, 5)
+@pytest.mark.parametrize("placed", [lambda eye: eye, with_planes_tilted], ids=["untilted", "tilted"])
+def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, device, moved, placed):
+    eye = placed(fitted_eye(device, 5))
     solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
     cold = solve.solve(viewpoint + moved)
     cold_field, cold_count = cold.read(), cold.read_iterations().mean()

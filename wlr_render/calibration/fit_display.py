@@ -12,6 +12,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import DisplayMapping
 from wlr_render.models.bundle import BundleDisplay
+from wlr_render.models.inverse import backward_start_of
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay
 from wlr_render.models.volumetric import VolumetricDisplay
@@ -19,7 +20,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError
 
 _DisplayFit = tuple[DisplayMapping, DisplayCaptures, dict[str, Fitted]]
-"""A fitted mapping, the captures it was made from, and its fits by polynomial name; the forward one is first."""
+"""A fitted mapping, the captures it was made from, and its fits by polynomial name."""
 
 
 def fit_display(
@@ -27,7 +28,7 @@ def fit_display(
 ) -> tuple[DisplayMapping, FitReport]:
     """Fit a display model to captures of the panel.
 
-    The forward polynomials minimise angles, the backward ones pixels, both weighted by 1 / sigma.
+    The forward polynomials minimise angles, weighted by 1 / sigma; backward queries solve them.
 
     Args:
         captures: what was measured.
@@ -70,23 +71,26 @@ def _fitted(
 
 def _fit_planar(captures: DisplayCaptures, plane: BasePlane, degree: int | None) -> _DisplayFit:
     in_plane = plane.carry(captures.viewpoint, captures.tangents)
-    forward, backward = _both_ways(captures, in_plane, captures.capture, degree)
-    mapping = BundleDisplay(captures.panel, captures.eye_box, plane, forward.polynomial, backward.polynomial)
-    return mapping, captures, {"forward": forward, "backward": backward}
+    forward = _forward(captures, in_plane, captures.capture, degree)
+    start = backward_start_of(forward.polynomial)
+    mapping = BundleDisplay(captures.panel, captures.eye_box, plane, forward.polynomial, start)
+    return mapping, captures, {"forward": forward}
 
 
 def _fit_volumetric(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
-    forward, backward = _both_ways(captures, captures.viewpoint, captures.capture, degree)
-    mapping = VolumetricDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
-    return mapping, captures, {"forward": forward, "backward": backward}
+    forward = _forward(captures, captures.viewpoint, captures.capture, degree)
+    start = backward_start_of(forward.polynomial)
+    mapping = VolumetricDisplay(captures.panel, captures.eye_box, forward.polynomial, start)
+    return mapping, captures, {"forward": forward}
 
 
 def _fit_static(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
     distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
     centred = select(captures, captures.capture == captures.capture[np.argmin(distance)])
-    forward, backward = _both_ways(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
-    mapping = StaticDisplay(captures.panel, captures.eye_box, forward.polynomial, backward.polynomial)
-    return mapping, centred, {"forward": forward, "backward": backward}
+    forward = _forward(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
+    start = backward_start_of(forward.polynomial)
+    mapping = StaticDisplay(captures.panel, captures.eye_box, forward.polynomial, start)
+    return mapping, centred, {"forward": forward}
 
 
 def _fit_point_per_pixel(captures: DisplayCaptures, _: BasePlane, degree: int | None) -> _DisplayFit:
@@ -120,16 +124,11 @@ _KINDS: dict[str, Callable[[DisplayCaptures, BasePlane, int | None], _DisplayFit
 }
 
 
-def _both_ways(
-    captures: DisplayCaptures, position: FloatArray, group: IntArray, degree: int | None
-) -> tuple[Fitted, Fitted]:
-    """Forward fit from pixel and `position` (n, any), and backward fit from position and tangents at its degree."""
+def _forward(captures: DisplayCaptures, position: FloatArray, group: IntArray, degree: int | None) -> Fitted:
+    """Fit from pixel and `position` (n, any)."""
     tangents, sigma = captures.tangents, relative_sigma(captures.sigma_arcmin)
     inputs = np.hstack([captures.pixel, position])
-    forward = fit(Regression.plain(inputs, tangents, angular_metric(tangents), sigma, group), degree)
-    inputs = np.hstack([position, tangents])
-    to_pixel = Regression.plain(inputs, captures.pixel, np.ones(len(captures)), sigma, group)
-    return forward, fit(to_pixel, forward.polynomial.degree)
+    return fit(Regression.plain(inputs, tangents, angular_metric(tangents), sigma, group), degree)
 
 
 def _lacking_viewpoints(captures: DisplayCaptures, kind: str, degree: int) -> str | None:

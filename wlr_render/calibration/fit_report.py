@@ -49,7 +49,6 @@ class FitReport:
         residual_px: of the pixels, predicted from view direction and viewpoint; None for see-through.
         held_out_arcmin: of the forward fit, per degree tried; a degree that the positions left over cannot determine is
             missing.
-        held_out_px: of the backward fit at `degree`; None for see-through, or where it could not be determined.
     """
 
     kind: str
@@ -62,7 +61,6 @@ class FitReport:
     residual_arcmin: Residuals
     residual_px: Residuals | None
     held_out_arcmin: tuple[HeldOut, ...]
-    held_out_px: HeldOut | None
 
     def held_out_at_degree(self) -> HeldOut | None:
         """The held-out error of the degree in use, or None where it could not be determined."""
@@ -82,16 +80,15 @@ class FitReport:
         Args:
             kind: of the model.
             captures: n rows.
-            fits: by polynomial name; the one that the degree was chosen for is first, a display's backward one second.
+            fits: by polynomial name.
             seen: predicted view directions (n, 3).
             shown: predicted panel pixels (n, 2), for a display.
         """
-        first, *others = fits.values()
-        residual_px, held_out_px, usable = None, None, seen.usable
+        first = next(iter(fits.values()))
+        residual_px, usable = None, seen.usable
         if shown is not None and isinstance(captures, DisplayCaptures):
             usable = usable & shown.usable
             residual_px = Residuals.of(np.linalg.norm(shown.value - captures.pixel, axis=1))
-            held_out_px = next((entry for each in others[:1] for entry in each.held_out), None)
         return cls(
             kind=kind,
             degree=first.polynomial.degree,
@@ -103,5 +100,4 @@ class FitReport:
             residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
             residual_px=residual_px,
             held_out_arcmin=first.held_out,
-            held_out_px=held_out_px,
         )

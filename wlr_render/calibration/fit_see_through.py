@@ -18,7 +18,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError
 
 _SeeThroughFit = tuple[SeeThroughMapping, SeeThroughCaptures, dict[str, Fitted]]
-"""A fitted mapping, the captures it was made from, and its fits by polynomial name; the chosen-degree one first."""
+"""A fitted mapping, the captures it was made from, and its fits by polynomial name."""
 
 
 def fit_see_through(
@@ -75,23 +75,21 @@ def _fitted(
 def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _SeeThroughFit:
     tangents = captures.tangents
     in_plane = plane.carry(captures.viewpoint, tangents)
-    depth = plane.depth_of(captures.point)[:, None]
+    depth = (plane.z_at(in_plane) - captures.point[:, 2])[:, None]
     observed = (captures.point[:, :2] - in_plane) / depth - tangents
     fitted = _deviation(captures, np.hstack([in_plane, tangents]), observed, depth, captures.capture, degree)
     return BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted}
 
 
 def _fit_volumetric(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
-    forward, backward = _both_ways(captures, captures.viewpoint, captures.capture, degree)
-    mapping = VolumetricSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
-    return mapping, captures, {"backward": backward, "forward": forward}
+    forward = _forward(captures, captures.viewpoint, captures.capture, degree)
+    return VolumetricSeeThrough(captures.eye_box, forward.polynomial), captures, {"forward": forward}
 
 
 def _fit_static(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
     centred = select(captures, _nominal(captures))
-    forward, backward = _both_ways(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
-    mapping = StaticSeeThrough(captures.eye_box, forward.polynomial, backward.polynomial)
-    return mapping, centred, {"backward": backward, "forward": forward}
+    forward = _forward(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
+    return StaticSeeThrough(captures.eye_box, forward.polynomial), centred, {"forward": forward}
 
 
 _KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _SeeThroughFit]] = {
@@ -101,17 +99,12 @@ _KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _SeeThro
 }
 
 
-def _both_ways(
-    captures: SeeThroughCaptures, position: FloatArray, group: IntArray, degree: int | None
-) -> tuple[Fitted, Fitted]:
-    """Forward and backward deviation of models without a base plane; `position` (n, any) is what they know of it."""
+def _forward(captures: SeeThroughCaptures, position: FloatArray, group: IntArray, degree: int | None) -> Fitted:
+    """Deviation of models without a base plane; `position` (n, any) is what they know of it."""
     tangents = captures.tangents
     depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
     straight = (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth
-    backward = _deviation(captures, np.hstack([position, straight]), tangents - straight, depth, group, degree)
-    chosen = backward.polynomial.degree
-    forward = _deviation(captures, np.hstack([position, tangents]), straight - tangents, depth, group, chosen)
-    return forward, backward
+    return _deviation(captures, np.hstack([position, tangents]), straight - tangents, depth, group, degree)
 
 
 def _deviation(

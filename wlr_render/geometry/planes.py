@@ -1,4 +1,4 @@
-"""The base plane P of planar viewpoint sampling: z = constant in the device frame."""
+"""The base plane P of planar viewpoint sampling: a plane in the device frame, upright or tilted."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,51 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True)
 class BasePlane:
-    """The plane z = `z` (metres, device frame), on which planar models are fitted.
+    """The points (x, y, z + slope . (x, y)), metres in the device frame, on which planar models are fitted.
 
-    It is perpendicular to the axis -z, so the projection along a ray is linear in the tangents of the ray.
+    A point of the plane is named by its x and y, tilted or not: (..., 2).
+
+    Attributes:
+        z: metres, at x = y = 0.
+        slope: rise of z per metre of x and of y. Without slope the projection along a ray is linear in its tangents.
     """
 
     z: float
+    slope: tuple[float, float] = (0.0, 0.0)
+
+    def depth_along(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
+        """Depth s (...) along -z at which rays from `point` (..., 3) with `tangents` (..., 2) meet the plane, metres.
+
+        The ray is point + s (tx, ty, -1), so that s = h / (1 + slope . t) with h = z_point - z - slope . xy_point.
+        Negative where the plane lies behind the point; infinite or NaN for a ray that is parallel to the plane.
+        """
+        return np.asarray(-self.depth_of(point) / (1.0 + tangents @ np.array(self.slope)))
+
+    def depth_by_tangents(self, depth: FloatArray, tangents: FloatArray) -> FloatArray:
+        """Derivative of `depth_along` by the tangents, -s slope / (1 + slope . t): (..., 2)."""
+        slope = np.array(self.slope)
+        return np.asarray((-depth / (1.0 + tangents @ slope))[..., None] * slope)
 
     def carry(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
         """Project `point` (..., 3) onto the plane along rays with `tangents` (..., 2); returns (x, y), (..., 2).
 
         Closed-form projection of the paper (section 3.2); the plane may lie in front of the point or behind it.
-        Two solvers repeat this formula together with its derivative: `models.bundle` and shaders/solve.frag.
         """
-        return np.asarray(point[..., :2] + (point[..., 2:] - self.z) * tangents)
+        return np.asarray(point[..., :2] + self.depth_along(point, tangents)[..., None] * tangents)
+
+    def carry_by_tangents(self, depth: FloatArray, tangents: FloatArray) -> FloatArray:
+        """Derivative of `carry` by the tangents, s I + t (ds/dt)^T: (..., 2, 2), for the depths s of `depth_along`."""
+        by_depth = tangents[..., :, None] * self.depth_by_tangents(depth, tangents)[..., None, :]
+        return np.asarray(depth[..., None, None] * np.eye(2) + by_depth)
 
     def depth_of(self, point: FloatArray) -> FloatArray:
         """Distance of points (..., 3) in front of the plane along -z, (...) metres."""
-        return np.asarray(self.z - point[..., 2])
+        return np.asarray(self.z_at(point[..., :2]) - point[..., 2])
+
+    def z_at(self, point_in_plane: FloatArray) -> FloatArray:
+        """The z (...) of plane coordinates (..., 2), metres."""
+        return np.asarray(self.z + point_in_plane @ np.array(self.slope))
 
     def lift(self, point_in_plane: FloatArray) -> FloatArray:
         """Points (..., 3) in the device frame of plane coordinates (..., 2)."""
-        z = np.full((*point_in_plane.shape[:-1], 1), self.z)
-        return np.concatenate([point_in_plane, z], axis=-1)
+        return np.concatenate([point_in_plane, self.z_at(point_in_plane)[..., None]], axis=-1)

@@ -13,6 +13,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, QueryResult, Status
+from wlr_render.models.inverse import solve_pixel
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial, term_count
 
@@ -103,6 +104,14 @@ def _all_finite(rows: FloatArray) -> BoolArray:
 def joined(*columns: FloatArray) -> FloatArray:
     """Concatenate polynomial inputs (m, k) to (m, sum of k)."""
     return np.concatenate(columns, axis=-1)
+
+
+def pixel_answer(
+    forward: Polynomial, backward_start: Polynomial, place: FloatArray, tangents: FloatArray, start: FloatArray | None
+) -> Answer:
+    """Answer of a display's backward query: `inverse.solve_pixel`, inside where the forward inputs are in their box."""
+    root = solve_pixel(forward, backward_start, place, tangents, start)
+    return Answer(root.unknown, forward.box.contains(joined(root.unknown, place)), root.converged, root.unknown)
 
 
 Forms = dict[str, tuple[int, int]]

@@ -1,16 +1,17 @@
 """Model files: the fitted models of one or both eyes of a headset as one JSON text, readable without this package.
 
-    format "wlr-eye-model", version 2, package_version, frame "openxr", device
+    format "wlr-eye-model", version 3, package_version, frame "openxr", device
     units              {length "m", direction "tangent", pixel "px"}
     eyes               one or two of
         eye            "left" or "right"
         name           of the model
         eye_box        {centre_m, size_m}
-        display        {kind, panel {width_px, height_px}, base_plane {z_m} (planar only), and its polynomials}
-        see_through    {kind, base_plane {z_m} (planar only), and its polynomials}
+        display        {kind, panel {width_px, height_px}, base_plane {z_m, slope} (planar only), and its polynomials}
+        see_through    {kind, base_plane {z_m, slope} (planar only), and its polynomials}
         report         residuals that the calibration reported, in free form
 
-Version 1, which is still read, has the keys of its single eye in the header.
+Versions 1 and 2 are still read. Version 1 has the keys of its single eye in the header. Both have base planes without
+slope, and call a display's `backward_start` `backward`; their see-through `backward` is not used.
 
 Kinds and the inputs and outputs of their polynomials are those of the classes in this package. A polynomial is
 {degree, low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
@@ -40,7 +41,8 @@ from wlr_render.numerics.polynomial import Box, Polynomial, exponents, term_coun
 from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-eye-model"
-VERSION = 2
+VERSION = 3
+_BACKWARD = "backward"  # of versions 1 and 2: what backward queries answered with
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
 # A new model only needs a line here: its fields and FORMS define its form in the file.
@@ -139,7 +141,7 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
     version = _check_header(table)
     device = table.text("device")
     eyes = [table] if version == 1 else table.tables("eyes")
-    models = [_eye_model(eye, device) for eye in eyes]
+    models = [_eye_model(eye, device, version) for eye in eyes]
     for read in (table, *eyes):
         read.finish()
     by_eye = {model.mappings.eye: model for model in models}
@@ -160,14 +162,14 @@ def _eye_record(model: EyeModel) -> dict[str, Any]:
     }
 
 
-def _eye_model(table: Table, device: str) -> EyeModel:
+def _eye_model(table: Table, device: str, version: int) -> EyeModel:
     box = table.table("eye_box")
     eye_box = EyeBox(box.vector("centre_m", 3), box.vector("size_m", 3))
     mappings = EyeMappings(
         name=table.text("name"),
         eye=table.text("eye", choices=["left", "right"]),
-        display=_mapping(table.table("display"), DISPLAYS, eye_box),
-        see_through=_mapping(table.table("see_through"), SEE_THROUGHS, eye_box),
+        display=_mapping(table.table("display"), DISPLAYS, eye_box, version),
+        see_through=_mapping(table.table("see_through"), SEE_THROUGHS, eye_box, version),
         eye_box=eye_box,
     )
     report = table.free("report")
@@ -178,8 +180,8 @@ def _check_header(table: Table) -> int:
     """Check that a file is a model file; returns its version."""
     if table.text("format", default="missing") != FORMAT:
         raise table.fail(f"is not a model file: its format is not '{FORMAT}'.")
-    if (version := table.number("version")) not in (1, VERSION):
-        raise table.fail(f"has version {version:g}; this program reads version 1 or {VERSION}: calibrate again.")
+    if (version := table.number("version")) not in range(1, VERSION + 1):
+        raise table.fail(f"has version {version:g}; this program reads versions 1 to {VERSION}: calibrate again.")
     table.text("package_version")
     table.text("frame", choices=["openxr"])
     units = table.table("units")
@@ -204,7 +206,7 @@ def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
     if isinstance(part, Panel):
         return {"width_px": part.width_px, "height_px": part.height_px}
     if isinstance(part, BasePlane):
-        return {"z_m": part.z}
+        return {"z_m": part.z, "slope": list(part.slope)}
     orders = exponents(len(part.box.low), part.degree).tolist()
     values = part.coefficients.tolist()
     return {
@@ -215,10 +217,13 @@ def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
     }
 
 
-def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox) -> Any:
+def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version: int) -> Any:
     model = kinds[table.text("kind", choices=list(kinds))]
     forms: Forms = model.FORMS
-    parts = {name: _part(table.table(name), name, forms) for name in _part_names(model)}
+    old = {"backward_start": _BACKWARD} if version < VERSION else {}
+    parts = {name: _part(table.table(old.get(name, name)), name, forms) for name in _part_names(model)}
+    if version < VERSION:
+        table.unchecked(_BACKWARD)
     table.finish()
     return model(eye_box=eye_box, **parts)
 
@@ -228,7 +233,8 @@ def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomi
     if name == "panel":
         part = Panel(table.whole("width_px"), table.whole("height_px"))
     elif name == "base_plane":
-        part = BasePlane(table.number("z_m"))
+        slope_x, slope_y = table.vector("slope", 2, default=(0.0, 0.0))
+        part = BasePlane(table.number("z_m"), (float(slope_x), float(slope_y)))
     else:
         part = _polynomial(table, *forms[name])
     table.finish()

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms
-from wlr_render.models.volumetric import deviated_ray, deviated_view, straight_tangents
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, pixel_answer
+from wlr_render.models.volumetric import deviated_ray, deviated_view
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 
@@ -21,56 +21,58 @@ from wlr_render.numerics.polynomial import Box, Polynomial
 class StaticDisplay(FittedDisplay):
     """`DisplayMapping` that is the same for every viewpoint.
 
+    The warm start of the backward query is the pixel.
+
     Attributes:
         panel: the panel.
         eye_box: box of valid viewpoints; it affects the status only.
         forward: (u px, v px) -> (tx, ty).
-        backward: (tx, ty) -> (u px, v px).
+        backward_start: (tx, ty) -> (u px, v px), where backward queries start.
     """
 
     panel: Panel
     eye_box: EyeBox
     forward: Polynomial
-    backward: Polynomial
+    backward_start: Polynomial
 
-    FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward": (2, 2)}
+    FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward_start": (2, 2)}
 
     def _forward(self, pixel: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         return Answer(self.forward(pixel), self.forward.box.contains(pixel))
 
-    def _backward(self, tangents: FloatArray, _viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        pixel = self.backward(tangents)
-        return Answer(pixel, self.backward.box.contains(tangents) & self.forward.box.contains(pixel))
+    def _backward(self, tangents: FloatArray, _viewpoint: FloatArray, start: FloatArray | None) -> Answer:
+        return pixel_answer(self.forward, self.backward_start, _nowhere(tangents), tangents, start)
 
 
 @dataclass(frozen=True)
 class StaticSeeThrough(FittedSeeThrough):
     """`SeeThroughMapping` whose deviation is the same for every viewpoint.
 
-    The ray's point has the viewpoint's z.
+    The ray's point has the viewpoint's z. The warm start of the backward query is the view tangents.
 
     Attributes:
         eye_box: box of valid viewpoints; it affects the status only.
         forward: (tx, ty) -> (Ax, Ay, Bx m, By m), as in `VolumetricSeeThrough`.
-        backward: (sx, sy) -> (ax, ay, bx m, by m), as in `VolumetricSeeThrough`.
     """
 
     eye_box: EyeBox
     forward: Polynomial
-    backward: Polynomial
 
-    FORMS: ClassVar[Forms] = {"forward": (2, 4), "backward": (2, 4)}
+    FORMS: ClassVar[Forms] = {"forward": (2, 4)}
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        return deviated_ray(self.forward, tangents, tangents, viewpoint)
+        return deviated_ray(self.forward, _nowhere(tangents), tangents, viewpoint)
 
-    def _backward(self, point: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        tangents, depth = straight_tangents(point, viewpoint)
-        return deviated_view(self.backward, tangents, tangents, depth)
+    def _backward(self, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
+        return deviated_view(self.forward, _nowhere(point), point, viewpoint, start)
+
+
+def _nowhere(rows: FloatArray) -> FloatArray:
+    """The place (m, 0) of a model that ignores the viewpoint."""
+    return np.empty((len(rows), 0))
 
 
 def undeviated(eye_box: EyeBox) -> StaticSeeThrough:
     """See-through mapping without optics: straight rays, for the baseline that ignores the combiner."""
     everywhere = Box(np.full(2, -10.0), np.full(2, 10.0))
-    nothing = Polynomial(0, everywhere, np.zeros((1, 4)))
-    return StaticSeeThrough(eye_box, nothing, nothing)
+    return StaticSeeThrough(eye_box, Polynomial(0, everywhere, np.zeros((1, 4))))

@@ -1,9 +1,11 @@
 """Ray maps on the GPU: planar models solved in a shader, any others spread from Chebyshev nodes solved on the CPU.
 
 Each point, be it a display pixel or coarser, finds the tangents t under which the viewpoint sees it from
-p~ = viewpoint_xy + dz t(pixel, p~), by Newton's method in float32. A frame starts from the last frame's t, extrapolated
-to the new viewpoint with its derivative, (1 - dz T)^-1 T (d viewpoint_xy + t d dz) with T the slope of t(pixel, p~) in
-p~: the error is of second order, so that one evaluation is usually enough, even after a saccade.
+p~ = viewpoint_xy + s t(pixel, p~), by Newton's method in float32. On a plane of slope m the depth s is
+h / (1 + m . t), with h the viewpoint's height over the plane along z. A frame starts from the last frame's t,
+extrapolated to the new viewpoint with its derivative, T (1 - M T)^-1 (d viewpoint_xy + t dh / (1 + m . t)), with T the
+slope of t(pixel, p~) in p~ and M that of s t in t: the error is of second order, so that one evaluation is usually
+enough, even after a saccade.
 Deviation and ray are a closed form of the solution.
 """
 
@@ -126,6 +128,13 @@ class GlPlanarSolver:
             self._new, self._last = (self._solution() for _ in range(2))
         self._last_viewpoint: FloatArray | None = None
 
+    def _moved(self, viewpoint: FloatArray, started_from: FloatArray | None) -> tuple[float, ...]:
+        """Since the last frame: the viewpoint's x and y, and its height over the display's base plane."""
+        if started_from is None:
+            return 0.0, 0.0, 0.0
+        plane = self._display.base_plane
+        return *(viewpoint - started_from)[:2], float(plane.depth_of(started_from) - plane.depth_of(viewpoint))
+
     def _solution(self) -> _Solution:
         tangents = self._context.target(self._warp_grid.size, 2, "f4")
         slopes = self._context.target(self._warp_grid.size, 4, "f2")  # only a start comes of them
@@ -163,12 +172,14 @@ class GlPlanarSolver:
         gl.set_uniforms(
             program,
             has_last=started_from is not None,
-            moved=(0.0, 0.0, 0.0) if started_from is None else tuple(viewpoint - started_from),
+            moved=self._moved(viewpoint, started_from),
             first_px=tuple(self._warp_grid.first_px),
             step_px=tuple(self._warp_grid.step_px),
             viewpoint=tuple(viewpoint),
             behind_display_plane=-float(display.base_plane.depth_of(viewpoint)),
             behind_see_through_plane=-float(see_through.base_plane.depth_of(viewpoint)),
+            display_plane_slope=display.base_plane.slope,
+            see_through_plane_slope=see_through.base_plane.slope,
             viewpoint_inside=inside,
         )
         gl.set_matrix(program, "camera_from_device", self._device_from_camera.T)

@@ -1,0 +1,142 @@
+"""Solves that all fitted models share, and where a backward solve starts.
+
+The forward polynomials are the model. A backward query is their inverse, found by Newton's method, so that forward and
+backward agree to the tolerance of the solve. Only its start is fitted or sampled.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.least_squares import solve
+from wlr_render.numerics.newton import Residual, Root, solve_2x2
+from wlr_render.numerics.polynomial import Box, Polynomial, basis
+
+TOLERANCE = 1e-12
+"""On the residual: metres in the base plane where its point is solved for, tangents elsewhere."""
+
+_START_DEGREE = 3
+_LEVELS = 7, 4  # samples per pixel axis and per axis of the place
+
+
+def solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: FloatArray) -> Root:
+    """Solve from `start` (n, 2), and once more from `cold` (n, 2) where that fails; None starts cold."""
+    if start is None:
+        return solve_2x2(residual, cold, TOLERANCE)
+    warm = solve_2x2(residual, np.where(np.isfinite(start), start, cold), TOLERANCE)
+    lost = np.flatnonzero(~warm.converged)
+    if lost.size == 0:
+        return warm
+    again = solve_2x2(lambda unknown, index: residual(unknown, lost[index]), cold[lost], TOLERANCE)
+    unknown, converged = warm.unknown.copy(), warm.converged.copy()
+    unknown[lost], converged[lost] = again.unknown, again.converged
+    return Root(unknown, converged, warm.iterations + again.iterations)
+
+
+def solve_pixel(
+    tangents_of: Polynomial,
+    backward_start: Polynomial,
+    place: FloatArray,
+    tangents: FloatArray,
+    start: FloatArray | None,
+) -> Root:
+    """Solve for the pixel that is seen under given tangents.
+
+    Args:
+        tangents_of: (u, v, place) -> (tx, ty), the model.
+        backward_start: (place, tx, ty) -> (u, v), the cold start.
+        place: (n, any) what the model knows of the viewpoint; it stays as it is.
+        tangents: (n, 2).
+        start: (n, 2) earlier pixels, or None.
+
+    Returns:
+        Root whose unknown is the pixel, (n, 2).
+    """
+
+    def residual(pixel: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
+        value, jacobian = tangents_of.with_jacobian(np.concatenate([pixel, place[index]], axis=1), axes=(0, 1))
+        return value - tangents[index], jacobian
+
+    cold = backward_start(np.concatenate([place, tangents], axis=1))
+    return solve_warm_then_cold(residual, start, cold)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A see-through model at m pairs of viewpoint and view tangents t.
+
+    Attributes:
+        value: (m, 4) A, then B: the world ray has tangents t + A and passes B beside the straight ray at `depth`.
+        by_tangents: (m, 4, 2) the total derivative of `value` by t at a fixed viewpoint.
+        depth: (m,) depth s in front of the viewpoint at which B is meant, metres.
+        depth_by_tangents: (m, 2).
+    """
+
+    value: FloatArray
+    by_tangents: FloatArray
+    depth: FloatArray
+    depth_by_tangents: FloatArray
+
+    @classmethod
+    def at_viewpoint(cls, value: FloatArray, by_tangents: FloatArray) -> "Deviation":
+        """Of a model whose B is meant at the viewpoint's own z."""
+        return cls(value, by_tangents, np.zeros(len(value)), np.zeros((len(value), 2)))
+
+    def seen_at(self, inverse_depth: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """By how much a point looks displaced, tangents (m, 2), and the derivative by t, (m, 2, 2).
+
+        Args:
+            inverse_depth: (m,) of the point in front of the viewpoint, 1/m; zero is infinity.
+        """
+        near = inverse_depth[:, None]
+        far = 1.0 - self.depth[:, None] * near  # the share of the point's depth that lies behind B
+        value = far * self.value[:, :2] + near * self.value[:, 2:]
+        by_depth = self.value[:, :2, None] * self.depth_by_tangents[:, None, :]
+        slope = far[..., None] * self.by_tangents[:, :2] + near[..., None] * (self.by_tangents[:, 2:] - by_depth)
+        return value, slope
+
+
+def solve_view_tangents(
+    deviation_at: Callable[[FloatArray, IntArray], Deviation],
+    point: FloatArray,
+    viewpoint: FloatArray,
+    start: FloatArray | None,
+) -> Root:
+    """Solve for the view direction of a real point, so that its ray in the world passes through the point.
+
+    The residual is the ray's lateral miss over the depth D of the point in front of the eye:
+    t - straight + (1 - s / D) A + B / D, with s the depth at which B is meant. The cold start is the straight line.
+
+    Args:
+        deviation_at: the model at tangents (m, 2) and the viewpoints with the indices (m,).
+        point: (n, 3) in front of the viewpoint.
+        viewpoint: (n, 3).
+        start: (n, 2) earlier solutions, or None.
+
+    Returns:
+        Root whose unknown is t, (n, 2).
+    """
+    inverse_depth = 1.0 / (viewpoint[:, 2] - point[:, 2])
+    straight = (point[:, :2] - viewpoint[:, :2]) * inverse_depth[:, None]
+
+    def residual(tangents: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
+        bent, slope = deviation_at(tangents, index).seen_at(inverse_depth[index])
+        return tangents - straight[index] + bent, np.eye(2) + slope
+
+    return solve_warm_then_cold(residual, start, straight)
+
+
+def backward_start_of(forward: Polynomial) -> Polynomial:
+    """Low-degree polynomial (place, tx, ty) -> (u, v) near the inverse of a display's (u, v, place) -> (tx, ty).
+
+    Least squares on a grid over the box of `forward`. It is only where the solves of backward queries start.
+    """
+    places = len(forward.box.low) - 2
+    levels = [_LEVELS[0]] * 2 + [_LEVELS[1]] * places
+    unit = np.stack(np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in levels)), axis=-1).reshape(-1, 2 + places)
+    sample = 0.5 * (forward.box.low + forward.box.high) + 0.5 * unit * (forward.box.high - forward.box.low)
+    inputs = np.concatenate([sample[:, 2:], forward(sample)], axis=1)
+    box = Box.around(inputs)
+    return Polynomial(_START_DEGREE, box, solve(basis(inputs, _START_DEGREE, box), sample[:, :2]).coefficients)
