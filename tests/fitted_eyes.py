@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.numerics.polynomial import Polynomial, basis, term_count
+from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
@@ -28,7 +28,11 @@ def fitted_eye(device, degree):
 
 def fitted_polynomial(function, box, degree):
     """Least squares to a function (n, variables) -> (n, outputs); exact where it is a polynomial of that degree."""
-    variables = len(box.low)
-    sample = np.random.default_rng(0).uniform(box.low, box.high, (4 * term_count(variables, degree), variables))
-    coefficients, *_ = np.linalg.lstsq(basis(sample, degree, box), function(sample))
-    return Polynomial(degree, box, coefficients)
+    return fitted_terms(function, box, total_degree(len(box.low), degree))
+
+
+def fitted_terms(function, box, orders):
+    """Least squares to a function (n, variables) -> (n, outputs) by some terms."""
+    sample = np.random.default_rng(0).uniform(box.low, box.high, (4 * len(orders), len(box.low)))
+    coefficients, *_ = np.linalg.lstsq(basis(sample, orders, box), function(sample))
+    return Polynomial(orders, box, coefficients)

@@ -25,7 +25,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, term_count
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 IGNORED, POINT, BUNDLE = "viewpoint ignored", "one 3-D point per pixel", "bundle of rays"
 
@@ -192,7 +192,7 @@ class _Survey:
             models=models,
             cell=self.kept,
             misclosure_arcmin=misclosure,
-            misclosure_sigma_arcmin=self.misclosure_sigma_arcmin(fits[BUNDLE].polynomial.degree),
+            misclosure_sigma_arcmin=self.misclosure_sigma_arcmin(fits[BUNDLE].degree),
             image_dioptre=dioptre,
             rest_arcmin=self.rest_arcmin(fits[BUNDLE]),
         )
@@ -203,7 +203,8 @@ class _Survey:
             for which in (False, True):
                 rows = (self.cell == cell) & (self.second == which)
                 pixel = self.captures.pixel[rows]
-                design, angle = basis(pixel, 2, Box.around(pixel)), self.tangents[rows] * metric[rows, None]
+                design = basis(pixel, total_degree(2, 2), Box.around(pixel))
+                angle = self.tangents[rows] * metric[rows, None]
                 rest = angle - design @ np.linalg.lstsq(design, angle, rcond=None)[0]
                 sum_of_squares += float(np.sum(rest**2))
                 freedom += len(rest) - term_count(2, 2)
@@ -230,7 +231,7 @@ class _Survey:
 
 
 def _judged(name: str, fitted: Fitted, polynomials: int) -> ModelEvidence:
-    degree = fitted.polynomial.degree
+    degree = fitted.degree
     held_out = next(entry for entry in fitted.held_out if entry.degree == degree)
     return ModelEvidence(name, polynomials, degree, held_out.rms, held_out.standard_error)
 

@@ -8,6 +8,7 @@ from toy_device import (
     PLANE,
     display_captures,
     grid_in_plane,
+    places_among,
     positions_in_plane,
     tangents_of,
 )
@@ -23,7 +24,7 @@ UNSEEN = np.random.default_rng(7).uniform([50, 50], [950, 750], (40, 2))
 
 def unseen_viewpoints(height):
     """Viewpoints off the plane with the toy's own answer at `UNSEEN`: viewpoint (40, 3), view_dir (40, 3)."""
-    base = positions_in_plane(40, seed=8)
+    base = places_among(positions_in_plane(12), 40, seed=8)
     tangents = tangents_of(UNSEEN, base)
     viewpoint = np.column_stack([base - height * tangents, np.full(40, PLANE.z + height)])
     return viewpoint, dir_of_tangents(tangents)
@@ -100,7 +101,7 @@ def test_volumetric_fit_recovers_directions_polynomial_in_all_three_coordinates(
         captures, viewpoint=viewpoint, view_dir=dir_of_tangents(tangents(captures.pixel, viewpoint))
     )
     mapping, _ = fit_display(captures, "volumetric", 2)
-    elsewhere = EYE_BOX.at(np.random.default_rng(4).uniform(-1, 1, (40, 3)))
+    elsewhere = np.random.default_rng(4).uniform(position.min(axis=0), position.max(axis=0), (40, 3))
     view_dir = dir_of_tangents(tangents(UNSEEN, elsewhere))
     np.testing.assert_allclose(mapping.view_dir_of_pixel(UNSEEN, elsewhere).value, view_dir, atol=1e-12)
     np.testing.assert_allclose(mapping.pixel_of_view_dir(view_dir, elsewhere).value, UNSEEN, atol=1e-8)

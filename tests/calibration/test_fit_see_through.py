@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PLANE, bend_of, positions_in_plane, see_through_captures
+from toy_device import EYE_BOX, PLANE, bend_of, places_among, positions_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import concatenate, select
@@ -12,7 +12,7 @@ from wlr_render.geometry.rays import distance_to_point, split
 from wlr_render.mappings import EyeBox
 
 RNG = np.random.default_rng(9)
-BASE = positions_in_plane(40, seed=8)
+BASE = places_among(positions_in_plane(12), 40, seed=8)
 TANGENTS = RNG.uniform([-0.38, -0.28], [0.38, 0.28], (40, 2))
 
 

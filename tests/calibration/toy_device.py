@@ -41,6 +41,11 @@ def positions_in_plane(count, seed=1):
     return EYE_BOX.centre[:2] + unit * EYE_BOX.size[:2]
 
 
+def places_among(positions, count, seed):
+    """Scattered over the box of `positions` (n, 2), where a fit to them holds: (count, 2)."""
+    return np.random.default_rng(seed).uniform(positions.min(axis=0), positions.max(axis=0), (count, 2))
+
+
 def grid_in_plane(columns, rows):
     x, y = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     return EYE_BOX.centre[:2] + np.stack([x.ravel(), y.ravel()], axis=-1) * EYE_BOX.size[:2]

@@ -28,7 +28,6 @@ from wlr_render.geometry.rays import at_z, distance_to_point, split
 from wlr_render.mappings import Status
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough, solve_display, solve_see_through
 from wlr_render.models.inverse import TOLERANCE, backward_start_of
-from wlr_render.numerics.polynomial import Polynomial
 
 RNG = np.random.default_rng(3)
 PIXEL = RNG.uniform([100, 100], [900, 700], (25, 2))
@@ -218,4 +217,4 @@ def test_polynomials_of_another_form_are_refused():
     spoilt = display.backward_start.coefficients.copy()
     spoilt[3, 1] = np.inf
     with pytest.raises(BadInputError, match="'backward_start' has coefficients that are not finite"):
-        dataclasses.replace(display, backward_start=Polynomial(2, display.backward_start.box, spoilt))
+        dataclasses.replace(display, backward_start=dataclasses.replace(display.backward_start, coefficients=spoilt))

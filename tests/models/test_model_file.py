@@ -9,7 +9,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.polynomial import Polynomial, limited_orders
 
 
 def model(display=None, see_through=None):
@@ -87,11 +87,15 @@ def forward(record):
         ),
         (lambda r: first(r).pop("eye_box"), "key 'eye_box' is missing"),
         (lambda r: first(r)["display"].update(kind="magic"), "'kind' is 'magic'; it must be one of planar"),
+        (lambda r: forward(r).update(degree=3), "'terms' must be all 35 of total degree up to 3"),
         (
-            lambda r: forward(r).update(degree=3),
-            "degree 3 in 4 variables has 35 terms, but .* has 15",
+            lambda r: (forward(r).update(degree=2), forward(r)["terms"].reverse()),
+            "must be all 15 of total degree up to 2",
         ),
-        (lambda r: forward(r)["terms"].reverse(), "must be all those of total degree up to 2"),
+        (lambda r: forward(r)["terms"][0].update(orders=[0, 0, 0.5, 0]), "'orders' must be whole numbers from 0 to 50"),
+        (lambda r: forward(r)["terms"][0].update(orders=[0, -1, 0, 0]), "'orders' must be whole numbers from 0 to 50"),
+        (lambda r: forward(r)["terms"].clear(), "'terms' is empty"),
+        (lambda r: forward(r)["terms"].append(forward(r)["terms"][3]), "'terms' has the same 'orders' twice"),
         (
             lambda r: forward(r)["terms"][0].update(values=[1.0]),
             "'values' must be a list of 2 numbers",
@@ -184,12 +188,23 @@ def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_
     assert list(load_eye_models(path)) == ["right"]
 
 
+def test_any_table_of_terms_comes_back(tmp_path):
+    display, orders = bundle_display(), limited_orders(2, 3, 2, 1, 3)[::-1]
+    coefficients = np.random.default_rng(0).normal(size=(len(orders), 2))
+    forward = Polynomial(orders, display.forward.box, coefficients)
+    written = model(dataclasses.replace(display, forward=forward))
+    assert_same(load_eye_model(save_eye_models(tmp_path / "eye.json", [written])), written)
+
+
 def as_before_version_3(record):
-    """Untilted base planes without a slope; a display's backward polynomial was the answer of backward queries."""
+    """Base planes without a slope, polynomials with a total degree; a `backward` one answered backward queries."""
     display, see_through = first(record)["display"], first(record)["see_through"]
     for each in display, see_through:
         if "base_plane" in each:
             del each["base_plane"]["slope"]
+    for part in (*display.values(), *see_through.values()):
+        if isinstance(part, dict) and "terms" in part:
+            part["degree"] = max(sum(term["orders"]) for term in part["terms"])
     display["backward"] = display.pop("backward_start")
     if "forward" in see_through:
         see_through["backward"] = see_through["forward"]

@@ -8,7 +8,7 @@ from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
-from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
 PLANE = BasePlane(0.02)
@@ -26,10 +26,10 @@ def box(*parts):
 
 def polynomial(function, domain, degree):
     """Least-squares polynomial of a function (n, variables) -> (n, outputs); exact where it is one of that degree."""
-    variables = len(domain.low)
-    sample = np.random.default_rng(0).uniform(domain.low, domain.high, (6 * term_count(variables, degree), variables))
-    coefficients, *_ = np.linalg.lstsq(basis(sample, degree, domain), function(sample))
-    return Polynomial(degree, domain, coefficients)
+    orders = total_degree(len(domain.low), degree)
+    sample = np.random.default_rng(0).uniform(domain.low, domain.high, (6 * len(orders), len(domain.low)))
+    coefficients, *_ = np.linalg.lstsq(basis(sample, orders, domain), function(sample))
+    return Polynomial(orders, domain, coefficients)
 
 
 def swim(x, y):

@@ -3,7 +3,7 @@ import pytest
 from fitted_eyes import fitted_polynomial
 
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.numerics.polynomial import BOX_SLACK, Box, Polynomial, term_count
+from wlr_render.numerics.polynomial import BOX_SLACK, Box, Polynomial, total_degree
 from wlr_render.rendering import gl
 from wlr_render.rendering.shader_polynomial import held_source, value_source
 
@@ -76,8 +76,9 @@ def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context, degree):
 def test_any_coefficients_give_the_polynomials_value(gl_context, variables, outputs, degree):
     rng = np.random.default_rng(degree)
     box = Box(np.array([0.0, -3.0, 0.01, -2.0])[:variables], np.array([900.0, 5.0, 0.02, -1.0])[:variables])
-    coefficients = rng.normal(size=(term_count(variables, degree), outputs))
-    polynomial = Polynomial(degree, box, coefficients)
+    orders = total_degree(variables, degree)
+    coefficients = rng.normal(size=(len(orders), outputs))
+    polynomial = Polynomial(orders, box, coefficients)
     swizzle, components = "xyzw"[:variables], {1: "answer[0].x", 3: "answer[0].xyz", 4: "answer[0]"}[outputs]
     inputs = inputs_in(box)
     answer, _ = run(gl_context, value_source("f", polynomial), f"{components} = f(inputs.{swizzle});", inputs)
@@ -88,7 +89,7 @@ def test_any_coefficients_give_the_polynomials_value(gl_context, variables, outp
 
 @pytest.mark.parametrize("source", [value_source, held_source])
 def test_box_is_left_where_the_polynomials_box_is_left(gl_context, source):
-    polynomial = Polynomial(1, DISPLAY_BOX, np.zeros((5, 2)))
+    polynomial = Polynomial(total_degree(4, 1), DISPLAY_BOX, np.zeros((5, 2)))
     half = 0.5 * (DISPLAY_BOX.high - DISPLAY_BOX.low)
     steps = np.array([0.0, 0.9, 1.1, 3.0]) * 2 * BOX_SLACK
     beyond = np.array([half * sign * (1 + step) * axis for sign in (-1, 1) for step in steps for axis in np.eye(4)])

@@ -19,7 +19,7 @@ from wlr_render.calibration.fit_see_through import see_through_of_degree
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, term_count
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _ROWS = 150  # of a capture that take part: a mean needs no more
 _SPARE = 2.0  # times as many places as the model has terms in them must be left
@@ -139,7 +139,7 @@ def _smooth(place: FloatArray, displaced: FloatArray) -> BoolArray:
     degree = next((n for n in range(_DOT_TOP_DEGREE, 0, -1) if term_count(2, n) * _DOTS_PER_TERM <= len(place)), 0)
     if degree == 0:
         return kept
-    design = basis(place, degree, Box.around(place))
+    design = basis(place, total_degree(2, degree), Box.around(place))
     for _ in range(_ROUNDS):
         coefficients = np.linalg.lstsq(design[kept], displaced[kept], rcond=None)[0]
         off = np.linalg.norm(displaced - design @ coefficients, axis=1)

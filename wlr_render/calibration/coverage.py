@@ -4,7 +4,7 @@ import numpy as np
 
 from wlr_render.calibration.regression import RANK_TOLERANCE
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box, basis, term_count
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _SAME = 1e-5  # of the extent: positions closer than this count as one
 
@@ -37,7 +37,8 @@ def missing_coverage(noun: str, samples: FloatArray, axes: str, degree: int) -> 
                 f"degree {degree} needs at least {degree + 1} levels of {axis} among the {noun} and there are "
                 f"{levels}: {degree + 1 - levels} more, or a lower degree"
             )
-    singular = np.linalg.svd(basis(distinct, degree, Box.around(distinct)), compute_uv=False)
+    design = basis(distinct, total_degree(len(axes), degree), Box.around(distinct))
+    singular = np.linalg.svd(design, compute_uv=False)
     if singular[-1] <= RANK_TOLERANCE * singular[0]:
         shape = "curve" if len(axes) == 2 else "surface"
         return f"the {len(distinct)} {noun} lie on one {shape} of degree {degree}: spread them, or use a lower degree"

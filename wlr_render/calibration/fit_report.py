@@ -91,7 +91,7 @@ class FitReport:
             residual_px = Residuals.of(np.linalg.norm(shown.value - captures.pixel, axis=1))
         return cls(
             kind=kind,
-            degree=first.polynomial.degree,
+            degree=first.degree,
             coefficients={name: fitted.polynomial.coefficients.size for name, fitted in fits.items()},
             condition=max(fitted.condition for fitted in fits.values()),
             viewpoints=len(np.unique(captures.capture)),

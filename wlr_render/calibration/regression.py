@@ -14,7 +14,7 @@ import numpy as np
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError, Solution, solve
-from wlr_render.numerics.polynomial import Box, Polynomial, basis, exponents, term_count
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
 
 HIGHEST_DEGREE = 7
 """Of the degrees tried when none is given; the shipped devices reach 0.04' there."""
@@ -98,11 +98,13 @@ class Fitted:
 
     Attributes:
         polynomial: over the samples' box, grown by a margin.
+        degree: its total degree.
         condition: of the scaled design.
         cross_validate: returns `held_out`, at the cost of one solve per fold and degree.
     """
 
     polynomial: Polynomial
+    degree: int
     condition: float
     cross_validate: Callable[[], tuple[HeldOut, ...]]
 
@@ -139,7 +141,7 @@ def fit(regression: Regression, degree: int | None) -> Fitted:
 
     chosen = _lowest_good(cross_validated()) if degree is None else degree
     solution = _solved(regression, folds, top, chosen)
-    return Fitted(_polynomial(regression, box, chosen, solution), solution.condition, cross_validated)
+    return Fitted(_polynomial(regression, box, chosen, solution), chosen, solution.condition, cross_validated)
 
 
 def _highest_degree(regression: Regression) -> int:
@@ -168,7 +170,7 @@ def _compressed(regression: Regression, samples: IntArray, degree: int, box: Box
 
 
 def _weighted_rows(regression: Regression, samples: IntArray, degree: int, box: Box) -> FloatArray:
-    phi = basis(regression.inputs[samples], degree, box)
+    phi = basis(regression.inputs[samples], total_degree(regression.inputs.shape[1], degree), box)
     design = np.einsum("nrb,nt->nrbt", regression.multiplier[samples], phi)
     count, rows = design.shape[:2]
     whole = np.concatenate([design.reshape(count, rows, -1), regression.observed[samples]], axis=2)
@@ -178,7 +180,7 @@ def _weighted_rows(regression: Regression, samples: IntArray, degree: int, box: 
 
 def _columns(regression: Regression, top: int, degree: int) -> IntArray:
     """Columns of the design at degree `top` that belong to the terms of `degree` and lower."""
-    low = exponents(regression.inputs.shape[1], top).sum(axis=1) <= degree
+    low = total_degree(regression.inputs.shape[1], top).sum(axis=1) <= degree
     return np.flatnonzero(np.tile(low, regression.blocks))
 
 
@@ -219,4 +221,5 @@ def _polynomial(regression: Regression, box: Box, degree: int, solution: Solutio
     outputs = regression.observed.shape[2]
     by_block = solution.coefficients.reshape(regression.blocks, -1, outputs)
     terms = by_block.shape[1]
-    return Polynomial(degree, box, np.ascontiguousarray(by_block.transpose(1, 0, 2).reshape(terms, -1)))
+    orders = total_degree(regression.inputs.shape[1], degree)
+    return Polynomial(orders, box, np.ascontiguousarray(by_block.transpose(1, 0, 2).reshape(terms, -1)))

@@ -14,7 +14,7 @@ from wlr_render.diagnosis.diagnosis import Correction
 from wlr_render.diagnosis.fit import held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Box, basis
+from wlr_render.numerics.polynomial import Box, basis, total_degree
 
 Design = tuple[str, str, FloatArray]
 """What a correction is bound to, its form, and its terms for each reading of the part."""
@@ -128,7 +128,7 @@ def _run_time_designs(observations: Observations) -> Iterator[Design]:
 
 
 def _polynomial(variables: FloatArray, degree: int) -> FloatArray:
-    return basis(variables, degree, Box.around(variables))
+    return basis(variables, total_degree(variables.shape[1], degree), Box.around(variables))
 
 
 def _screws(stage: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, term_count
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _DEGREE = 6
 _ROWS_PER_COEFFICIENT = 2.5
@@ -249,7 +249,7 @@ def _smoothed(observations: Observations, residual: FloatArray, part: int, setti
         degree = max((d for d in range(_DEGREE + 1) if term_count(2, d) <= count), default=-1)
         if degree < 2:
             continue
-        design, good = basis(place[rows], degree, box), np.ones(len(rows), dtype=bool)
+        design, good = basis(place[rows], total_degree(2, degree), box), np.ones(len(rows), dtype=bool)
         for _ in range(_OUTLIER_ROUNDS):
             left, leverage, size = _studentised(design, own[rows], good)
             # 1.18: the median length of a two-vector of unit normal components.

@@ -12,7 +12,7 @@ from wlr_render.captures.session import Readings, SeeThroughPlan, Session, Sessi
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box, basis
+from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -106,7 +106,7 @@ def scatter_px(pairs: SeeThroughPairs) -> float:
     """
     sigmas = []
     for bare, through in zip(pairs.bare_px, pairs.through_px, strict=True):
-        design = basis(bare, _SMOOTH_DEGREE, Box.around(bare))
+        design = basis(bare, total_degree(2, _SMOOTH_DEGREE), Box.around(bare))
         displacement = through - bare
         left = displacement - design @ np.linalg.lstsq(design, displacement, rcond=None)[0]
         freedom = len(bare) / (len(bare) - design.shape[1])

@@ -44,9 +44,10 @@ def solve_display(
     Returns:
         Root whose unknown is p~, (n, 2) metres.
     """
+    tangents_at = tangents_of.held((0, 1), pixel)
 
     def residual(point: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        tangents, jacobian = tangents_of.with_jacobian(np.concatenate([pixel[index], point], axis=1), axes=(2, 3))
+        tangents, jacobian = tangents_at.with_jacobian(point, index)
         depth = plane.depth_along(viewpoint[index], tangents)
         carried = viewpoint[index, :2] + depth[:, None] * tangents
         return point - carried, np.eye(2) - plane.carry_by_tangents(depth, tangents) @ jacobian

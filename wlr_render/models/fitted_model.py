@@ -15,7 +15,7 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, QueryResult, Status
 from wlr_render.models.inverse import solve_pixel
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Polynomial, term_count
+from wlr_render.numerics.polynomial import Polynomial
 
 _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
 
@@ -136,11 +136,12 @@ class FittedModel(ABC):
     def __post_init__(self) -> None:
         for name, (variables, outputs) in self.FORMS.items():
             polynomial: Polynomial = getattr(self, name)
-            expected = (term_count(variables, polynomial.degree), outputs)
-            if polynomial.box.low.shape != (variables,) or polynomial.coefficients.shape != expected:
+            found = len(polynomial.box.low), polynomial.orders.shape[1], polynomial.coefficients.shape
+            expected = variables, variables, (len(polynomial.orders), outputs)
+            if found != expected:
                 raise BadInputError(
-                    f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected}, "
-                    f"not {len(polynomial.box.low)} and {polynomial.coefficients.shape}."
+                    f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected[2]}, "
+                    f"not {found[0]} and {found[2]}."
                 )
             if not np.isfinite(polynomial.coefficients).all():
                 raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")

@@ -12,7 +12,7 @@ import numpy as np
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import solve
 from wlr_render.numerics.newton import Residual, Root, solve_2x2
-from wlr_render.numerics.polynomial import Box, Polynomial, basis
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 TOLERANCE = 1e-12
 """On the residual: metres in the base plane where its point is solved for, tangents elsewhere."""
@@ -55,8 +55,10 @@ def solve_pixel(
         Root whose unknown is the pixel, (n, 2).
     """
 
+    tangents_at = tangents_of.held(range(2, 2 + place.shape[1]), place)
+
     def residual(pixel: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        value, jacobian = tangents_of.with_jacobian(np.concatenate([pixel, place[index]], axis=1), axes=(0, 1))
+        value, jacobian = tangents_at.with_jacobian(pixel, index)
         return value - tangents[index], jacobian
 
     cold = backward_start(np.concatenate([place, tangents], axis=1))
@@ -139,4 +141,5 @@ def backward_start_of(forward: Polynomial) -> Polynomial:
     sample = 0.5 * (forward.box.low + forward.box.high) + 0.5 * unit * (forward.box.high - forward.box.low)
     inputs = np.concatenate([sample[:, 2:], forward(sample)], axis=1)
     box = Box.around(inputs)
-    return Polynomial(_START_DEGREE, box, solve(basis(inputs, _START_DEGREE, box), sample[:, :2]).coefficients)
+    orders = total_degree(2 + places, _START_DEGREE)
+    return Polynomial(orders, box, solve(basis(inputs, orders, box), sample[:, :2]).coefficients)

@@ -11,10 +11,11 @@
         report         residuals that the calibration reported, in free form
 
 Versions 1 and 2 are still read. Version 1 has the keys of its single eye in the header. Both have base planes without
-slope, and call a display's `backward_start` `backward`; their see-through `backward` is not used.
+slope and polynomials with the `degree` up to which they hold all terms, and call a display's `backward_start`
+`backward`; their see-through `backward` is not used.
 
 Kinds and the inputs and outputs of their polynomials are those of the classes in this package. A polynomial is
-{degree, low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
+{low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
 terms of `values` (one per output) times the product over inputs of Chebyshev T_k, with k from `orders`. Numbers are
 written so that they are read back exactly.
 """
@@ -37,12 +38,14 @@ from wlr_render.models.fitted_model import Forms
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
-from wlr_render.numerics.polynomial import Box, Polynomial, exponents, term_count
+from wlr_render.numerics.polynomial import Box, Polynomial, term_count, total_degree
 from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-eye-model"
 VERSION = 3
 _BACKWARD = "backward"  # of versions 1 and 2: what backward queries answered with
+HIGHEST_ORDER = 50
+"""Of a variable in a term: no fit comes near it."""
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
 # A new model only needs a line here: its fields and FORMS define its form in the file.
@@ -207,10 +210,8 @@ def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
         return {"width_px": part.width_px, "height_px": part.height_px}
     if isinstance(part, BasePlane):
         return {"z_m": part.z, "slope": list(part.slope)}
-    orders = exponents(len(part.box.low), part.degree).tolist()
-    values = part.coefficients.tolist()
+    orders, values = part.orders.tolist(), part.coefficients.tolist()
     return {
-        "degree": part.degree,
         "low": part.box.low.tolist(),
         "high": part.box.high.tolist(),
         "terms": [{"orders": o, "values": v} for o, v in zip(orders, values, strict=True)],
@@ -242,15 +243,23 @@ def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomi
 
 
 def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
-    degree = table.whole("degree")
     box = Box(table.vector("low", variables), table.vector("high", variables))
     if not np.all(box.low < box.high):
         raise table.fail("'low' must be less than 'high' on every axis.")
     terms = table.tables("terms")
-    if len(terms) != term_count(variables, degree):
-        wanted = term_count(variables, degree)
-        raise table.fail(f"degree {degree} in {variables} variables has {wanted} terms, but 'terms' has {len(terms)}.")
-    orders = np.array([term.vector("orders", variables) for term in terms])
-    if not np.array_equal(orders, exponents(variables, degree)):
-        raise table.fail(f"'terms' must be all those of total degree up to {degree}, ordered by it and by 'orders'.")
-    return Polynomial(degree, box, np.array([term.vector("values", outputs) for term in terms]))
+    if not terms:
+        raise table.fail("'terms' is empty; write one term at least.")
+    read = np.array([term.vector("orders", variables) for term in terms])
+    orders = read.astype(np.int64)
+    if np.any(orders != read) or orders.min() < 0 or orders.max() > HIGHEST_ORDER:
+        raise table.fail(f"'orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
+    if len(np.unique(orders, axis=0)) != len(orders):
+        raise table.fail("'terms' has the same 'orders' twice; write each term once.")
+    if table.has("degree"):  # of version 1 or 2
+        degree = table.whole("degree")
+        if not np.array_equal(orders, total_degree(variables, degree)):
+            raise table.fail(
+                f"'terms' must be all {term_count(variables, degree)} of total degree up to {degree}, ordered by it "
+                "and by 'orders'."
+            )
+    return Polynomial(orders, box, np.array([term.vector("values", outputs) for term in terms]))

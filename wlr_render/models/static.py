@@ -14,7 +14,7 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, pixel_answer
 from wlr_render.models.volumetric import deviated_ray, deviated_view
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
 
 @dataclass(frozen=True)
@@ -75,4 +75,4 @@ def _nowhere(rows: FloatArray) -> FloatArray:
 def undeviated(eye_box: EyeBox) -> StaticSeeThrough:
     """See-through mapping without optics: straight rays, for the baseline that ignores the combiner."""
     everywhere = Box(np.full(2, -10.0), np.full(2, 10.0))
-    return StaticSeeThrough(eye_box, Polynomial(0, everywhere, np.zeros((1, 4))))
+    return StaticSeeThrough(eye_box, Polynomial(total_degree(2, 0), everywhere, np.zeros((1, 4))))

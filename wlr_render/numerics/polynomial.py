@@ -1,13 +1,23 @@
-"""Polynomials of total degree N in scaled variables, with their Jacobian.
+"""Polynomials over any table of terms in scaled variables, with their Jacobian.
 
-The basis is products of Chebyshev polynomials T_k of the variables scaled to -1..1: it spans the same space as the
-monomials and is well conditioned at degree 7 and above, so that rank checks are reliable.
+A term is a product of Chebyshev polynomials T_k of the variables scaled to -1..1: well conditioned at order 7 and
+above, so that rank checks are reliable. The orders may be limited apart for some variables (`limited_orders`): pixels
+are many and camera positions dear.
+
+Hundreds of terms in four or five variables share some dozens of products of the first variables and of the last ones.
+With f and g these products, the value is sum_ij f_i(first) C_ij g_j(last): one matrix product and a short sum, instead
+of a product of columns per term. Whoever moves only some of the variables holds the others (`Polynomial.held`) and pays
+for the short sum alone.
+
+Outside its box, grown by `BOX_SLACK`, a polynomial continues to first order from the nearest point of the box: its
+value is that point's value + Jacobian x excursion. High orders would explode there. The Jacobian stays the derivative
+of the value, so that Newton's method converges there, too; along the excursion it is that point's.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import comb
 
 import numpy as np
@@ -17,8 +27,11 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 BOX_SLACK = 1e-3
 """By how much of its size a fitted box may be left, so that samples on its border count as inside."""
+SCALED_LIMIT = 1.0 + 2.0 * BOX_SLACK
+"""Size of a scaled variable at the border of the box grown by `BOX_SLACK`."""
 
-_CHUNK = 2_048  # rows per block: keeps the basis (rows x terms) in the processor's cache
+_CHUNK = 2_048  # rows per block: keeps their products in the processor's cache
+_SLOW = 12  # time of an element-wise multiplication, in multiplications within a matrix product
 
 
 def term_count(variables: int, degree: int) -> int:
@@ -27,11 +40,29 @@ def term_count(variables: int, degree: int) -> int:
 
 
 @lru_cache(maxsize=64)
-def exponents(variables: int, degree: int) -> IntArray:
-    """(terms, variables) orders of the Chebyshev factors of each term, ordered by total degree; read-only."""
-    rows = [e for e in itertools.product(range(degree + 1), repeat=variables) if sum(e) <= degree]
-    rows.sort(key=lambda e: (sum(e), e))
-    table = np.array(rows, dtype=np.int64).reshape(-1, variables)
+def total_degree(variables: int, degree: int) -> IntArray:
+    """(terms, variables) orders of all terms of total order <= `degree`, ordered by it; read-only."""
+    rows = itertools.product(range(degree + 1), repeat=variables)
+    return _order_table((row for row in rows if sum(row) <= degree), variables)
+
+
+@lru_cache(maxsize=64)
+def limited_orders(first: int, first_limit: int, second: int, second_limit: int, total: int) -> IntArray:
+    """(terms, first + second) orders limited apart, ordered as those of `total_degree`; read-only.
+
+    Args:
+        first, second: numbers of variables.
+        first_limit, second_limit: of the joint order of the first and of the second variables.
+        total: limit of the order of all.
+    """
+    heads = total_degree(first, min(first_limit, total)).tolist()
+    tails = total_degree(second, min(second_limit, total)).tolist()
+    rows = (tuple(head + tail) for head in heads for tail in tails if sum(head) + sum(tail) <= total)
+    return _order_table(rows, first + second)
+
+
+def _order_table(rows: Iterable[tuple[int, ...]], variables: int) -> IntArray:
+    table = np.array(sorted(rows, key=lambda row: (sum(row), row)), dtype=np.int64).reshape(-1, variables)
     table.setflags(write=False)
     return table
 
@@ -54,6 +85,11 @@ class Box:
         flat = high - low <= 1e-12 * np.maximum(1.0, np.abs(high))
         return cls(np.where(flat, low - 0.5, low), np.where(flat, high + 0.5, high))
 
+    @property
+    def per_unit(self) -> FloatArray:
+        """(variables,) scaled units per unit of the inputs."""
+        return np.asarray(2.0 / (self.high - self.low))
+
     def scaled(self, inputs: FloatArray) -> FloatArray:
         """Scale inputs (..., variables) to -1..1 inside the box."""
         return np.asarray((2.0 * inputs - self.low - self.high) / (self.high - self.low))
@@ -62,58 +98,221 @@ class Box:
         """Whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 
-
-def _chebyshev_tables(scaled: FloatArray, degree: int, derivative: bool) -> tuple[FloatArray, FloatArray | None]:
-    """T_k and dT_k/dx for k = 0..degree, (degree + 1, variables, n) each."""
-    x = np.ascontiguousarray(scaled.T)
-    t = np.empty((degree + 1, *x.shape))
-    t[0] = 1.0
-    if degree >= 1:
-        t[1] = x
-    for k in range(2, degree + 1):
-        t[k] = 2.0 * x * t[k - 1] - t[k - 2]
-    if not derivative:
-        return t, None
-    d = np.zeros_like(t)
-    if degree >= 1:
-        d[1] = 1.0
-    for k in range(2, degree + 1):
-        d[k] = 2.0 * t[k - 1] + 2.0 * x * d[k - 1] - d[k - 2]
-    return t, d
+    def of(self, axes: Sequence[int]) -> "Box":
+        """The box of some of the variables."""
+        return Box(self.low[list(axes)], self.high[list(axes)])
 
 
-def basis(inputs: FloatArray, degree: int, box: Box) -> FloatArray:
-    """Design matrix (n, terms) of samples (n, variables)."""
-    orders = exponents(inputs.shape[-1], degree)
-    t, _ = _chebyshev_tables(box.scaled(inputs), degree, derivative=False)
-    result = t[orders[:, 0], 0]
-    for axis in range(1, orders.shape[1]):
-        result *= t[orders[:, axis], axis]
+@dataclass(frozen=True)
+class _Products:
+    """Products of Chebyshev polynomials of some variables, for n inputs.
+
+    Attributes:
+        value: (products, n) at the point of the box nearest to each input.
+        slopes: (products, n) by each scaled variable, there; empty if not asked for and all inputs are inside.
+        beyond: (variables, n) from there to the input; None if all inputs are inside.
+        bends: (products, n) by each scaled variable: the derivative of `excess` less the slope; empty with `slopes`, or
+            if all inputs are inside.
+    """
+
+    value: FloatArray
+    slopes: list[FloatArray]
+    beyond: FloatArray | None
+    bends: list[FloatArray]
+
+    @classmethod
+    def of(cls, orders: IntArray, box: Box, inputs: FloatArray, slopes: bool = False) -> "_Products":
+        """Of orders (products, variables) at inputs (n, variables)."""
+        x, beyond = np.ascontiguousarray(box.scaled(inputs).T), None
+        if x.size and not np.abs(x).max() <= SCALED_LIMIT:  # NaN, too
+            inside = np.clip(x, -SCALED_LIMIT, SCALED_LIMIT)
+            x, beyond, slopes = inside, x - inside, True
+        t = np.empty((int(orders.max(initial=0)) + 1, *x.shape))
+        t[0] = 1.0
+        if len(t) > 1:
+            t[1] = x
+        for k in range(2, len(t)):
+            t[k] = 2.0 * x * t[k - 1] - t[k - 2]
+        factors = [t[orders[:, axis], axis] for axis in range(len(x))]
+        value = _product(factors, (len(orders), x.shape[1]))
+        if not slopes:
+            return cls(value, [], beyond, [])
+        d = np.zeros_like(t)
+        if len(t) > 1:
+            d[1] = 1.0
+        for k in range(2, len(t)):
+            d[k] = 2.0 * t[k - 1] + 2.0 * x * d[k - 1] - d[k - 2]
+        slopes_of = [d[orders[:, axis], axis] for axis in range(len(x))]
+
+        def differentiated(*axes: int) -> FloatArray:
+            mixed = [slopes_of[axis] if axis in axes else factor for axis, factor in enumerate(factors)]
+            return _product(mixed, value.shape)
+
+        bends = []
+        if beyond is not None:
+            for axis in range(len(x)):
+                others = [other for other in range(len(x)) if other != axis]
+                bend = sum((beyond[other] * differentiated(axis, other) for other in others), np.zeros_like(value))
+                bends.append(np.where(beyond[axis] == 0, bend, 0.0))
+        return cls(value, [differentiated(axis) for axis in range(len(x))], beyond, bends)
+
+    @property
+    def excess(self) -> FloatArray:
+        """(products, n) slopes x excursion."""
+        assert self.beyond is not None
+        parts = (slope * beyond for slope, beyond in zip(self.slopes, self.beyond, strict=True))
+        return np.asarray(sum(parts, start=np.zeros_like(self.value)))
+
+
+def _product(factors: list[FloatArray], shape: tuple[int, int]) -> FloatArray:
+    if not factors:
+        return np.ones(shape)
+    result = factors[0]
+    for factor in factors[1:]:
+        result = result * factor
+    return result
+
+
+def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
+    """Design matrix (n, terms) of samples (n, variables): each term's value, continued outside the box as a polynomial.
+
+    Args:
+        inputs: (n, variables).
+        orders: (terms, variables), see `Polynomial`.
+        box: that scales the inputs.
+    """
+    middle = (orders.shape[1] + 1) // 2
+    (first, row), (second, column) = _distinct(orders[:, :middle]), _distinct(orders[:, middle:])
+    axes = range(orders.shape[1])
+    head = _Products.of(first, box.of(axes[:middle]), inputs[:, :middle])
+    tail = _Products.of(second, box.of(axes[middle:]), inputs[:, middle:])
+    result = head.value[row] * tail.value[column]
+    if head.beyond is not None:
+        result += head.excess[row] * tail.value[column]
+    if tail.beyond is not None:
+        result += head.value[row] * tail.excess[column]
     return np.ascontiguousarray(result.T)
+
+
+def _distinct(orders: IntArray) -> tuple[IntArray, IntArray]:
+    """The distinct rows of (terms, variables), and for each term the index of its row."""
+    if orders.shape[1] == 0:
+        return np.zeros((1, 0), np.int64), np.zeros(len(orders), np.int64)
+    rows, index = np.unique(orders, axis=0, return_inverse=True)
+    return rows, index.reshape(-1)
+
+
+@dataclass(frozen=True)
+class _Split:
+    """The terms as products of factors of the held and of the free variables.
+
+    Attributes:
+        held_axes, free_axes: the variables; together all.
+        held_orders, free_orders: (factors, variables) of each.
+        table: (outputs * free factors, held factors) coefficients; zero where there is no term.
+    """
+
+    held_axes: list[int]
+    free_axes: list[int]
+    held_orders: IntArray
+    free_orders: IntArray
+    table: FloatArray
+
+    @classmethod
+    def of(cls, orders: IntArray, coefficients: FloatArray, held_axes: Sequence[int]) -> "_Split":
+        held = list(held_axes)
+        free = [axis for axis in range(orders.shape[1]) if axis not in held]
+        held_orders, row = _distinct(orders[:, held])
+        free_orders, column = _distinct(orders[:, free])
+        table = np.zeros((len(free_orders), len(held_orders), coefficients.shape[1]))
+        np.add.at(table, (column, row), coefficients)
+        by_output = np.ascontiguousarray(np.moveaxis(table, 2, 0))
+        return cls(held, free, held_orders, free_orders, by_output.reshape(-1, len(held_orders)))
+
+    @property
+    def cost(self) -> int:
+        """Of an evaluation, in multiplications within a matrix product."""
+        products = len(self.held_orders) * len(self.held_axes) + len(self.free_orders) * len(self.free_axes)
+        return self.table.size + _SLOW * (len(self.table) + products)
+
+
+class HeldPolynomial:
+    """A polynomial some of whose variables are held, row by row; `Polynomial.held` makes one."""
+
+    def __init__(self, split: _Split, box: Box, inputs: FloatArray) -> None:
+        """Hold the rows of inputs (n, held variables)."""
+        self._orders, self._box = split.free_orders, box.of(split.free_axes)
+        factors = _Products.of(split.held_orders, box.of(split.held_axes), inputs)
+        shape = (len(split.table) // len(self._orders), len(self._orders), len(inputs))
+        self._border = (split.table @ factors.value).reshape(shape)
+        beyond = factors.beyond is not None
+        self._here = (split.table @ (factors.value + factors.excess)).reshape(shape) if beyond else self._border
+
+    def __call__(self, inputs: FloatArray, index: IntArray | None = None) -> FloatArray:
+        """Values (m, outputs) at the free variables (m, axes ascending).
+
+        Args:
+            inputs: (m, free variables).
+            index: (m,) the held rows that they belong to, ascending and each once; None for all.
+        """
+        factors = _Products.of(self._orders, self._box, inputs)
+        value = _summed(_rows(self._here, index), factors.value)
+        if factors.beyond is not None:
+            value += _summed(_rows(self._border, index), factors.excess)
+        return value.T
+
+    def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Value (m, outputs) and Jacobian (m, outputs, free variables), see `__call__`."""
+        factors = _Products.of(self._orders, self._box, inputs, slopes=True)
+        border = _rows(self._border, index)
+        here = border if self._here is self._border else _rows(self._here, index)
+        value = _summed(here, factors.value)
+        if factors.beyond is not None:
+            value += _summed(border, factors.excess)
+        jacobian = np.empty((len(inputs), len(value), inputs.shape[1]))
+        for axis, (slope, per_unit) in enumerate(zip(factors.slopes, self._box.per_unit, strict=True)):
+            derivative = _summed(here, slope)
+            if factors.beyond is not None:
+                fixed = factors.beyond[axis] != 0  # there, the nearest point of the box does not move with the variable
+                derivative = np.where(fixed, _summed(border, slope), derivative) + _summed(border, factors.bends[axis])
+            np.multiply(derivative.T, per_unit, out=jacobian[..., axis])
+        return value.T, jacobian
+
+
+def _rows(coefficients: FloatArray, index: IntArray | None) -> FloatArray:
+    """Those of an ascending index without repetition: all of them if it is as long."""
+    if index is None or len(index) == coefficients.shape[2]:
+        return coefficients
+    return np.take(coefficients, index, axis=2)
+
+
+def _summed(coefficients: FloatArray, factors: FloatArray) -> FloatArray:
+    """(outputs, n) sums over the factors of coefficients (outputs, factors, n) x factors (factors, n)."""
+    return np.asarray(np.einsum("ofn,fn->on", coefficients, factors))
 
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A vector-valued polynomial of total degree `degree` over `box`.
+    """A vector-valued polynomial over `box`, continued to first order outside.
 
     Attributes:
-        degree: total degree N.
+        orders: (terms, variables) orders of the Chebyshev factors of each term.
         box: bounds of the fit; it also scales the variables.
-        coefficients: (terms, outputs), rows in the order of `exponents`.
+        coefficients: (terms, outputs).
     """
 
-    degree: int
+    orders: IntArray
     box: Box
     coefficients: FloatArray
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Values (..., outputs) at inputs (..., variables)."""
-        flat = inputs.reshape(-1, inputs.shape[-1])
-        result = np.empty((flat.shape[0], self.coefficients.shape[1]))
-        for start in range(0, flat.shape[0], _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            result[rows] = basis(flat[rows], self.degree, self.box) @ self.coefficients
-        return result.reshape(*inputs.shape[:-1], result.shape[1])
+        split = self._cheapest()
+
+        def value(rows: FloatArray) -> tuple[FloatArray]:
+            return (HeldPolynomial(split, self.box, rows[:, split.held_axes])(rows[:, split.free_axes]),)
+
+        return _in_blocks(value, inputs)[0]
 
     def with_jacobian(self, inputs: FloatArray, axes: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
         """Value (..., outputs) and Jacobian (..., outputs, axes) of (..., variables), in the inputs' units.
@@ -122,30 +321,44 @@ class Polynomial:
             inputs: (..., variables).
             axes: the variables to differentiate by, or None for all.
         """
-        by, outputs = range(inputs.shape[-1]) if axes is None else axes, self.coefficients.shape[1]
-        flat = inputs.reshape(-1, inputs.shape[-1])
-        value = np.empty((flat.shape[0], outputs))
-        jacobian = np.empty((flat.shape[0], outputs, len(by)))
-        for start in range(0, flat.shape[0], _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            value[rows], jacobian[rows] = self._block(flat[rows], by)
-        lead = inputs.shape[:-1]
-        return value.reshape(*lead, outputs), jacobian.reshape(*lead, outputs, len(by))
+        by = list(range(inputs.shape[-1]) if axes is None else axes)
+        first = self._cheapest()
+        second = self._split(first.free_axes)
 
-    def _block(self, inputs: FloatArray, axes: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        orders = exponents(inputs.shape[1], self.degree)
-        t, d = _chebyshev_tables(self.box.scaled(inputs), self.degree, derivative=True)
-        assert d is not None
-        per_unit = 2.0 / (self.box.high - self.box.low)
-        factors = [t[orders[:, axis], axis] for axis in range(orders.shape[1])]
-        columns = []
-        for axis in axes:
-            product = d[orders[:, axis], axis]
-            for other, factor in enumerate(factors):
-                if other != axis:
-                    product *= factor
-            columns.append(per_unit[axis] * (product.T @ self.coefficients))
-        whole = factors[0]
-        for factor in factors[1:]:
-            whole = whole * factor
-        return whole.T @ self.coefficients, np.stack(columns, axis=-1)
+        def both(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+            jacobian = np.empty((len(rows), self.coefficients.shape[1], rows.shape[1]))
+            for split in (first, second):
+                if split is first or set(by) & set(split.free_axes):
+                    held = HeldPolynomial(split, self.box, rows[:, split.held_axes])
+                    value, jacobian[..., split.free_axes] = held.with_jacobian(rows[:, split.free_axes])
+            return value, jacobian[..., by]
+
+        value, jacobian = _in_blocks(both, inputs)
+        return value, jacobian
+
+    def held(self, axes: Sequence[int], inputs: FloatArray) -> HeldPolynomial:
+        """Hold the variables `axes` at (n, axes); the result is a polynomial of the others, ascending."""
+        return HeldPolynomial(self._split(axes), self.box, inputs)
+
+    @cached_property
+    def _splits(self) -> dict[tuple[int, ...], _Split]:
+        return {}
+
+    def _split(self, held_axes: Sequence[int]) -> _Split:
+        key = tuple(held_axes)
+        if key not in self._splits:
+            self._splits[key] = _Split.of(self.orders, self.coefficients, key)
+        return self._splits[key]
+
+    def _cheapest(self) -> _Split:
+        """Of the splits into first and last variables: by their orders, pixel | place or place | direction."""
+        variables = self.orders.shape[1]
+        return min((self._split(range(cut)) for cut in range(1, variables + 1)), key=lambda split: split.cost)
+
+
+def _in_blocks(function: Callable[[FloatArray], tuple[FloatArray, ...]], inputs: FloatArray) -> tuple[FloatArray, ...]:
+    """The results of a function of (n, variables), block by block, for (..., variables)."""
+    flat = inputs.reshape(-1, inputs.shape[-1])
+    starts = range(0, max(len(flat), 1), _CHUNK)
+    parts = zip(*(function(flat[start : start + _CHUNK]) for start in starts), strict=True)
+    return tuple(np.concatenate(part).reshape(*inputs.shape[:-1], *part[0].shape[1:]) for part in parts)

@@ -17,7 +17,7 @@ from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents
 from wlr_render.mappings import EyeMappings, Panel, QueryResult, Status, StatusArray
 from wlr_render.numerics import least_squares, newton
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial, basis
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.tracer import trace
 
@@ -56,11 +56,12 @@ def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
     half = 0.5 * eye_box.size
     box = Box(np.r_[0.0, 0.0, eye_box.centre - half], np.r_[panel.size_px, eye_box.centre + half])
     targets = np.broadcast_to(tangents, pixel.shape)[kept]
+    orders = total_degree(5, _DEGREE)
     try:
-        solution = least_squares.solve(basis(inputs, _DEGREE, box), targets)
+        solution = least_squares.solve(basis(inputs, orders, box), targets)
     except least_squares.RankDeficientError as error:
         raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.") from error
-    return Polynomial(_DEGREE, box, solution.coefficients)
+    return Polynomial(orders, box, solution.coefficients)
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:

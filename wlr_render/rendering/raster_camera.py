@@ -17,7 +17,7 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial, basis
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_grid
 from wlr_render.rendering.ray_map import middle_axes, required_tangents, solve_pixels
 from wlr_render.rendering.view import View
@@ -100,8 +100,9 @@ class RasterPosition:
             for each in viewpoints
         ]
         shift = transforms.rotate(device_from_camera, np.array(shift_in_camera))
-        coefficients, *_ = np.linalg.lstsq(basis(viewpoints, _DEGREE, self._box), shift)
-        self._shift = Polynomial(_DEGREE, self._box, coefficients.astype(np.float64))
+        orders = total_degree(3, _DEGREE)
+        coefficients, *_ = np.linalg.lstsq(basis(viewpoints, orders, self._box), shift)
+        self._shift = Polynomial(orders, self._box, coefficients.astype(np.float64))
 
     def at(self, viewpoint: FloatArray) -> FloatArray:
         """Camera positions (..., 3) for viewpoints (..., 3), both in the device frame.
