@@ -15,9 +15,9 @@ DEGREES = {3: 2, 5: 3}  # of the display, and of see-through beside it
 
 
 @lru_cache
-def captures(device):
+def captures(device, kind="planar"):
     setup = CaptureSetup(traced_eye(load_device(device), "right"), grid=(17, 15))
-    positions, rng = setup.camera_positions("planar", 25), np.random.default_rng(0)
+    positions, rng = setup.camera_positions(kind, 25), np.random.default_rng(0)
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 

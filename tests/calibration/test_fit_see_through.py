@@ -8,8 +8,8 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
+from wlr_render.geometry.planes import BasePlane
 from wlr_render.geometry.rays import distance_to_point, split
-from wlr_render.mappings import EyeBox
 
 RNG = np.random.default_rng(9)
 BASE = places_among(positions_in_plane(12), 40, seed=8)
@@ -132,10 +132,10 @@ def test_a_design_that_does_not_determine_the_model_is_refused_with_what_is_miss
         fit_see_through(captures, kind, degree)
 
 
-def test_eye_box_beyond_the_target_and_unknown_kinds_are_refused():
+def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
     captures = see_through_captures(positions_in_plane(6))
     with pytest.raises(BadInputError, match="lies beyond some target points"):
-        fit_see_through(replace(captures, eye_box=EyeBox(np.array([0, 0, -0.5]), np.ones(3))), "planar", 1)
+        fit_see_through(captures, "planar", 1, BasePlane(-0.5))
     with pytest.raises(BadInputError, match="'point-per-pixel' is unknown"):
         fit_see_through(captures, "point-per-pixel", 1)
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.coverage import missing_coverage
 from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
@@ -12,6 +13,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import DisplayMapping
 from wlr_render.models.bundle import BundleDisplay
+from wlr_render.models.contraction import require_unique
+from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.models.inverse import backward_start_of
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.static import StaticDisplay
@@ -19,7 +22,7 @@ from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError
 
-_DisplayFit = tuple[DisplayMapping, DisplayCaptures, dict[str, Fitted]]
+_DisplayFit = tuple[FittedDisplay, DisplayCaptures, dict[str, Fitted]]
 """A fitted mapping, the captures it was made from, and its fits by polynomial name."""
 
 
@@ -35,15 +38,17 @@ def fit_display(
         kind: "planar" (viewpoints are carried along their measured rays to the base plane), "volumetric",
             "static" (only the camera position nearest to the eye box's centre is used) or "point-per-pixel".
         degree: total degree N, or None to choose it by held-out camera positions.
-        base_plane: of a planar model; None for the plane through the eye box's centre.
+        base_plane: of a planar model; None for the plane of `choose_base_plane`.
 
     Raises:
-        BadInputError: an unknown kind, or captures that do not determine the model; the sentence says what is missing.
+        BadInputError: an unknown kind, or captures that do not determine the model, or a model
+            that may have two solutions; the sentence says what is missing.
     """
     mapping, used, fits = _fitted(captures, kind, degree, base_plane)
+    contraction = require_unique(mapping.contraction(), kind, "display")
     seen = mapping.view_dir_of_pixel(used.pixel, used.viewpoint)
     shown = mapping.pixel_of_view_dir(used.view_dir, used.viewpoint)
-    return mapping, FitReport.of(kind, used, fits, seen, shown)
+    return mapping, FitReport.of(kind, used, fits, contraction, seen, shown)
 
 
 def display_of_degree(captures: DisplayCaptures, kind: str, degree: int) -> DisplayMapping:
@@ -62,7 +67,7 @@ def _fitted(
     if lacks := _lacking_viewpoints(captures, kind, lowest):
         raise BadInputError(f"{refusal}: {lacks}.")
     try:
-        return _KINDS[kind](captures, base_plane or BasePlane(float(captures.eye_box.centre[2])), degree)
+        return _KINDS[kind](captures, base_plane or choose_base_plane(captures.viewpoint, captures.eye_box), degree)
     except RankDeficientError as error:
         lacks = missing_coverage("panel pixels", captures.pixel, "uv", lowest)
         reason = lacks or "pixels and viewpoints are not spread independently of each other"

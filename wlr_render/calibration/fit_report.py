@@ -47,6 +47,7 @@ class FitReport:
         unsolved: samples at which the fitted model has no answer.
         residual_arcmin: of the view directions, predicted from pixel (or real point) and viewpoint by the whole model.
         residual_px: of the pixels, predicted from view direction and viewpoint; None for see-through.
+        contraction: of the model's solve over the eye box; below 1 the solve has one solution (`models.contraction`).
         held_out_arcmin: of the forward fit, per degree tried; a degree that the positions left over cannot determine is
             missing.
     """
@@ -60,6 +61,7 @@ class FitReport:
     unsolved: int
     residual_arcmin: Residuals
     residual_px: Residuals | None
+    contraction: float
     held_out_arcmin: tuple[HeldOut, ...]
 
     def held_out_at_degree(self) -> HeldOut | None:
@@ -72,6 +74,7 @@ class FitReport:
         kind: str,
         captures: DisplayCaptures | SeeThroughCaptures,
         fits: dict[str, Fitted],
+        contraction: float,
         seen: QueryResult,
         shown: QueryResult | None = None,
     ) -> "FitReport":
@@ -81,6 +84,7 @@ class FitReport:
             kind: of the model.
             captures: n rows.
             fits: by polynomial name.
+            contraction: of the model's solve.
             seen: predicted view directions (n, 3).
             shown: predicted panel pixels (n, 2), for a display.
         """
@@ -99,5 +103,6 @@ class FitReport:
             unsolved=int(np.sum(~usable)),
             residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
             residual_px=residual_px,
+            contraction=contraction,
             held_out_arcmin=first.held_out,
         )

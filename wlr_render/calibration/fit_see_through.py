@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.coverage import missing_coverage
 from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
@@ -12,12 +13,14 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import SeeThroughMapping
 from wlr_render.models.bundle import BundleSeeThrough
+from wlr_render.models.contraction import require_unique
+from wlr_render.models.fitted_model import FittedSeeThrough
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.least_squares import RankDeficientError
 
-_SeeThroughFit = tuple[SeeThroughMapping, SeeThroughCaptures, dict[str, Fitted]]
+_SeeThroughFit = tuple[FittedSeeThrough, SeeThroughCaptures, dict[str, Fitted]]
 """A fitted mapping, the captures it was made from, and its fits by polynomial name."""
 
 
@@ -35,14 +38,16 @@ def fit_see_through(
         kind: "planar", "volumetric" or "static" (of each target pose, only the camera position nearest to the eye
             box's centre is used).
         degree: total degree N, or None to choose it by held-out camera positions.
-        base_plane: of a planar model; None for the plane through the eye box's centre.
+        base_plane: of a planar model; None for the plane of `choose_base_plane`.
 
     Raises:
-        BadInputError: an unknown kind, a point behind the base plane, or captures that do not determine the
-            model; the sentence says what is missing.
+        BadInputError: an unknown kind, a point behind the base plane, captures that do not determine the model, or a
+            model that may have two solutions; the sentence says what is missing.
     """
     mapping, used, fits = _fitted(captures, kind, degree, base_plane)
-    return mapping, FitReport.of(kind, used, fits, mapping.view_dir_of_real_point(used.point, used.viewpoint))
+    contraction = require_unique(mapping.contraction(), kind, "see-through")
+    seen = mapping.view_dir_of_real_point(used.point, used.viewpoint)
+    return mapping, FitReport.of(kind, used, fits, contraction, seen)
 
 
 def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) -> SeeThroughMapping:
@@ -55,7 +60,7 @@ def _fitted(
 ) -> _SeeThroughFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
-    plane = base_plane or BasePlane(float(captures.eye_box.centre[2]))
+    plane = base_plane or choose_base_plane(captures.viewpoint, captures.eye_box)
     if np.any(plane.depth_of(captures.point) <= 0):
         raise BadInputError(
             f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."

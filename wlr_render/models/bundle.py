@@ -20,11 +20,12 @@ import numpy as np
 
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.contraction import display_contraction, see_through_contraction
 from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined, pixel_answer
 from wlr_render.models.inverse import Deviation, solve_view_tangents, solve_warm_then_cold
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.newton import Root
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 
 def solve_display(
@@ -112,6 +113,10 @@ class BundleDisplay(FittedDisplay):
 
     FORMS: ClassVar[Forms] = {"forward": (4, 2), "backward_start": (4, 2)}
 
+    def contraction(self) -> float:
+        """Of the forward solve for p~; see `contraction.display_contraction`."""
+        return display_contraction(self.forward, self.base_plane, self.eye_box)
+
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         root = solve_display(self.forward, self.base_plane, pixel, viewpoint, start)
         inputs = joined(pixel, root.unknown)
@@ -141,6 +146,18 @@ class BundleSeeThrough(FittedSeeThrough):
     deviation: Polynomial
 
     FORMS: ClassVar[Forms] = {"deviation": (4, 4)}
+
+    def contraction(self) -> float:
+        """Of the backward solve for the view tangents; see `contraction.see_through_contraction`."""
+
+        def deviation_at(tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
+            return _deviation_at(self.deviation, self.base_plane, tangents, viewpoint)
+
+        def contains(tangents: FloatArray, viewpoint: FloatArray) -> BoolArray:
+            return self.deviation.box.contains(joined(self.base_plane.carry(viewpoint, tangents), tangents))
+
+        box = self.deviation.box
+        return see_through_contraction(deviation_at, contains, self.eye_box, Box(box.low[2:], box.high[2:]))
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         in_plane = self.base_plane.carry(viewpoint, tangents)

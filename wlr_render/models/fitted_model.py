@@ -12,7 +12,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, QueryResult, Status
+from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Panel, QueryResult, Status
 from wlr_render.models.inverse import solve_pixel
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial
@@ -146,6 +146,10 @@ class FittedModel(ABC):
             if not np.isfinite(polynomial.coefficients).all():
                 raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
 
+    def contraction(self) -> float:
+        """How strongly the model's solve contracts over the eye box, see `models.contraction`; 0 for closed forms."""
+        return 0.0
+
     @abstractmethod
     def _forward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         """Display: pixels (m, 2) -> view tangents. See-through: view tangents -> (m, 5), a ray's point and tangents."""
@@ -156,7 +160,13 @@ class FittedModel(ABC):
 
 
 class FittedDisplay(FittedModel):
-    """Base of display models with a forward and a backward formula."""
+    """Base of display models with a forward and a backward formula.
+
+    Attributes:
+        panel: the panel.
+    """
+
+    panel: Panel
 
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

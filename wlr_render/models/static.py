@@ -12,7 +12,7 @@ import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, pixel_answer
-from wlr_render.models.volumetric import deviated_ray, deviated_view
+from wlr_render.models.volumetric import deviated_contraction, deviated_ray, deviated_view
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
@@ -59,6 +59,10 @@ class StaticSeeThrough(FittedSeeThrough):
     forward: Polynomial
 
     FORMS: ClassVar[Forms] = {"forward": (2, 4)}
+
+    def contraction(self) -> float:
+        """Of the backward solve; see `contraction.see_through_contraction`."""
+        return deviated_contraction(self.forward, self.eye_box, _nowhere)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         return deviated_ray(self.forward, _nowhere(tangents), tangents, viewpoint)

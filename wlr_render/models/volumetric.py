@@ -4,14 +4,16 @@ The forward queries are in closed form, the backward ones solve them. The model 
 same ray of a pixel see it in the same direction.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.contraction import see_through_contraction
 from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined, pixel_answer
 from wlr_render.models.inverse import Deviation, solve_view_tangents
-from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,33 @@ class VolumetricSeeThrough(FittedSeeThrough):
 
     FORMS: ClassVar[Forms] = {"forward": (5, 4)}
 
+    def contraction(self) -> float:
+        """Of the backward solve; see `contraction.see_through_contraction`."""
+        return deviated_contraction(self.forward, self.eye_box, lambda viewpoint: viewpoint)
+
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         return deviated_ray(self.forward, viewpoint, tangents, viewpoint)
 
     def _backward(self, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         return deviated_view(self.forward, viewpoint, point, viewpoint, start)
+
+
+def deviated_contraction(forward: Polynomial, eye_box: EyeBox, place_of: Callable[[FloatArray], FloatArray]) -> float:
+    """Contraction of `deviated_view`, for the places (m, any) of viewpoints (m, 3)."""
+    box = Box(forward.box.low[-2:], forward.box.high[-2:])
+
+    def contains(tangents: FloatArray, viewpoint: FloatArray) -> BoolArray:
+        return forward.box.contains(joined(place_of(viewpoint), tangents))
+
+    def deviation_at(tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
+        return _deviation(forward, place_of(viewpoint), tangents)
+
+    return see_through_contraction(deviation_at, contains, eye_box, box)
+
+
+def _deviation(forward: Polynomial, place: FloatArray, tangents: FloatArray) -> Deviation:
+    by = place.shape[1], place.shape[1] + 1
+    return Deviation.at_viewpoint(*forward.with_jacobian(joined(place, tangents), axes=by))
 
 
 def deviated_ray(forward: Polynomial, place: FloatArray, tangents: FloatArray, viewpoint: FloatArray) -> Answer:
@@ -78,10 +102,9 @@ def deviated_view(
     forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Answer:
     """The view direction whose `deviated_ray` passes through the point."""
-    by = place.shape[1], place.shape[1] + 1
 
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
-        return Deviation.at_viewpoint(*forward.with_jacobian(joined(place[index], tangents), axes=by))
+        return _deviation(forward, place[index], tangents)
 
     root = solve_view_tangents(deviation_at, point, viewpoint, start)
     inside = forward.box.contains(joined(place, root.unknown))

@@ -1,0 +1,116 @@
+"""Contraction against differences of the fixed-point map itself, and a model that has two solutions."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from toy_models import (
+    EYE_BOX,
+    IN_PLANE,
+    PIXELS,
+    PLANE,
+    SEE_THROUGHS,
+    TANGENTS,
+    box,
+    bundle_display,
+    bundle_see_through,
+    point_per_pixel_display,
+    polynomial,
+    static_display,
+    volumetric_display,
+)
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.geometry.rays import at_z
+from wlr_render.mappings import EYE_BOX_MARGIN
+from wlr_render.models.bundle import solve_display
+from wlr_render.models.contraction import NEAREST_POINT_M, require_unique
+
+RNG = np.random.default_rng(4)
+COUNT = 20_000
+STEP = 1e-6
+PLANES = [PLANE, BasePlane(0.02 - 0.3 * 0.03, (0.3, -0.2))]
+
+
+def viewpoints():
+    """Half of them at corners of the eye box as far as it counts, (COUNT, 3)."""
+    unit = RNG.uniform(-1, 1, (COUNT, 3))
+    unit[::2] = np.sign(unit[::2])
+    return EYE_BOX.centre + unit * (0.5 * EYE_BOX.size + EYE_BOX_MARGIN)
+
+
+def small_steps():
+    angle = RNG.uniform(0, 2 * np.pi, COUNT)
+    return STEP * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@pytest.mark.parametrize("plane", PLANES, ids=["untilted", "tilted"])
+def test_display_contraction_is_that_of_the_projection(plane):
+    display = dataclasses.replace(bundle_display(), base_plane=plane)
+    viewpoint, step = viewpoints(), small_steps()
+    place = RNG.uniform(*IN_PLANE, (COUNT, 2))
+    pixel = np.where(RNG.random((COUNT, 2)) < 0.5, PIXELS[0], PIXELS[1])
+
+    def projected(place):
+        return plane.carry(viewpoint, display.forward(np.hstack([pixel, place])))
+
+    shrunk = np.linalg.norm(projected(place + step) - projected(place), axis=1) / STEP
+    assert 0.85 * display.contraction() < shrunk.max() < 1.01 * display.contraction()
+
+
+@pytest.mark.parametrize("plane", PLANES, ids=["untilted", "tilted"])
+@pytest.mark.parametrize("kind", SEE_THROUGHS)
+def test_see_through_contraction_is_that_of_its_rays(kind, plane):
+    see_through = SEE_THROUGHS[kind]()
+    if kind == "planar":
+        see_through = dataclasses.replace(see_through, base_plane=plane)
+    viewpoint, step = viewpoints(), small_steps()
+    tangents = RNG.uniform(*TANGENTS, (COUNT, 2))
+    depth = NEAREST_POINT_M * np.where(RNG.random(COUNT) < 0.5, 1.0, 1e6)
+
+    def corrected(tangents):
+        """Less the ray's lateral miss over the depth of a point on the axis."""
+        ray = see_through.real_ray_of_view_dir(dir_of_tangents(tangents), viewpoint).value
+        return tangents - (at_z(ray, viewpoint[:, 2] - depth)[:, :2] - viewpoint[:, :2]) / depth[:, None]
+
+    inside = see_through.real_ray_of_view_dir(dir_of_tangents(tangents), viewpoint).usable
+    shrunk = np.linalg.norm(corrected(tangents + step) - corrected(tangents), axis=1)[inside] / STEP
+    assert 0.85 * see_through.contraction() < shrunk.max() < 1.01 * see_through.contraction()
+
+
+@pytest.mark.parametrize("display", [volumetric_display(), static_display(), point_per_pixel_display()])
+def test_closed_forms_have_no_contraction_to_state(display):
+    assert display.contraction() == 0.0
+
+
+BULGE = 1e5 / 3
+
+
+def folded_display():
+    """t_x = BULGE (x - 0.03)^2, so that a viewpoint 3 mm behind the plane solves d = w + 100 d^2 for d = x - 0.03."""
+
+    def folded(inputs):
+        return np.stack([BULGE * (inputs[:, 2] - 0.03) ** 2, 0.0 * inputs[:, 0]], axis=-1)
+
+    return dataclasses.replace(bundle_display(), forward=polynomial(folded, box(PIXELS, IN_PLANE), 2))
+
+
+def test_a_model_with_two_solutions_is_found_out():
+    display = folded_display()
+    viewpoint, pixel = np.array([[0.0316, 0.0, 0.023]] * 2), np.array([[500.0, 400.0]] * 2)
+    assert EYE_BOX.contains(viewpoint).all()
+    root = solve_display(display.forward, PLANE, pixel, viewpoint, np.array([[0.0315, 0.0], [0.0385, 0.0]]))
+    assert root.converged.all()
+    np.testing.assert_allclose(root.unknown[:, 0], [0.032, 0.038], atol=1e-9)
+    assert display.forward.box.contains(np.hstack([pixel, root.unknown])).all()
+    assert display.contraction() == pytest.approx(2 * BULGE * 0.01 * (0.003 + EYE_BOX_MARGIN))
+    with pytest.raises(BadInputError, match=r"may have two solutions at one viewpoint: its contraction .* is 2.3 and"):
+        require_unique(display.contraction(), "planar", "display")
+
+
+def test_a_contraction_that_is_not_a_number_is_refused():
+    with pytest.raises(BadInputError, match=r"the static see-through model may have .* add camera positions"):
+        require_unique(np.nan, "static", "see-through")
+    assert require_unique(bundle_see_through().contraction(), "planar", "see-through") < 0.5
