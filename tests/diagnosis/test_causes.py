@@ -9,6 +9,7 @@ from small_session import run_time_plan
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan, select_rows
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.optics.assembly import ASSEMBLY_ERRORS, assembled
 from wlr_render.optics.device import Path
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
@@ -249,3 +250,22 @@ def see_through_at_middle(dot):
     zeros = np.zeros(count)
     whole = zeros.astype(int)
     return SessionPlan(see_through=SeeThroughPlan(whole, zeros, zeros + 1, np.zeros((count, 3)), whole, dot))
+
+
+@pytest.mark.parametrize("error", ASSEMBLY_ERRORS, ids=lambda error: error.name)
+def test_the_fit_of_a_prescription_moves_the_same_parts_by_the_same_plausible_sizes(bench, error):
+    names = {"panel_shift": ("panel_shift", "panel_axial_shift")}.get(error.name, (error.name,))
+    sizes = [parameter.prior_sigma for name in names for parameter in CAUSES[name].parameters]
+    np.testing.assert_array_equal(sizes, error.plausible_size)
+    values = np.zeros((len(ASSEMBLY_ERRORS), 3))
+    values[ASSEMBLY_ERRORS.index(error)] = sizes
+    fitted, moved, left = assembled(bench.optics, values.ravel()), bench, sizes
+    for name in names:
+        count = len(CAUSES[name].parameters)
+        moved, left = CAUSES[name].perturb(moved, np.array(left[:count])), left[count:]
+    for one, other in zip(fitted.surfaces(), moved.optics.surfaces(), strict=True):
+        np.testing.assert_allclose(one.device_from_surface, other.device_from_surface, atol=1e-12)
+    np.testing.assert_allclose(fitted.panel.device_from_panel, moved.optics.panel.device_from_panel, atol=1e-12)
+    assert not np.allclose(fitted.panel.device_from_panel, bench.optics.panel.device_from_panel) or not np.allclose(
+        fitted.surfaces()[0].device_from_surface, bench.optics.surfaces()[0].device_from_surface
+    )

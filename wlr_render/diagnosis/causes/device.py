@@ -3,15 +3,17 @@
 Device frame, metres, radians unless said.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from wlr_render.diagnosis.cause import Cause, Parameter, Role, changed, turn
+from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role, changed
 from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics import assembly
 from wlr_render.optics.device import (
     ClearAperture,
     EyeOptics,
@@ -23,10 +25,8 @@ from wlr_render.optics.device import (
 )
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.surfaces import Conic, Offset
-from wlr_render.optics.tracer import trace
 from wlr_render.simulation.bench import Bench
 
-_UNITS = "spread (1.48 MAD) of 16 calibrated Project North Star units about their CAD"
 _PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
 _PLATE_APART = 0.05  # metres from one added plate to the next
 _PLATE_HALF_SIZE = 0.2  # metres
@@ -39,33 +39,16 @@ def _with_optics(bench: Bench, optics: EyeOptics) -> Bench:
     return replace(bench, device=device)
 
 
-def _combiner_middle(bench: Bench) -> FloatArray:
-    """Where the line of sight from the middle of the eye box meets the first surface, else its origin; (3,)."""
-    optics = bench.optics
-    if not optics.display.steps:
-        return optics.eye_box.centre
-    seen = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, bench.target_wavelength_um)
-    origin = optics.display.steps[0].surface.device_from_surface[:3, 3]
-    return np.where(np.isfinite(seen.origin), seen.origin, origin)
+def _of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
+    return lambda bench, values: _with_optics(bench, change(bench.optics, values))
 
 
-def _combiner_turned(bench: Bench, tilt_deg: FloatArray) -> Bench:
-    """All surfaces turned together about the combiner's middle by angles (3,) about x, y and z."""
-    rotation, pivot = turn(tilt_deg), _combiner_middle(bench)
-    return _surfaces_moved(bench, rigid(rotation, pivot - rotation @ pivot))
-
-
-def _surfaces_moved(bench: Bench, moved_from_device: FloatArray) -> Bench:
-    def moved(surface: PlacedSurface) -> PlacedSurface:
-        return replace(surface, device_from_surface=moved_from_device @ surface.device_from_surface)
-
-    return _with_optics(bench, bench.optics.with_surfaces(moved))
-
-
-def _panel_moved(bench: Bench, panel_from_moved: FloatArray) -> Bench:
-    """The panel moved along its own axes."""
-    panel = bench.optics.panel
-    return _with_panel(bench, replace(panel, device_from_panel=panel.device_from_panel @ panel_from_moved))
+def _sizes(error: assembly.AssemblyError, names: Sequence[str], first: int = 0) -> tuple[Parameter, ...]:
+    """Parameters with the plausible sizes that the fit of a prescription takes, too; from axis `first` on."""
+    return tuple(
+        Parameter(name, error.unit, size)
+        for name, size in zip(names, error.plausible_size[first : first + len(names)], strict=True)
+    )
 
 
 def _panel_scaled(bench: Bench, scale_percent: FloatArray) -> Bench:
@@ -111,7 +94,7 @@ def _combiner_thickened(
 
 def _outward(bench: Bench, surface: PlacedSurface, along_axis: bool) -> float:
     """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1."""
-    middle = _combiner_middle(bench)
+    middle = assembly.combiner_middle(bench.optics)
     pose = surface.surface_from_device
     local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
     normal = surface.shape.normal(local)[:, 0]
@@ -160,50 +143,48 @@ OPTICS = (
         "combiner_tilt",
         "combiner tilted",
         "device",
-        tuple(Parameter(f"tilt_{axis}", "deg", 1.0) for axis in "xyz"),
-        source=f"{_UNITS}: 1.3 to 2.4 deg to the screen",
+        _sizes(assembly.COMBINER_TILT, ("tilt_x", "tilt_y", "tilt_z")),
+        source=f"{assembly.SOURCE}: 1.3 to 2.4 deg to the screen",
         separated_by="see-through captures of a near target: a shift of the panel leaves them alone, a tilt does not",
-        variants={"about its middle": _combiner_turned},
+        variants={"about its middle": _of_optics(assembly.combiner_turned)},
     ),
     Cause(
         "combiner_shift",
         "combiner displaced",
         "device",
-        tuple(Parameter(f"shift_{axis}", "mm", 1.5) for axis in "xyz"),
-        source=f"{_UNITS}: 1.0, 2.0, 1.6 mm",
+        _sizes(assembly.COMBINER_SHIFT, ("shift_x", "shift_y", "shift_z")),
+        source=f"{assembly.SOURCE}: 1.0, 2.0, 1.6 mm",
         separated_by="see-through captures of a near target, and display captures farther off the base plane",
-        variants={"as a whole": lambda bench, mm: _surfaces_moved(bench, rigid(np.eye(3), 1e-3 * mm))},
+        variants={"as a whole": _of_optics(assembly.combiner_shifted)},
     ),
     Cause(
         "panel_shift",
         "panel displaced in its plane",
         "device",
-        tuple(Parameter(f"shift_{axis}", "mm", 1.0) for axis in "uv"),
-        source=f"{_UNITS}: 0.7 and 2.5 mm",
+        _sizes(assembly.PANEL_SHIFT, ("shift_u", "shift_v")),
+        source=f"{assembly.SOURCE}: 0.7 and 2.5 mm",
         separated_by="a photograph of the bare panel against its frame; display captures farther off the base plane",
-        variants={"along u and v": lambda bench, mm: _panel_moved(bench, rigid(np.eye(3), 1e-3 * np.append(mm, 0.0)))},
+        variants={"along u and v": _of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append(mm, 0.0)))},
     ),
     Cause(
         "panel_axial_shift",
         "panel displaced along its normal",
         "device",
-        (Parameter("shift", "mm", 0.5),),
-        source=f"{_UNITS}: 0.5 mm",
+        _sizes(assembly.PANEL_SHIFT, ("shift",), first=2),
+        source=f"{assembly.SOURCE}: 0.5 mm",
         separated_by="display captures over a deeper eye box: a magnified panel swims differently from a displaced one",
         variants={
-            "along the normal": lambda bench, mm: _panel_moved(
-                bench, rigid(np.eye(3), 1e-3 * np.array([0.0, 0.0, mm[0]]))
-            )
+            "along the normal": _of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append([0.0, 0.0], mm)))
         },
     ),
     Cause(
         "panel_rotation",
         "panel turned about its centre",
         "device",
-        (Parameter("about_u", "deg", 1.0), Parameter("about_v", "deg", 1.0), Parameter("roll", "deg", 1.0)),
-        source=f"{_UNITS}: 1.3 to 2.4 deg of the normal",
+        _sizes(assembly.PANEL_ROTATION, ("about_u", "about_v", "roll")),
+        source=f"{assembly.SOURCE}: 1.3 to 2.4 deg of the normal",
         separated_by="a photograph of the bare panel against its frame",
-        variants={"about its centre": lambda bench, deg: _panel_moved(bench, rigid(turn(deg), np.zeros(3)))},
+        variants={"about its centre": _of_optics(assembly.panel_turned)},
     ),
     Cause(
         "panel_scale",

@@ -1,0 +1,58 @@
+"""Headsets that differ from their prescription: parts stand elsewhere, and surfaces have another shape.
+
+Errors are drawn in terms of their own (turns about random points, parts of a mould scaled in one axis), not in those
+that a fit of the prescription knows.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.sag_surfaces import XYPolynomial
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
+
+_PIVOT_M = 0.02  # how far from a part's own origin the points lie about which it turns
+
+
+def wrong_headset(
+    optics: EyeOptics, rng: np.random.Generator, turn_deg: float = 0.2, shift_mm: float = 0.3, shape: float = 0.0
+) -> EyeOptics:
+    """Optics whose combiner and panel are displaced, and whose surfaces are misshapen.
+
+    Args:
+        optics: the prescription.
+        rng: source of the displacements.
+        turn_deg, shift_mm: standard deviations per axis of the displacements.
+        shape: relative error of the first semi-axis of each ellipsoid; where there is none, of the curvature of each
+            sphere, or of the curvature along x of each polynomial.
+    """
+    combiner = _displacement(optics.surfaces()[0].device_from_surface[:3, 3], rng, turn_deg, shift_mm)
+    panel = _displacement(optics.panel.device_from_panel[:3, 3], rng, turn_deg, shift_mm)
+    moved = optics.with_surfaces(
+        lambda s: replace(s, device_from_surface=combiner @ s.device_from_surface, shape=misshapen(s.shape, shape))
+    )
+    return replace(moved, panel=replace(optics.panel, device_from_panel=panel @ optics.panel.device_from_panel))
+
+
+def misshapen(shape: Shape, relative: float) -> Shape:
+    """A surface with an error of its shape; see `wrong_headset`. Planes stay planes."""
+    if isinstance(shape, Offset):
+        return replace(shape, base=misshapen(shape.base, relative))
+    if isinstance(shape, Ellipsoid):
+        return replace(shape, semi_axes=shape.semi_axes * np.array([1.0 + relative, 1.0, 1.0]))
+    if isinstance(shape, Conic):
+        return replace(shape, curvature=shape.curvature * (1.0 + relative))
+    if isinstance(shape, XYPolynomial):
+        coefficients = shape.coefficients.copy()
+        coefficients[2, 0] *= 1.0 + relative
+        return replace(shape, coefficients=coefficients)
+    raise TypeError(f"no error of the shape is known for {type(shape).__name__}")
+
+
+def _displacement(near: FloatArray, rng: np.random.Generator, turn_deg: float, shift_mm: float) -> FloatArray:
+    pivot = near + rng.uniform(-_PIVOT_M, _PIVOT_M, 3)
+    rotation = rotations_of_vectors(np.deg2rad(rng.normal(0.0, turn_deg, 3)))
+    return rigid(rotation, pivot - rotation @ pivot + 1e-3 * rng.normal(0.0, shift_mm, 3))

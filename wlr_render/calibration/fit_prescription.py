@@ -1,0 +1,221 @@
+"""Fit a prescription's assembly errors to captures, and compile the fitted optics into the trend of a model.
+
+The only module of calibration that imports the optics. The prescription is an input that the user names, as a drawing
+of the headset: never the exact device, whose parts stand elsewhere and whose surfaces differ. What the fitted
+prescription does not explain is left to the fit of the model.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box
+from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES, assembled
+from wlr_render.optics.compile_polynomials import CompiledMap, compile_display, compile_see_through
+from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.traced_mappings import TracedDisplay
+from wlr_render.optics.tracer import trace
+
+_READINGS = 2500  # of the display, and as many of see-through: far more than twelve numbers need
+_ROUNDS = 6
+_SETTLED = 0.02  # of the residuals' size, from one round to the next
+_FLOOR_ARCMIN = 1e-3  # exact captures
+_LOST = 100.0  # residual, in their size, of a reading whose ray misses the optics: it no longer counts
+_MISSING_ALLOWED = 0.2  # of the readings
+_IMPLAUSIBLE = 6.0  # plausible sizes
+_EVALUATIONS = 40  # of the Jacobian, a round: a prescription of this headset needs about five
+_TANGENT_STEP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class FittedAssembly:
+    """A prescription with fitted assembly errors.
+
+    Attributes:
+        prescription: without assembly errors.
+        values: (12,) its assembly errors, see `optics.assembly.ASSEMBLY_NAMES`.
+        covariance: (12, 12) of the values, if residuals were independent; a wrong shape makes them larger.
+        display_arcmin, see_through_arcmin: robust standard deviation of the residuals per axis, noise included; None
+            without see-through captures.
+        wavelength_um: of the light, vacuum.
+    """
+
+    prescription: EyeOptics
+    values: FloatArray
+    covariance: FloatArray
+    display_arcmin: float
+    see_through_arcmin: float | None
+    wavelength_um: float
+
+    @property
+    def optics(self) -> EyeOptics:
+        """The prescription with its assembly errors."""
+        return assembled(self.prescription, self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledTrend:
+    """The fitted prescription as polynomials, with their derivatives by the assembly errors.
+
+    Attributes:
+        assembly: the fit that was compiled.
+        base_plane: the plane of p~.
+        display: (u px, v px, x m, y m) -> (tx, ty).
+        see_through: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m); None if there is no box for it.
+    """
+
+    assembly: FittedAssembly
+    base_plane: BasePlane
+    display: CompiledMap
+    see_through: CompiledMap | None
+
+
+def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
+    """Fit the twelve assembly errors of a prescription to display and see-through captures together.
+
+    Robust nonlinear least squares of angles; each error has a Gaussian prior of its plausible size. The size of the
+    residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
+
+    Raises:
+        BadInputError: many readings have no ray through the prescription, or an assembly error is implausibly large.
+    """
+    parts: list[_DisplayReadings | _SeeThroughReadings] = [_DisplayReadings.of(captures.display, optics, wavelength_um)]
+    if captures.see_through is not None:
+        parts.append(_SeeThroughReadings(_thinned(captures.see_through), wavelength_um))
+    scaled = np.zeros(len(ASSEMBLY_NAMES))
+    sizes = [_robust_size(part.residual(optics)) for part in parts]
+    for _ in range(_ROUNDS):
+
+        def residual(scaled: FloatArray, sizes: list[float] = sizes) -> FloatArray:
+            changed = assembled(optics, ASSEMBLY_SIZES * scaled)
+            found = [part.residual(changed) / size for part, size in zip(parts, sizes, strict=True)]
+            return np.concatenate([*(np.nan_to_num(each, nan=_LOST) for each in found), scaled])
+
+        solution = least_squares(
+            residual, scaled, loss="soft_l1", f_scale=2.0, diff_step=1e-5, xtol=1e-6, ftol=1e-8, max_nfev=_EVALUATIONS
+        )
+        scaled, fitted = solution.x, assembled(optics, ASSEMBLY_SIZES * solution.x)
+        before, sizes = sizes, [_robust_size(part.residual(fitted)) for part in parts]
+        if np.allclose(sizes, before, rtol=_SETTLED):
+            break
+    for part in parts:
+        _check_reached(part.residual(fitted), captures.display.device)
+    _check_plausible(scaled, captures.display.device)
+    covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
+    display_arcmin, *see_through_arcmin = (size / ARCMIN for size in sizes)
+    return FittedAssembly(
+        optics, ASSEMBLY_SIZES * scaled, covariance, display_arcmin, next(iter(see_through_arcmin), None), wavelength_um
+    )
+
+
+def compiled_trend(
+    assembly: FittedAssembly, base_plane: BasePlane, display_box: Box, see_through_box: Box | None = None
+) -> CompiledTrend:
+    """Compile the fitted prescription.
+
+    Args:
+        assembly: the fit.
+        base_plane: of the model.
+        display_box: of its inputs (u px, v px, x m, y m).
+        see_through_box: of its inputs (x m, y m, tx, ty); None for a display alone.
+
+    Raises:
+        BadInputError: hardly any ray of a box passes the optics.
+    """
+    fitted = (assembly.prescription, assembly.values, base_plane)
+    display = compile_display(*fitted, display_box, assembly.wavelength_um)
+    if see_through_box is None:
+        return CompiledTrend(assembly, base_plane, display, None)
+    see_through = compile_see_through(*fitted, see_through_box, assembly.wavelength_um)
+    return CompiledTrend(assembly, base_plane, display, see_through)
+
+
+@dataclass(frozen=True, eq=False)
+class _DisplayReadings:
+    """Display captures as residuals.
+
+    Attributes:
+        captures: a part of all.
+        tangents_by_pixel: (n, 2, 2) of the prescription, NaN where it has no ray: turns residuals into angles.
+        wavelength_um: vacuum.
+    """
+
+    captures: DisplayCaptures
+    tangents_by_pixel: FloatArray
+    wavelength_um: float
+
+    @classmethod
+    def of(cls, captures: DisplayCaptures, optics: EyeOptics, wavelength_um: float) -> "_DisplayReadings":
+        captures = _thinned(captures)
+        display = TracedDisplay(optics, wavelength_um)
+        steps = _TANGENT_STEP * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])[:, None]
+        pixel, _ = display.plane_pixel(dir_of_tangents(captures.tangents + steps), captures.viewpoint)
+        by_tangents = np.moveaxis(pixel[1:] - pixel[0], 0, -1) / _TANGENT_STEP
+        by_tangents[~np.isfinite(by_tangents).all(axis=(1, 2))] = np.nan
+        return cls(captures, np.linalg.inv(by_tangents), wavelength_um)
+
+    def residual(self, optics: EyeOptics) -> FloatArray:
+        """Angles (2 n,) in radians from the measured pixels to those of the measured rays; NaN without a ray."""
+        found, _ = TracedDisplay(optics, self.wavelength_um).plane_pixel(
+            self.captures.view_dir, self.captures.viewpoint
+        )
+        change = np.einsum("nij,nj->ni", self.tangents_by_pixel, found - self.captures.pixel)
+        return _angles(change, self.captures.tangents)
+
+
+@dataclass(frozen=True, eq=False)
+class _SeeThroughReadings:
+    """See-through captures as residuals."""
+
+    captures: SeeThroughCaptures
+    wavelength_um: float
+
+    def residual(self, optics: EyeOptics) -> FloatArray:
+        """Angles (2 n,) in radians, seen from the viewpoint, by which world rays pass the points; NaN without a ray."""
+        captures = self.captures
+        seen = trace(optics.see_through, captures.viewpoint, captures.view_dir, self.wavelength_um)
+        past = BasePlane(0.0).carry(seen.origin - captures.point, tangents_of_dir(seen.direction))
+        depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
+        return _angles(past / depth, captures.tangents)
+
+
+def _angles(change: FloatArray, tangents: FloatArray) -> FloatArray:
+    """Changes (n, 2) of tangents (n, 2) as angles (2 n,), of the right size on average over all directions."""
+    return np.asarray(change * (1.0 + np.sum(tangents**2, axis=1, keepdims=True)) ** -0.75).reshape(-1)
+
+
+def _thinned(captures: AnyCaptures) -> AnyCaptures:
+    if len(captures) <= _READINGS:
+        return captures
+    return select(captures, np.sort(np.random.default_rng(0).permutation(len(captures))[:_READINGS]))
+
+
+def _robust_size(residual: FloatArray) -> float:
+    """1.48 times the median absolute residual, radians."""
+    known = np.abs(residual[np.isfinite(residual)])
+    return float(max(1.48 * np.median(known) if len(known) else 0.0, _FLOOR_ARCMIN * ARCMIN))
+
+
+def _check_reached(residual: FloatArray, device: str) -> None:
+    lost = float(np.mean(~np.isfinite(residual)))
+    if lost > _MISSING_ALLOWED:
+        raise BadInputError(
+            f"{100 * lost:.0f} % of the readings of {device} have no ray through the prescription, however its parts "
+            "are moved; check that it is of this headset and this eye, and in the device frame."
+        )
+
+
+def _check_plausible(scaled: FloatArray, device: str) -> None:
+    largest = int(np.argmax(np.abs(scaled)))
+    if abs(scaled[largest]) > _IMPLAUSIBLE:
+        raise BadInputError(
+            f"the prescription would explain the captures of {device} only with {ASSEMBLY_NAMES[largest]} = "
+            f"{ASSEMBLY_SIZES[largest] * scaled[largest]:.3g}, {abs(scaled[largest]):.0f} times what is plausible; "
+            "check that it is of this headset and this eye, and in the device frame."
+        )

@@ -1,0 +1,96 @@
+"""Assembly errors of a headset: the combiner and the panel stand elsewhere than in the prescription.
+
+Metres and radians inside, device frame; the values of the errors are in millimetres and degrees, as in prescriptions.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import EyeOptics, Path
+from wlr_render.optics.tracer import trace
+
+_FORWARD = np.array([0.0, 0.0, -1.0])
+_WAVELENGTH_UM = 0.55  # of the ray that finds the combiner's middle; its first surface is met before any refraction
+
+
+@dataclass(frozen=True)
+class AssemblyError:
+    """One rigid motion of the combiner or of the panel, in three numbers.
+
+    Attributes:
+        name: as in reports.
+        axes: names of the numbers.
+        unit: "deg" or "mm".
+        plausible_size: (3,) standard deviations of what is met in practice, in that unit.
+    """
+
+    name: str
+    axes: tuple[str, str, str]
+    unit: str
+    plausible_size: tuple[float, float, float]
+
+
+SOURCE = "spread (1.48 MAD) of 16 calibrated Project North Star units about their CAD"
+COMBINER_TILT = AssemblyError("combiner_tilt", ("x", "y", "z"), "deg", (1.0, 1.0, 1.0))  # 1.3 to 2.4 to the screen
+COMBINER_SHIFT = AssemblyError("combiner_shift", ("x", "y", "z"), "mm", (1.5, 1.5, 1.5))  # 1.0, 2.0, 1.6
+PANEL_SHIFT = AssemblyError("panel_shift", ("u", "v", "normal"), "mm", (1.0, 1.0, 0.5))  # 0.7, 2.5, 0.5
+PANEL_ROTATION = AssemblyError("panel_rotation", ("u", "v", "roll"), "deg", (1.0, 1.0, 1.0))  # 1.3 to 2.4, its normal
+ASSEMBLY_ERRORS = (COMBINER_TILT, COMBINER_SHIFT, PANEL_SHIFT, PANEL_ROTATION)
+
+ASSEMBLY_NAMES = tuple(f"{error.name}_{axis}_{error.unit}" for error in ASSEMBLY_ERRORS for axis in error.axes)
+"""Names of the twelve values of `assembled`, with their units."""
+ASSEMBLY_SIZES = np.concatenate([error.plausible_size for error in ASSEMBLY_ERRORS])
+"""(12,) their plausible sizes, standard deviations."""
+
+
+def assembled(optics: EyeOptics, values: FloatArray) -> EyeOptics:
+    """The optics with assembly errors `values` (12,), in the order of `ASSEMBLY_NAMES`; zeros leave them unchanged.
+
+    All surfaces move together: they are turned about the combiner's middle, then shifted. The panel moves in its own
+    frame: it is shifted along its axes, then turned about its centre.
+    """
+    tilt, shift, panel_shift, panel_rotation = np.asarray(values, dtype=np.float64).reshape(4, 3)
+    combiner = combiner_shifted(combiner_turned(optics, tilt), shift)
+    return panel_turned(panel_shifted(combiner, panel_shift), panel_rotation)
+
+
+def combiner_middle(optics: EyeOptics) -> FloatArray:
+    """Where the line of sight from the middle of the eye box meets the first surface, else its origin; (3,)."""
+    if not optics.display.steps:
+        return optics.eye_box.centre
+    seen = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, _WAVELENGTH_UM)
+    origin = optics.display.steps[0].surface.device_from_surface[:3, 3]
+    return np.where(np.isfinite(seen.origin), seen.origin, origin)
+
+
+def combiner_turned(optics: EyeOptics, tilt_deg: FloatArray) -> EyeOptics:
+    """All surfaces turned together about the combiner's middle by angles (3,) about x, y and z."""
+    rotation, pivot = rotations_of_vectors(np.deg2rad(tilt_deg)), combiner_middle(optics)
+    return _surfaces_moved(optics, rigid(rotation, pivot - rotation @ pivot))
+
+
+def combiner_shifted(optics: EyeOptics, shift_mm: FloatArray) -> EyeOptics:
+    """All surfaces shifted together along x, y and z (3,)."""
+    return _surfaces_moved(optics, rigid(np.eye(3), 1e-3 * shift_mm))
+
+
+def panel_shifted(optics: EyeOptics, shift_mm: FloatArray) -> EyeOptics:
+    """The panel shifted along its u axis, its v axis and its normal (3,)."""
+    return _panel_moved(optics, rigid(np.eye(3), 1e-3 * shift_mm))
+
+
+def panel_turned(optics: EyeOptics, rotation_deg: FloatArray) -> EyeOptics:
+    """The panel turned about its centre by angles (3,) about its u axis, its v axis and its normal."""
+    return _panel_moved(optics, rigid(rotations_of_vectors(np.deg2rad(rotation_deg)), np.zeros(3)))
+
+
+def _surfaces_moved(optics: EyeOptics, moved_from_device: FloatArray) -> EyeOptics:
+    return optics.with_surfaces(lambda s: replace(s, device_from_surface=moved_from_device @ s.device_from_surface))
+
+
+def _panel_moved(optics: EyeOptics, panel_from_moved: FloatArray) -> EyeOptics:
+    panel = optics.panel
+    return replace(optics, panel=replace(panel, device_from_panel=panel.device_from_panel @ panel_from_moved))
