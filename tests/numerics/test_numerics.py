@@ -49,6 +49,115 @@ def test_jacobian_is_the_derivative_for_every_batch_shape(lead):
     np.testing.assert_array_equal(model.with_jacobian(x, axes=(3, 1))[1], jacobian[..., [3, 1]])
 
 
+TABLES = {
+    "pixel | place": polynomial.limited_orders(2, 8, 2, 5, 8),
+    "pixel | place in space": polynomial.limited_orders(2, 4, 3, 2, 5),
+    "place in space | direction": polynomial.limited_orders(3, 2, 2, 4, 5),
+    "one variable": polynomial.total_degree(1, 4),
+    "shuffled, with gaps": np.array([[0, 3, 1], [0, 0, 0], [2, 0, 4], [1, 3, 0]]),
+}
+
+
+def random_model(orders, seed=4):
+    rng, variables = np.random.default_rng(seed), orders.shape[1]
+    low = rng.uniform(-3, 0, variables)
+    box = polynomial.Box(low, low + rng.uniform(0.5, 4, variables))
+    return polynomial.Polynomial(orders, box, rng.normal(size=(len(orders), 3)))
+
+
+def inputs_of(model, grown):
+    """Inputs in the box, or in a larger one."""
+    unit = np.random.default_rng(5).uniform(-grown, grown, (60, len(model.box.low)))
+    return 0.5 * (model.box.low + model.box.high) + 0.5 * unit * (model.box.high - model.box.low)
+
+
+def plain_sum(model, inputs):
+    x = model.box.scaled(inputs)
+    terms = [np.prod(np.cos(order * np.arccos(x)), axis=1) for order in model.orders]
+    return np.array(terms).T @ model.coefficients
+
+
+def test_orders_are_limited_apart_and_ordered_by_their_sum():
+    assert len(polynomial.limited_orders(2, 8, 2, 5, 8)) == 420
+    orders = polynomial.limited_orders(2, 3, 1, 1, 3)
+    every = polynomial.total_degree(3, 3)
+    np.testing.assert_array_equal(orders, every[every[:, 2] <= 1])
+    np.testing.assert_array_equal(polynomial.limited_orders(2, 9, 2, 9, 3), polynomial.total_degree(4, 3))
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_value_and_basis_are_the_sum_over_the_terms(name):
+    model = random_model(TABLES[name])
+    inputs = inputs_of(model, 1.0)
+    expected = plain_sum(model, inputs)
+    np.testing.assert_allclose(model(inputs), expected, atol=1e-11)
+    np.testing.assert_allclose(
+        polynomial.basis(inputs, model.orders, model.box) @ model.coefficients, expected, atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("grown", [1.0, 1.5])
+@pytest.mark.parametrize("name", TABLES)
+def test_jacobian_is_the_derivative_in_the_box_and_beyond(name, grown):
+    model = random_model(TABLES[name])
+    inputs = inputs_of(model, grown)
+    value, jacobian = model.with_jacobian(inputs)
+    np.testing.assert_allclose(value, model(inputs), atol=1e-11)
+    np.testing.assert_allclose(
+        polynomial.basis(inputs, model.orders, model.box) @ model.coefficients, value, atol=1e-10
+    )
+    for axis in range(inputs.shape[1]):
+        shift = 1e-6 * np.eye(inputs.shape[1])[axis]
+        slope = (model(inputs + shift) - model(inputs - shift)) / 2e-6
+        np.testing.assert_allclose(jacobian[..., axis], slope, rtol=1e-6, atol=1e-6 * np.abs(jacobian).max())
+
+
+@pytest.mark.parametrize("grown", [1.0, 1.5])
+@pytest.mark.parametrize("held_axes", [(0, 1), (2, 3), (3,), (1, 3), (0, 1, 2, 3), ()])
+def test_a_held_polynomial_is_the_whole_one_in_its_other_variables(held_axes, grown):
+    model = random_model(TABLES["pixel | place"])
+    inputs, free = inputs_of(model, grown), [axis for axis in range(4) if axis not in held_axes]
+    held = model.held(held_axes, inputs[:, list(held_axes)])
+    value, jacobian = model.with_jacobian(inputs)
+    np.testing.assert_allclose(held(inputs[:, free]), value, atol=1e-10)
+    some = np.array([3, 7, 8, 40])
+    held_value, held_jacobian = held.with_jacobian(inputs[some][:, free], some)
+    np.testing.assert_allclose(held_value, value[some], atol=1e-10)
+    np.testing.assert_allclose(held_jacobian, jacobian[some][..., free], atol=1e-9)
+
+
+def test_beyond_the_box_a_polynomial_is_linear_and_joins_smoothly():
+    model = random_model(TABLES["pixel | place"])
+    centre, half = 0.5 * (model.box.low + model.box.high), 0.5 * (model.box.high - model.box.low)
+    border = 1.0 + 2.0 * polynomial.BOX_SLACK
+    for unit in ([border, 0.3, -0.2, 0.5], [0.1, -border, border, 0.0], [-border] * 4):
+        outwards = half * np.where(np.abs(unit) == border, np.sign(unit), 0.0)
+        edge = centre + half * np.array(unit)
+        inside, there, outside = (model.with_jacobian(edge + step * outwards) for step in (-1e-9, 0.0, 1e-9))
+        for part in (0, 1):
+            scale = np.abs(there[part]).max()
+            np.testing.assert_allclose(inside[part], there[part], atol=1e-6 * scale)
+            np.testing.assert_allclose(outside[part], there[part], atol=1e-6 * scale)
+        for step in (0.1, 2.0, 1e3):
+            expected = there[0] + step * there[1] @ outwards
+            np.testing.assert_allclose(model(edge + step * outwards), expected, rtol=1e-9)
+    # Inside the slack it is still the polynomial itself.
+    unit = np.array([[border - 1e-4, 0.0, 0.0, 0.0]])
+    order = model.orders[:, 0]
+    terms = np.cosh(order * np.arccosh(unit[0, 0])) * np.prod(np.cos(model.orders[:, 1:] * 0.5 * np.pi), axis=1)
+    np.testing.assert_allclose(model(centre + half * unit)[0], terms @ model.coefficients, atol=1e-10)
+
+
+def test_inputs_that_are_not_finite_have_no_value():
+    model = random_model(TABLES["pixel | place"])
+    inputs = inputs_of(model, 1.0)
+    expected = model(inputs)
+    inputs[5, 1] = np.nan
+    value = model(inputs)
+    assert np.isnan(value[5]).all()
+    np.testing.assert_allclose(np.delete(value, 5, axis=0), np.delete(expected, 5, axis=0), atol=1e-12)
+
+
 def test_least_squares_recovers_coefficients():
     rng = np.random.default_rng(3)
     model = random_polynomial(rng, 2, 3)

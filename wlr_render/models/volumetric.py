@@ -102,9 +102,10 @@ def deviated_view(
     forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Answer:
     """The view direction whose `deviated_ray` passes through the point."""
+    forward_at = forward.held(range(place.shape[1]), place)
 
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
-        return _deviation(forward, place[index], tangents)
+        return Deviation.at_viewpoint(*forward_at.with_jacobian(tangents, index))
 
     root = solve_view_tangents(deviation_at, point, viewpoint, start)
     inside = forward.box.contains(joined(place, root.unknown))

@@ -15,12 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, Status, StatusArray, require_planar
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.cpu_ray_maps import CpuNodeSolver, checked_viewpoint
-from wlr_render.rendering.ray_map import RayMap, RayMapPlan
-from wlr_render.rendering.shader_polynomial import held_source, value_source
+from wlr_render.rendering.ray_map import NEAREST_M, RayMap, RayMapPlan
+from wlr_render.rendering.shader_polynomial import held_source, thinned, value_source
 from wlr_render.rendering.warp_grid import WarpGrid
 
 
@@ -87,6 +88,10 @@ LAST_STEP_M = 3e-6
 """A Newton step in the base plane that ends the solve: t follows its slope over it to 1e-4 arcmin, for slopes that
 change by less than 6 rad/m in a millimetre; and a thousand times what float32 leaves of a step."""
 
+DROPPED = 0.002 * ARCMIN
+"""Terms of a polynomial are dropped while they change no direction by more, in each of the display's tangents, A and
+B / NEAREST_M: a fifteenth of the best fits' error (0.03'), and no more than float32 loses."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
@@ -98,7 +103,11 @@ class _Solution:
 
 
 class GlPlanarSolver:
-    """`RayMapSolver` of one eye's planar models, in a shader compiled for its models."""
+    """`RayMapSolver` of one eye's planar models, in a shader compiled for its models.
+
+    Attributes:
+        dropped_arcmin: bounds what dropped terms of the polynomials change in a world ray within the fit, to NEAREST_M.
+    """
 
     def __init__(
         self,
@@ -114,9 +123,11 @@ class GlPlanarSolver:
         """
         self._display, self._see_through = require_planar(mappings)
         self._context, self._warp_grid, self._device_from_camera = context, warp_grid, device_from_camera
-        functions = held_source("display", self._display.forward) + value_source(
-            "deviation", self._see_through.deviation
-        )
+        display = thinned(self._display.forward, np.full(2, DROPPED))
+        deviation = thinned(self._see_through.deviation, DROPPED * np.array([1.0, 1.0, NEAREST_M, NEAREST_M]))
+        parts = display.bound, deviation.bound[:2], deviation.bound[2:] / NEAREST_M
+        self.dropped_arcmin = float(sum(np.linalg.norm(part) for part in parts)) / ARCMIN
+        functions = held_source("display", display.polynomial) + value_source("deviation", deviation.polynomial)
         constants: dict[str, float] = {status.name: int(status) for status in Status}
         constants |= {"MAX_ITERATIONS": MAX_ITERATIONS, "LAST_STEP_M": LAST_STEP_M}
         with context.drawing():

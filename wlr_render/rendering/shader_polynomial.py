@@ -16,7 +16,7 @@ from wlr_render.numerics.polynomial import SCALED_LIMIT, Polynomial
 
 _COMPONENTS = "xyzw"
 _HELD = 2
-_STEP = 1.0 / 64.0  # of central differences, in scaled units: what float32 and order 8 lose is then alike
+_STEP = 1.0 / 128.0  # of central differences, in scaled units: what float32 and order 8 lose is then alike
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,10 @@ def thinned(polynomial: Polynomial, tolerance: FloatArray) -> Thinned:
     size = np.abs(polynomial.coefficients)
     ascending = np.argsort((size / tolerance).max(axis=1), kind="stable")
     bounds = np.cumsum(size[ascending], axis=0)
-    count = int(np.sum(np.all(bounds <= tolerance, axis=1)))
+    count = min(int(np.sum(np.all(bounds <= tolerance, axis=1))), len(size) - 1)
     kept = np.sort(ascending[count:])
-    if len(kept) == 0:
-        kept = ascending[-1:]
-    bound = size.sum(axis=0) - size[kept].sum(axis=0) if count else np.zeros(size.shape[1])
     thin = Polynomial(polynomial.orders[kept], polynomial.box, polynomial.coefficients[kept])
-    return Thinned(thin, np.asarray(np.maximum(bound, 0.0)))
+    return Thinned(thin, np.asarray(bounds[count - 1] if count else np.zeros(size.shape[1])))
 
 
 def value_source(name: str, polynomial: Polynomial) -> str:
@@ -70,7 +67,8 @@ def held_source(name: str, polynomial: Polynomial) -> str:
 
     `void NAME_hold(vec2 inputs)` multiplies the first two out once per pixel; `vecK NAME(vec2 inputs, out matKx2)` is
     then a polynomial of the last two only (21 terms instead of 126 at degree 5), with its Jacobian: column j is the
-    derivative by input j, in the inputs' units. `bool NAME_contains(vec4 inputs)` is as in `value_source`.
+    derivative by input j, in the inputs' units. `bool NAME_contains(vec4 inputs)` is as in `value_source`. Outside the box
+    of both the held and the other two inputs the product of the excursions adds to the first order.
 
     Args:
         name: of the functions.
