@@ -36,7 +36,12 @@ def test_planar_models_agree_with_the_shader(gl_context):
     plan, viewpoint = plan_of(eye), eye.eye_box.at(np.array([0.4, -0.6, 0.8]))
     by_nodes = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)
     in_shader = GlPlanarSolver(gl_context, eye, plan.warp_grid, plan.device_from_camera).solve(viewpoint)
-    np.testing.assert_allclose(by_nodes.read_slope_offset(), in_shader.read_slope_offset(), atol=3e-6)
+    error = np.abs(by_nodes.read_slope_offset() - in_shader.read_slope_offset()).max(axis=0)
+    inside = in_shader.read_status() == Status.OK
+    assert inside.mean() > 0.8
+    assert error[inside].max() < 3e-6
+    # Beyond the border, across which the models continue with another curvature, nodes follow less closely.
+    assert error[~inside].max() < 3e-5
 
 
 def test_around_an_unsolved_node_every_point_is_solved_and_keeps_its_status(gl_context, toy_headset_with_hole):
