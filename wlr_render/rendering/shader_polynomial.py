@@ -67,8 +67,8 @@ def held_source(name: str, polynomial: Polynomial) -> str:
 
     `void NAME_hold(vec2 inputs)` multiplies the first two out once per pixel; `vecK NAME(vec2 inputs, out matKx2)` is
     then a polynomial of the last two only (21 terms instead of 126 at degree 5), with its Jacobian: column j is the
-    derivative by input j, in the inputs' units. `bool NAME_contains(vec4 inputs)` is as in `value_source`. Where both the
-    held and the other inputs leave the box, the product of their excursions adds to the first order.
+    derivative by input j, in the inputs' units. `bool NAME_contains(vec4 inputs)` is as in `value_source`. Where held
+    and other inputs both leave the box, the product of their excursions adds to the first order.
 
     Args:
         name: of the functions.
