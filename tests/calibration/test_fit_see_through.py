@@ -9,7 +9,7 @@ from wlr_render.captures.correspondences import concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.geometry.rays import distance_to_point, split
+from wlr_render.geometry.rays import at_z, distance_to_point, split
 
 RNG = np.random.default_rng(9)
 BASE = places_among(positions_in_plane(12), 40, seed=8)
@@ -130,6 +130,25 @@ def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one()
 def test_a_design_that_does_not_determine_the_model_is_refused_with_what_is_missing(kind, degree, captures, sentence):
     with pytest.raises(BadInputError, match=sentence):
         fit_see_through(captures, kind, degree)
+
+
+def test_a_fit_on_a_tilted_base_plane_recovers_a_lens():
+    """A thin lens of -2 m, 0.05 m in front of the camera positions: of degree 3 on any plane, of 2 on theirs."""
+
+    def bend(base, tangents):
+        bent = (base + 0.05 * tangents - EYE_BOX.centre[:2]) / 2.0
+        return bent, -0.05 * bent
+
+    captures = see_through_captures(positions_in_plane(40), bend=bend)
+    tilted = BasePlane(PLANE.z - 0.2 * EYE_BOX.centre[0], (0.2, -0.3))
+    upright, _ = fit_see_through(captures, "planar", 2)
+    mapping, report = fit_see_through(captures, "planar", 3, tilted)
+    assert mapping.base_plane == tilted
+    assert report.residual_arcmin.maximum < 1e-6
+    viewpoint = EYE_BOX.at(np.random.default_rng(2).uniform(-1, 1, (40, 3)))
+    view_dir = dir_of_tangents(TANGENTS)
+    expected, found = (each.real_ray_of_view_dir(view_dir, viewpoint).value for each in (upright, mapping))
+    assert distance_to_point(found, split(at_z(expected, -2.0))[0]).max() < 1e-8
 
 
 def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
