@@ -95,7 +95,6 @@ def test_the_eye_box_is_that_of_the_device_unless_another_is_given(tmp_path):
     [
         (display("northstar", "planar", 4, 25), Measure.FORWARD, 1.06),
         (display("northstar", "planar", 5, 25), Measure.FORWARD, 0.243),
-        (display("northstar", "planar", 5, 25), Measure.BACKWARD, 0.171),
         (display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0), Measure.FORWARD, 0.272),
         (display("northstar", "planar", 5, 25, tracking_error_mm=0.05), Measure.FORWARD, 1.06),
         (display("northstar", "point-per-pixel", 5, 25), Measure.FORWARD, 10.0),
@@ -109,6 +108,11 @@ def test_first_figures_are_reproduced(trial, measure, expected):
     # picked, among some tried, because the display figures at N=3 to 5 are met in it. Their agreement says that tracer,
     # fit and judge go together; it is no evidence for the field.
     np.testing.assert_allclose(trial.run(SEED).rms(measure), expected, rtol=0.2)
+
+
+def test_the_inverse_of_the_forward_model_beats_a_backward_polynomial():
+    """The first figure, 0.171 px, was that of a backward polynomial of its own with the same captures and degree."""
+    assert display("northstar", "planar", 5, 25).run(SEED).rms(Measure.BACKWARD) < 0.7 * 0.171
 
 
 def test_volumetric_sampling_is_refused_the_viewpoints_that_planar_sampling_does_with():
