@@ -110,23 +110,21 @@ def test_the_derivatives_predict_what_other_assembly_errors_change(compile_map):
 
 def test_where_no_ray_passes_the_polynomial_continues_smoothly():
     """A quarter of the field is hidden by an aperture: the rest is as good as before, the quarter stays in bounds."""
-    optics, plane = eye("birdbath28")
+    optics, plane = eye("freeform40")
 
     def narrowed(surface):
-        if surface.name != "mirror":
-            return surface
-        aperture = surface.aperture
-        return replace(surface, aperture=ClearAperture(np.append([-5e-3], aperture.low[1:]), aperture.high))
+        low, high = surface.aperture.low, surface.aperture.high
+        return replace(surface, aperture=ClearAperture(np.append([-5e-3], low[1:]), high))
 
     hidden = optics.with_surfaces(narrowed)
-    compiled = compile_display(hidden, np.zeros(12), plane, display_box(optics))
-    assert 0.4 < compiled.reached < 0.9
+    whole, compiled = (compile_display(each, np.zeros(12), plane, display_box(optics)) for each in (optics, hidden))
+    assert whole.reached > 0.99
+    assert 0.5 < compiled.reached < 0.8
     errors = display_errors(compiled, hidden, plane)
-    assert 0.3 < np.isfinite(errors).mean() < 0.95
-    assert rms(errors) < 2.0 * GOAL_ARCMIN
-    beyond = compiled.polynomial(random_inputs(compiled.polynomial.box))
-    whole = compile_display(optics, np.zeros(12), plane, display_box(optics)).polynomial
-    assert np.abs(beyond - whole(random_inputs(whole.box))).max() < 0.5
+    assert 0.5 < np.isfinite(errors).mean() < 0.8
+    assert rms(errors) < 1.5 * whole.rms_arcmin
+    inputs = random_inputs(whole.polynomial.box)
+    assert np.abs(compiled.polynomial(inputs) - whole.polynomial(inputs)).max() < 0.12
 
 
 def test_a_box_that_no_ray_reaches_is_refused():

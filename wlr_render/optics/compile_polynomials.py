@@ -67,7 +67,9 @@ class CompiledMap:
     reached: float
 
 
-def compile_display(optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, um: float = 0.55) -> CompiledMap:
+def compile_display(
+    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = 0.55
+) -> CompiledMap:
     """Compile the display with assembly errors `values` (12,): (u px, v px, x m, y m) -> (tx, ty) over `box`.
 
     Args:
@@ -75,23 +77,23 @@ def compile_display(optics: EyeOptics, values: FloatArray, plane: BasePlane, box
         values: see `assembled`.
         plane: the base plane; (x, y) is where a ray meets it.
         box: of the inputs.
-        um: vacuum wavelength in micrometres.
+        wavelength_um: micrometres, vacuum.
 
     Raises:
         BadInputError: hardly any ray reaches the box.
     """
-    return _compiled(_DisplayRays(optics, np.asarray(values), plane, box, um), DISPLAY_LIMITS)
+    return _compiled(_DisplayRays(optics, np.asarray(values), plane, box, wavelength_um), DISPLAY_LIMITS)
 
 
 def compile_see_through(
-    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, um: float = 0.55
+    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = 0.55
 ) -> CompiledMap:
     """Compile the see-through deviation: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m) over `box`; see `compile_display`.
 
     The ray that meets the base plane in p~ with tangents t is, in the world, the ray through p~ + B with tangents
     t + A; B lies in the plane z = constant through p~.
     """
-    return _compiled(_SeeThroughRays(optics, np.asarray(values), plane, box, um), SEE_THROUGH_LIMITS)
+    return _compiled(_SeeThroughRays(optics, np.asarray(values), plane, box, wavelength_um), SEE_THROUGH_LIMITS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +178,10 @@ class _DisplayRays:
     values: FloatArray
     plane: BasePlane
     box: Box
-    um: float
+    wavelength_um: float
 
     def _traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
-        display = TracedDisplay(assembled(self.optics, values), self.um)
+        display = TracedDisplay(assembled(self.optics, values), self.wavelength_um)
         pixel, status = display.plane_pixel(dir_of_tangents(tangents), self.plane.lift(place))
         return pixel, np.asarray(status == Status.OK)
 
@@ -248,12 +250,12 @@ class _SeeThroughRays:
     values: FloatArray
     plane: BasePlane
     box: Box
-    um: float
+    wavelength_um: float
 
     def _traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Deviations (n, 4), and which rays pass."""
         start, path = self.plane.lift(place), assembled(self.optics, values).see_through
-        seen = trace(path, start, dir_of_tangents(tangents), self.um)
+        seen = trace(path, start, dir_of_tangents(tangents), self.wavelength_um)
         beyond = tangents_of_dir(seen.direction)
         back = (seen.origin[:, 2] - start[:, 2])[:, None] * beyond
         return _joined(beyond - tangents, seen.origin[:, :2] + back - place), np.asarray(seen.status == Status.OK)
