@@ -1,0 +1,323 @@
+"""Linear Gaussian models whose variances are found by maximum evidence, with the covariance of what is fitted.
+
+    y = A x + C z + H_g b_g + e,    e ~ N(0, (noise sigma)^2)
+
+Unknown are the coefficients x of a design that is the same for every output of a reading, with coefficients of its own
+for each; z, which the outputs share; and b_g, which only the readings of group g share, such as the motion of a camera
+in one capture. All have normal priors about zero. sigma is each reading's own, relative standard deviation. The
+logarithms of all prior sizes are linear in a few hyperparameters h: log size = offset + features @ h, and the noise is
+exp(h[noise]). The hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated
+out, by gradients from several starts within bounds.
+
+Readings enter by their weighted sums alone: memory is that of the unknowns, however many readings there are.
+
+Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447; Rasmussen and Williams, "Gaussian
+Processes for Machine Learning" (2006), chapter 5; Bishop, "Pattern Recognition and Machine Learning" (2006), 3.5.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.optimize import minimize
+
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+FREE = float(np.log(1e3))
+"""log of a prior size that holds nothing: a thousand times what unknowns of order one need."""
+_LOG_2PI = float(np.log(2.0 * np.pi))
+_NEGLIGIBLE = 1e-7  # what the readings say of an unknown, over what its prior says
+_ENOUGH = 0.02  # a step that gains less log evidence (natural units) ends the search
+_FIRST_STEP = 0.3  # of the search, in logarithms
+
+
+class Sums:
+    """Weighted sums over readings of `outputs` values each.
+
+    The side unknowns are z, then b of group 0, group 1 and so on.
+
+    Attributes:
+        count: number of values of nonzero weight. log_weight: sum of the logarithms of their weights.
+        square: of the values.
+        gram: (columns, columns) of the design A. moment: (outputs, columns) of A and the values.
+        side_gram: (side, side). side_cross: (outputs, side, columns). side_moment: (side,).
+    """
+
+    def __init__(self, columns: int, outputs: int, mixed: int = 0, groups: int = 0, own: int = 0) -> None:
+        """Sums over no readings.
+
+        Args:
+            columns: of A.
+            outputs: values of a reading.
+            mixed: number of unknowns z.
+            groups, own: numbers of groups and of each group's unknowns b.
+        """
+        self.mixed, self.groups, self.own = mixed, groups, own
+        side = mixed + groups * own
+        self.count, self.square, self.log_weight = 0, 0.0, 0.0
+        self.gram, self.moment = np.zeros((columns, columns)), np.zeros((outputs, columns))
+        self.side_gram, self.side_moment = np.zeros((side, side)), np.zeros(side)
+        self.side_cross = np.zeros((outputs, side, columns))
+
+    def add(
+        self,
+        value: FloatArray,
+        weight: FloatArray,
+        design: FloatArray,
+        mixed: FloatArray | None = None,
+        own: FloatArray | None = None,
+        group: IntArray | None = None,
+    ) -> None:
+        """Add n readings.
+
+        Args:
+            value: (n, outputs).
+            weight: (n,) one over the relative sigma; zero leaves a reading out.
+            design: (n, columns) A.
+            mixed: (n, outputs, mixed) C.
+            own: (n, outputs, own) H.
+            group: (n,) each reading's group, 0..groups - 1.
+        """
+        design, value = design * weight[:, None], value * weight[:, None]
+        self.count += int(np.count_nonzero(weight)) * value.shape[1]
+        self.log_weight += value.shape[1] * float(np.log(weight[weight > 0]).sum())
+        self.square += float(np.sum(value**2))
+        self.gram += design.T @ design
+        self.moment += value.T @ design
+        common = None if mixed is None else mixed * weight[:, None, None]
+        everyone = slice(0, self.mixed)
+        if common is not None:
+            self._add_side(everyone, common, value, design)
+        if own is None or group is None:
+            return
+        own = own * weight[:, None, None]
+        order = np.argsort(group, kind="stable")
+        names, first = np.unique(group[order], return_index=True)
+        for name, rows in zip(names, np.split(order, first[1:]), strict=True):
+            mine = slice(self.mixed + name * self.own, self.mixed + (name + 1) * self.own)
+            self._add_side(mine, own[rows], value[rows], design[rows])
+            if common is not None:
+                cross = np.einsum("noi,noj->ij", own[rows], common[rows])
+                self.side_gram[mine, everyone] += cross
+                self.side_gram[everyone, mine] += cross.T
+
+    def _add_side(self, which: slice, columns: FloatArray, value: FloatArray, design: FloatArray) -> None:
+        self.side_gram[which, which] += np.einsum("noi,noj->ij", columns, columns)
+        self.side_moment[which] += np.einsum("noi,no->i", columns, value)
+        for output, cross in enumerate(self.side_cross):
+            cross[which] += columns[:, output].T @ design
+
+    def __sub__(self, other: "Sums") -> "Sums":
+        """Sums without the readings of other sums."""
+        rest = Sums(self.gram.shape[0], len(self.moment), self.mixed, self.groups, self.own)
+        for name, value in vars(self).items():
+            if name not in ("mixed", "groups", "own"):
+                setattr(rest, name, value - getattr(other, name))
+        return rest
+
+
+@dataclass(frozen=True)
+class Prior:
+    """How prior sizes and noise follow from the hyperparameters.
+
+    Attributes:
+        names: of the hyperparameters; one is "noise", the logarithm of the noise.
+        bounds: (hyperparameters, 2) lowest and highest.
+        features: (columns, hyperparameters), offset: (columns,) of the coefficients x, the same for each output;
+            `FREE` with no features for one that no prior holds.
+        mixed_features: (mixed, hyperparameters), mixed_offset: (mixed,) of z.
+        own_features: (own, hyperparameters), own_offset: (own,) or (groups, own) of b.
+    """
+
+    names: tuple[str, ...]
+    bounds: FloatArray
+    features: FloatArray
+    offset: FloatArray
+    mixed_features: FloatArray
+    mixed_offset: FloatArray
+    own_features: FloatArray
+    own_offset: FloatArray
+
+    @property
+    def noise(self) -> int:
+        """Index of the noise among the hyperparameters."""
+        return self.names.index("noise")
+
+    def side(self, groups: int) -> tuple[FloatArray, FloatArray]:
+        """Features (side, hyperparameters) and offset (side,) of the side unknowns."""
+        own = np.broadcast_to(self.own_offset, (groups, len(self.own_features))).ravel()
+        features = [self.mixed_features, np.tile(self.own_features, (groups, 1))]
+        return np.concatenate(features), np.concatenate([self.mixed_offset, own])
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the readings say of the unknowns at given hyperparameters.
+
+    Attributes:
+        hyper: by name, logarithms.
+        log_evidence: natural logarithm of the probability density of the readings.
+        slope: (hyperparameters,) of `log_evidence`.
+        mean: (outputs, columns) of x.
+        mixed_mean: (mixed,) of z. own_mean: (groups, own) of b.
+        side_covariance: (side, side) of z and b.
+        determined: how many unknowns the readings determine (MacKay's gamma).
+        square: weighted sum of squares of what the fit leaves of the readings.
+        alone: (columns, columns) covariance of x of each output if the side unknowns were known.
+        by_side: (outputs, side, columns) by how much x follows the side unknowns.
+    """
+
+    hyper: Mapping[str, float]
+    log_evidence: float
+    slope: FloatArray
+    mean: FloatArray
+    mixed_mean: FloatArray
+    own_mean: FloatArray
+    side_covariance: FloatArray
+    determined: float
+    square: float
+    alone: FloatArray
+    by_side: FloatArray
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a reading whose sigma is 1."""
+        return float(np.exp(self.hyper["noise"]))
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(side + outputs * columns, ...) covariance of z and b, then of x of output 0, output 1 and so on."""
+        outputs, side, columns = self.by_side.shape
+        follow = self.by_side.transpose(0, 2, 1).reshape(outputs * columns, side)
+        whole = follow @ self.side_covariance @ follow.T
+        for output in range(outputs):
+            block = slice(output * columns, (output + 1) * columns)
+            whole[block, block] += self.alone
+        cross = follow @ self.side_covariance
+        return np.block([[self.side_covariance, cross.T], [cross, whole]])
+
+
+def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
+    """Posterior and evidence at given hyperparameters (hyperparameters,).
+
+    Raises:
+        np.linalg.LinAlgError: rounding leaves a normal matrix indefinite.
+    """
+    log_noise = float(hyper[prior.noise])
+    per_noise = float(np.exp(-log_noise))
+    side_features, side_offset = prior.side(sums.groups)
+    scale, side_scale = np.exp(prior.offset + prior.features @ hyper), np.exp(side_offset + side_features @ hyper)
+    # Unknowns of which the readings say nothing keep their prior; leaving them out saves most of the work.
+    used = scale**2 * np.diag(sums.gram) * per_noise**2 > _NEGLIGIBLE
+    side_used = side_scale**2 * np.diag(sums.side_gram) * per_noise**2 > _NEGLIGIBLE
+    width, side_width = scale[used] * per_noise, side_scale[side_used] * per_noise
+    # In units of their prior sizes the unknowns have the normal matrix [[N, cross'], [cross, side]] for each output.
+    inverse, log_determinant = _inverse(_bordered(sums.gram[np.ix_(used, used)], width))
+    cross = side_width[:, None] * sums.side_cross[:, side_used][:, :, used] * width
+    pull, side_pull = per_noise * width * sums.moment[:, used], per_noise * side_width * sums.side_moment[side_used]
+    follow, free = cross @ inverse, pull @ inverse
+    schur = _bordered(sums.side_gram[np.ix_(side_used, side_used)], side_width)
+    side_inverse, side_log_determinant = _inverse(schur - np.einsum("oic,ojc->ij", follow, cross, optimize=True))
+    rest = side_pull - np.einsum("oic,oc->i", cross, free)
+    side_unit = side_inverse @ rest
+    unit = free - side_unit @ follow
+    variance = np.diag(inverse) + np.einsum("oic,oic->oc", follow, side_inverse @ follow)
+    side_variance = np.diag(side_inverse)
+    quadratic = sums.square * per_noise**2 - float(np.sum(pull * free)) - float(rest @ side_unit)
+    determined = unit.size - float(variance.sum()) + len(side_unit) - float(side_variance.sum())
+    square = quadratic - float(np.sum(unit**2)) - float(side_unit @ side_unit)
+    log_determinant = len(pull) * log_determinant + side_log_determinant
+    minus_two = log_determinant + quadratic + sums.count * (2.0 * log_noise + _LOG_2PI) - 2.0 * sums.log_weight
+    slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
+    slope = slope + (side_unit**2 + side_variance - 1.0) @ side_features[side_used]
+    slope[prior.noise] += square + determined - sums.count
+    mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
+    mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]
+    by_side = np.zeros_like(sums.side_cross)
+    by_side[np.ix_(range(len(pull)), side_used, used)] = -follow * scale[used] / side_scale[side_used][:, None]
+    return Posterior(
+        hyper=dict(zip(prior.names, map(float, hyper), strict=True)),
+        log_evidence=-0.5 * minus_two,
+        slope=slope,
+        mean=mean,
+        mixed_mean=side_mean[: sums.mixed],
+        own_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.own),
+        side_covariance=_in_place(side_inverse, side_scale, side_used),
+        determined=determined,
+        square=square / per_noise**2,
+        alone=_in_place(inverse, scale, used),
+        by_side=by_side,
+    )
+
+
+def _bordered(gram: FloatArray, width: FloatArray) -> FloatArray:
+    """Normal matrix of unknowns in units of their prior sizes."""
+    normal = width[:, None] * gram * width
+    normal[np.diag_indices_from(normal)] += 1.0
+    return np.asarray(normal)
+
+
+def _inverse(normal: FloatArray) -> tuple[FloatArray, float]:
+    """Inverse and log determinant of a positive definite matrix."""
+    if len(normal) == 0:
+        return normal, 0.0
+    factor, failed = lapack.dpotrf(normal, lower=1, clean=1)
+    if failed:
+        raise np.linalg.LinAlgError("the normal matrix is not positive definite")
+    log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
+    lower, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+    return np.asarray(lower + np.tril(lower, -1).T), log_determinant
+
+
+def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatArray:
+    """Covariance of all unknowns from that of the used ones in units of their prior sizes."""
+    covariance = np.diag(scale**2)
+    covariance[np.ix_(used, used)] = scale[used][:, None] * inverse * scale[used]
+    return covariance
+
+
+def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) -> Posterior:
+    """The posterior of greatest evidence, searched from several starts.
+
+    Args:
+        sums: over the readings.
+        prior: with the bounds of the search.
+        starts: hyperparameters by name.
+
+    Raises:
+        np.linalg.LinAlgError: the evidence cannot be computed at any start.
+    """
+    found: list[Posterior] = []
+
+    def cost(hyper: FloatArray) -> tuple[float, FloatArray]:
+        try:
+            at = posterior(sums, prior, hyper)
+        except np.linalg.LinAlgError:
+            return 1e12, np.zeros_like(hyper)
+        if not found or at.log_evidence > found[0].log_evidence:
+            found[:] = [at]
+        return -at.log_evidence, -at.slope
+
+    for start in starts:
+        first = np.clip([start[name] for name in prior.names], *prior.bounds.T)
+        value, slope = cost(first)
+        # The first step follows the slope as it is, so the cost is scaled to make it a small one.
+        unit = max(float(np.abs(slope).max()), 1.0) / _FIRST_STEP
+
+        def scaled(hyper: FloatArray, unit: float = unit) -> tuple[float, FloatArray]:
+            value, slope = cost(hyper)
+            return value / unit, slope / unit
+
+        minimize(
+            scaled,
+            first,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=prior.bounds,
+            options={"ftol": _ENOUGH / max(abs(value), unit), "gtol": _ENOUGH / unit, "maxiter": 100},
+        )
+    if not found:
+        raise np.linalg.LinAlgError("the evidence cannot be computed at any start")
+    return found[0]
