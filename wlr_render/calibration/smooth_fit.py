@@ -1,89 +1,41 @@
-"""Fits of smooth polynomials to captures by maximum evidence: one mechanism for all model kinds.
+"""Fits of smooth polynomials to captures by maximum evidence: one mechanism for all kinds of models.
 
-A coefficient of orders a in the pixel (or direction) and b in the place has the prior size exp(p - lambda a - mu b): the
-readings decide how smooth the optics are. What the readings of one capture share, a small shift and turn of the camera,
-is unknown, too; its size is the repeatability of the stage. Orders are limits only, and no design is refused: where
-camera positions are few, the posterior is wide.
+A coefficient of order a in the pixel (or direction) and b in the place has the prior size exp(size - lambda a - mu b):
+the readings decide how smooth the optics are. What the readings of one capture share, a small shift and turn of the
+camera, is unknown, too; its size is the repeatability of the stage. Orders are limits only, and no design is refused:
+where camera positions are few, the posterior is wide.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.models.spread import Spread
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.evidence import FREE, Posterior, Prior, Sums, maximise
+from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
 
-_CHUNK = 4_096  # readings whose design is held at once
-_BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading: exact data would send it to zero, where rounding decides."""
-SHIFT, TURN = slice(0, 3), slice(3, 6)
-"""Columns of a capture's motion: metres along x, y, z, and radians about them, device frame."""
-
-
-@dataclass(frozen=True)
-class Readings:
-    """observed = sum over blocks b of multiplier_b * polynomial_b(inputs), for n readings of two tangents.
-
-    Attributes:
-        inputs: (n, variables).
-        is_place: (variables,) whether a variable is of the place, else of the pixel or direction.
-        observed: (n, 2).
-        multiplier: (n, blocks) for both tangents, or (n, 2, blocks) for polynomials of one output each.
-        metric: (n,) arcminutes per unit of `observed`.
-        sigma: (n,) standard deviation in arcminutes, up to a common factor.
-        capture: (n,) indices 0..captures - 1 of what shares a motion of the camera.
-        motion: (slope of the modelled tangents (n, 2, variables)) -> (n, 2, 6), by how much `observed` less the model
-            changes with a shift and turn of the camera; None where a motion is not modelled.
-    """
-
-    inputs: FloatArray
-    is_place: BoolArray
-    observed: FloatArray
-    multiplier: FloatArray
-    metric: FloatArray
-    sigma: FloatArray
-    capture: IntArray
-    motion: Callable[[FloatArray], FloatArray] | None = None
-
-    def __len__(self) -> int:
-        return len(self.inputs)
-
-    @property
-    def mixed(self) -> bool:
-        """Whether each polynomial has one output, which several tangents share."""
-        return self.multiplier.ndim == 3
-
-
-@dataclass(frozen=True)
-class SmoothFit:
-    """A fitted polynomial with its covariance.
-
-    Attributes:
-        polynomial: its outputs are those of block 0, then block 1, and so on.
-        posterior: of coefficients, motions and hyperparameters.
-        weight: (n,) of the readings, from 1 down to 0 for outliers.
-        seconds: duration of the fit.
-    """
-
-    polynomial: Polynomial
-    posterior: Posterior
-    weight: FloatArray
-
-    @property
-    def noise_arcmin(self) -> float:
-        return self.posterior.noise
-
-    @property
-    def shift_m(self) -> float:
-        return float(np.exp(self.posterior.hyper.get("shift", -np.inf)))
-
-    @property
-    def turn_rad(self) -> float:
-        return float(np.exp(self.posterior.hyper.get("turn", -np.inf)))
+LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
+"""Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
+_CHUNK = 4_096  # readings whose design is held at once
+_BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
+_SHIFT, _TURN = slice(0, 3), slice(3, 6)
+_LEAST_MOTION = 1e-9  # metres, radians
+_SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
+_STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
+_GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
+_ROUNDS = 4  # of outlier weights
+_MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
+_STANDS_OUT, _SURE = 8.0, 6.0  # a capture's motion over the others' median, and over its own sigma
+_KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
+_SAMPLES = 500  # readings at which that is judged
 
 
 def angular_metric(tangents: FloatArray) -> FloatArray:
@@ -99,137 +51,499 @@ def angular_metric(tangents: FloatArray) -> FloatArray:
 
 def turn_columns(tangents: FloatArray) -> FloatArray:
     """Derivative (n, 2, 3) of view tangents (n, 2) by a turn of the camera about x, y, z, radians."""
-    tx, ty = tangents.T
-    one = np.ones_like(tx)
-    return np.stack(
-        [
-            np.stack([tx * ty, -(one + tx**2), -ty], axis=-1),
-            np.stack([one + ty**2, -tx * ty, tx], axis=-1),
-        ],
-        axis=1,
+    (tx, ty), one = tangents.T, np.ones(len(tangents))
+    by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
+    return np.moveaxis(np.array(by_turn), -1, 0)
+
+
+@dataclass(frozen=True)
+class Trend:
+    """What is known before the fit, e.g. a prescription with its assembly errors: a mean and unknown parameters.
+
+    Attributes:
+        mean: inputs -> outputs.
+        by_parameter: inputs -> (outputs * parameters), change per prior standard deviation of each parameter.
+    """
+
+    mean: Polynomial
+    by_parameter: Polynomial
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return self.by_parameter.coefficients.shape[1] // self.mean.coefficients.shape[1]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """observed = sum over blocks b of multiplier_b * polynomial_b(inputs), for n readings of two tangents.
+
+    Attributes:
+        inputs: (n, variables).
+        is_place: (variables,) whether a variable is of the place, else of the pixel or direction.
+        observed: (n, 2).
+        multiplier: (n, blocks) for both tangents, or (n, 2, blocks) for polynomials of one output each.
+        metric: (n,) arcminutes per unit of `observed`.
+        sigma: (n,) arcminutes; all zero for exact data.
+        capture: (n,) indices 0..captures - 1 of what shares a motion of the camera.
+        motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): by how much `observed` less the model
+            changes with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
+        orders: (terms, variables) limits of the fit.
+        trend: what is known before; None for nothing.
+    """
+
+    inputs: FloatArray
+    is_place: BoolArray
+    observed: FloatArray
+    multiplier: FloatArray
+    metric: FloatArray
+    sigma: FloatArray
+    capture: IntArray
+    motion: Callable[[FloatArray], FloatArray] | None
+    orders: IntArray
+    trend: Trend | None = None
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether each polynomial has one output, which both tangents share."""
+        return self.multiplier.ndim == 3
+
+    @property
+    def blocks(self) -> int:
+        """Number of polynomials that share the inputs."""
+        return int(self.multiplier.shape[-1])
+
+    @cached_property
+    def box(self) -> Box:
+        """Of the inputs, grown by a margin; a trend brings its own."""
+        if self.trend is not None:
+            return self.trend.mean.box
+        return fitted_box(self.inputs)
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """(n,) one over sigma, in units of `observed`; sigma 1' where the data are exact."""
+        sigma = self.sigma if np.any(self.sigma > 0) else np.ones(len(self))
+        return np.asarray(self.metric / sigma)
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """(terms,) constant and slopes in pixel or direction: their prior size is one unit. None beside a trend."""
+        at_place = self.orders[:, self.is_place].any(axis=1)
+        return ~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None)
+
+    def select(self, rows: BoolArray) -> "Readings":
+        """Some of the readings; captures keep their indices, and the box is that of all."""
+        per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
+        chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None)
+        chosen.__dict__["box"] = self.box
+        return chosen
+
+    def values(self, polynomial: Polynomial) -> FloatArray:
+        """What a polynomial says of `observed`, (n, 2)."""
+        return self._combined(polynomial(self.inputs))[..., 0]
+
+    def slopes(self, polynomial: Polynomial) -> FloatArray:
+        """Its derivative by the inputs, (n, 2, variables)."""
+        return self._combined(polynomial.with_jacobian(self.inputs)[1])
+
+    def _combined(self, value: FloatArray) -> FloatArray:
+        """(n, outputs, ...) of the blocks -> (n, 2, k)."""
+        value = value.reshape(len(self), self.blocks, 1 if self.mixed else 2, -1)
+        equation = "nrb,nbok->nrk" if self.mixed else "nb,nbok->nok"
+        return np.asarray(np.einsum(equation, self.multiplier, value))
+
+
+def fitted_box(inputs: FloatArray) -> Box:
+    """Box of a fit to inputs (n, variables)."""
+    box = Box.around(inputs)
+    margin = _BOX_MARGIN * (box.high - box.low)
+    return Box(box.low - margin, box.high + margin)
+
+
+@dataclass(frozen=True)
+class MovedCapture:
+    """A capture whose camera stood elsewhere than stated, by far more than the others'.
+
+    Attributes:
+        capture: its index among the readings.
+        shift_m, turn_rad: length of its shift, and its turn.
+        times: how many times the median of the captures'.
+    """
+
+    capture: int
+    shift_m: float
+    turn_rad: float
+    times: float
+
+
+@dataclass(frozen=True)
+class SmoothFit:
+    """A fitted polynomial, how sure it is, and what the fit found of the bench.
+
+    Attributes:
+        polynomial: its outputs are those of block 0, then block 1, and so on.
+        posterior: of coefficients, motions and hyperparameters.
+        readings: what was fitted.
+        kept: (n,) weights of the readings, from 1 down to 0 for outliers.
+        moved: captures that stand out.
+    """
+
+    polynomial: Polynomial
+    posterior: Posterior
+    readings: Readings
+    kept: FloatArray
+    moved: tuple[MovedCapture, ...]
+    _prior: Prior
+    _columns: FloatArray | None
+    _start: Polynomial
+
+    @property
+    def noise(self) -> float:
+        """Found standard deviation of a reading per axis, over the stated one; in arcminutes where none is stated."""
+        return self.posterior.noise
+
+    @property
+    def shift_m(self) -> float:
+        """Repeatability of the captures' positions per axis; 0 where no motion was modelled."""
+        return float(np.exp(self.posterior.hyper["shift"])) if "shift" in self.posterior.hyper else 0.0
+
+    @property
+    def turn_rad(self) -> float:
+        """Wobble of the captures' orientations per axis; 0 where no motion was modelled."""
+        return float(np.exp(self.posterior.hyper["turn"])) if "turn" in self.posterior.hyper else 0.0
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Low-rank factors of the covariance of `polynomial`."""
+        return _spread(self.readings, self.posterior)
+
+    def left_out(self, rows: BoolArray) -> tuple[float, float]:
+        """Predict readings (n,) bool by a fit to the others at the same hyperparameters.
+
+        Returns:
+            rms length of the prediction's errors in arcminutes, and what the fit expects of it.
+        """
+        readings = self.readings
+        sums = _sums(readings, self._start, self._columns, np.where(rows, 0.0, self.kept))
+        rest = posterior(sums, self._prior, np.array(list(self.posterior.hyper.values())))
+        chosen = readings.select(rows & (self.kept > 0))
+        polynomial = _polynomial(readings, self._start, rest)
+        error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
+        spread = _spread(readings, rest)
+        covariance = spread.covariance(chosen.inputs)
+        if chosen.mixed:
+            variance = np.einsum("nrb,nbc,nrc->n", chosen.multiplier, covariance, chosen.multiplier)
+        else:
+            by_block = sum(covariance[:, axis::2, axis::2] for axis in (0, 1))
+            variance = np.einsum("nb,nbc,nc->n", chosen.multiplier, by_block, chosen.multiplier)
+        variance = variance * chosen.metric**2 + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
+        if self._columns is not None:
+            own = np.exp(self._prior.own_offset + self._prior.own_features @ list(self.posterior.hyper.values()))
+            own = np.broadcast_to(own, (self.posterior.own_mean.shape[0], 6))[chosen.capture]
+            columns = self._columns[rows & (self.kept > 0)]
+            variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
+
+    def spread_with(self, readings: Readings) -> Spread:
+        """Covariance that further readings would give: those of this fit and more, in `readings`, at this noise."""
+        columns = None if self._columns is None else _motion(readings, self.polynomial)
+        prior = replace(self._prior, own_offset=np.zeros(self._prior.own_features.shape[0]))
+        sums = _sums(readings, None, columns, np.ones(len(readings)))
+        return _spread(readings, posterior(sums, prior, np.array(list(self.posterior.hyper.values()))))
+
+
+def fit(readings: Readings) -> SmoothFit:
+    """Fit by maximum evidence.
+
+    Raises:
+        BadInputError: the readings determine nothing, or contradict each other.
+    """
+    start = _free_part(readings)
+    kept = np.ones(len(readings))
+    prior = _prior(readings, moving=False)
+    starts = [_start_hyper(prior, *values) for values in _STARTS]
+    for _ in range(_ROUNDS):
+        found = maximise(_sums(readings, start, None, kept), prior, starts)
+        polynomial = _polynomial(readings, start, found)
+        weights = _weights(readings, polynomial)
+        if np.allclose(weights, kept, atol=0.05):
+            break
+        kept, starts = weights, [dict(found.hyper)]
+    columns, moved = None, ()
+    if readings.motion is not None and np.any(readings.sigma > 0):
+        still = dict(found.hyper)
+        columns = _motion(readings, polynomial)
+        sums = _sums(readings, start, columns, kept)
+        prior = _prior(readings, moving=True)
+        found = maximise(sums, prior, [_motion_start(sums, prior, still)])
+        moved = _moved(found)
+        if moved:
+            prior = replace(prior, own_offset=_widened(found, moved))
+            found = maximise(sums, prior, [_motion_start(sums, prior, still)])
+        polynomial = _polynomial(readings, start, found)
+        columns = _motion(readings, polynomial)
+        sums = _sums(readings, start, columns, kept)
+        found = posterior(sums, prior, np.array(list(found.hyper.values())))
+        polynomial = _polynomial(readings, start, found)
+    return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
+
+
+def _design(readings: Readings, rows: slice, phi: FloatArray) -> FloatArray:
+    """Columns of all blocks: (rows, blocks * terms), or (rows, 2, blocks * terms) if mixed; phi is (rows, terms)."""
+    multiplier = readings.multiplier[rows]
+    design = multiplier[..., None] * (phi[:, None, None] if readings.mixed else phi[:, None])
+    return np.asarray(design.reshape(*multiplier.shape[:-1], -1))
+
+
+def _free_part(readings: Readings) -> Polynomial:
+    """Least squares by the few free terms: what is left of the observed values is small, so that sums keep digits.
+
+    Raises:
+        BadInputError: the readings do not determine them.
+    """
+    orders = readings.orders[readings.free]
+    outputs = readings.blocks * (1 if readings.mixed else 2)
+    if len(orders) == 0:
+        return Polynomial(orders, readings.box, np.zeros((0, outputs)))
+    design = _design(readings, slice(None), basis(readings.inputs, orders, readings.box))
+    values = readings.observed[:, :, None] if readings.mixed else readings.observed
+    weight = readings.weight.reshape(-1, *[1] * (design.ndim - 1))
+    design, values = design * weight, values * weight
+    columns = design.shape[-1]
+    design, values = design.reshape(-1, columns), values.reshape(-1, values.shape[-1])
+    scale = np.linalg.norm(design, axis=0)
+    solution, _, rank, _ = np.linalg.lstsq(design / np.where(scale > 0, scale, 1.0), values, rcond=1e-7)
+    if rank < columns:
+        raise UndeterminedError(f"{rank} of {columns} unknowns that no prior holds are determined")
+    solution = solution / scale[:, None]
+    by_term = solution.reshape(readings.blocks, len(orders), -1).transpose(1, 0, 2)
+    return Polynomial(orders, readings.box, np.ascontiguousarray(by_term.reshape(len(orders), -1)))
+
+
+class UndeterminedError(BadInputError):
+    """The readings do not determine an unknown that no prior holds."""
+
+
+def _prior(readings: Readings, moving: bool) -> Prior:
+    blocks, orders, free = readings.blocks, readings.orders, readings.free
+    sizes = [f"size {block}" for block in range(blocks)]
+    names = (*sizes, "lambda", "mu", "noise", *(("shift", "turn") if moving else ()))
+    of_place, of_rest = orders[:, readings.is_place].sum(axis=1), orders[:, ~readings.is_place].sum(axis=1)
+    features = np.zeros((blocks, len(orders), len(names)))
+    for block in range(blocks):
+        features[block, ~free, block] = 1.0
+        features[block, ~free, blocks] = -of_rest[~free]
+        features[block, ~free, blocks + 1] = -of_place[~free]
+    flat = features.reshape(-1, len(names))
+    none = np.zeros((0, len(names)))
+    parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
+    shared, mixed = (none, flat) if readings.mixed else (flat, parameters)
+    own = np.zeros((6 if moving else 0, len(names)))
+    if moving:
+        own[_SHIFT, -2] = own[_TURN, -1] = 1.0
+    bounds = [(-25.0, 8.0)] * blocks + [(0.0, 8.0)] * 2 + [(np.log(_noise_floor(readings)), 12.0)]
+    if moving:
+        bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
+    return Prior(
+        names,
+        np.array(bounds),
+        shared,
+        np.zeros(len(shared)),
+        mixed,
+        np.zeros(len(mixed)),
+        own,
+        np.zeros(len(own)),
     )
 
 
-def fit(readings: Readings, orders: IntArray, rounds: int = 2, free_order: int = 1) -> SmoothFit:
-    box = Box.around(readings.inputs)
-    margin = _BOX_MARGIN * (box.high - box.low)
-    box = Box(box.low - margin, box.high + margin)
-    blocks = readings.multiplier.shape[-1]
-    free = orders.sum(axis=1) <= free_order
-    start = _free_part(readings, orders[free], box)
-    rest = replace(readings, observed=readings.observed - _modelled(readings, start))
-    prior = _prior(readings, orders, free, blocks, moving=False)
-    found = maximise(_sums(rest, orders, box, None), prior, _starts(prior, blocks, readings))
-    if readings.motion is not None:
-        prior = _prior(readings, orders, free, blocks, moving=True)
-        for round_ in range(rounds):
-            polynomial = _polynomial(found, orders, free, start, readings)
-            columns = _motion(readings, polynomial)
-            sums = _sums(rest, orders, box, columns)
-            starts = [dict(found.hyper)] if round_ else [
-                dict(found.hyper) | {"shift": np.log(shift), "turn": np.log(turn)}
-                for shift, turn in ((3e-6, 1e-5), (3e-5, 1e-4))
-            ]
-            found = maximise(sums, prior, starts)
-    return SmoothFit(_polynomial(found, orders, free, start, readings), found, np.ones(len(readings)))
+def _noise_floor(readings: Readings) -> float:
+    stated = readings.sigma[readings.sigma > 0]
+    return NOISE_FLOOR_ARCMIN / (float(np.median(stated)) if stated.size else 1.0)
 
 
-def _free_part(readings: Readings, orders: IntArray, box: Box) -> Polynomial:
-    """Least squares by the terms that no prior holds, which are few: what is left is small, so that sums keep their digits."""
-    blocks = readings.multiplier.shape[-1]
-    phi = basis(readings.inputs, orders, box)
-    weight = readings.metric / readings.sigma
-    if readings.mixed:
-        design = (readings.multiplier[:, :, :, None] * phi[:, None, None, :]).reshape(-1, blocks * len(orders))
-        rows, values = np.repeat(weight, 2)[:, None], readings.observed.reshape(-1, 1)
-    else:
-        design = (readings.multiplier[:, :, None] * phi[:, None, :]).reshape(-1, blocks * len(orders))
-        rows, values = weight[:, None], readings.observed
-    solution = np.linalg.lstsq(design * rows, values * rows, rcond=1e-9)[0]
-    return Polynomial(orders, box, solution.reshape(blocks, len(orders), -1).transpose(1, 0, 2).reshape(len(orders), -1))
+def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise: float) -> dict[str, float]:
+    values = {"lambda": slope, "mu": by_place, "noise": float(np.log(noise))}
+    return {name: values.get(name, size) for name in prior.names}
 
 
-def _modelled(readings: Readings, polynomial: Polynomial) -> FloatArray:
-    value = polynomial(readings.inputs)
-    if readings.mixed:
-        return np.asarray(np.einsum("nrb,nb->nr", readings.multiplier, value))
-    return np.asarray(np.einsum("nb,nbo->no", readings.multiplier, value.reshape(len(value), -1, 2)))
+def _motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
+    """The best of a few sizes of the motion: the evidence may have several maxima."""
+    starts = [still | {"shift": np.log(shift), "turn": np.log(turn)} for shift, turn in product(_SHIFTS_M, _TURNS_RAD)]
+    starts.append(still | {"shift": np.log(_LEAST_MOTION), "turn": np.log(_LEAST_MOTION)})
+
+    def evidence(start: dict[str, float]) -> float:
+        try:
+            return posterior(sums, prior, np.array([start[name] for name in prior.names])).log_evidence
+        except np.linalg.LinAlgError:
+            return -np.inf
+
+    return max(starts, key=evidence)
 
 
-def _motion(readings: Readings, polynomial: Polynomial) -> FloatArray:
-    _, slope = polynomial.with_jacobian(readings.inputs)
-    n, _, variables = slope.shape
-    if readings.mixed:
-        by = np.einsum("nrb,nbv->nrv", readings.multiplier, slope)
-    else:
-        by = np.einsum("nb,nbov->nov", readings.multiplier, slope.reshape(n, -1, 2, variables))
-    assert readings.motion is not None
-    return readings.motion(by)
-
-
-def _polynomial(found: Posterior, orders: IntArray, free: BoolArray, start: Polynomial, readings: Readings) -> Polynomial:
-    blocks, terms = readings.multiplier.shape[-1], len(orders)
-    outputs = 1 if readings.mixed else 2
-    mean = found.mixed_mean if readings.mixed else found.mean
-    coefficients = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, -1).copy()
-    coefficients[free] += start.coefficients
-    return Polynomial(orders, start.box, coefficients)
-
-
-def _prior(readings: Readings, orders: IntArray, free: BoolArray, blocks: int, moving: bool) -> Prior:
-    sizes = [f"size {block}" for block in range(blocks)]
-    names = (*sizes, "lambda", "mu", "noise", *(("shift", "turn") if moving else ()))
-    place, rest = orders[:, readings.is_place].sum(axis=1), orders[:, ~readings.is_place].sum(axis=1)
-    terms = len(orders)
-    features = np.zeros((blocks, terms, len(names)))
-    for block in range(blocks):
-        features[block, ~free, block] = 1.0
-    features[:, :, blocks], features[:, :, blocks + 1] = -rest, -place
-    features, offset = features.reshape(-1, len(names)), np.tile(np.where(free, FREE, 0.0), blocks)
-    none = np.zeros((0, len(names))), np.zeros(0)
-    own, own_offset = none
-    if moving:
-        own, own_offset = np.zeros((6, len(names))), np.zeros(6)
-        own[SHIFT, -2] = own[TURN, -1] = 1.0
-    floor = np.log(NOISE_FLOOR_ARCMIN)
-    bounds = [(-25.0, 8.0)] * blocks + [(0.0, 8.0)] * 2 + [(floor, 12.0)] + [(-20.0, -3.0)] * (2 if moving else 0)
-    shared, mixed = (none, (features, offset)) if readings.mixed else ((features, offset), none)
-    return Prior(names, np.array(bounds), *shared, *mixed, own, own_offset)
-
-
-def _starts(prior: Prior, blocks: int, readings: Readings) -> list[dict[str, float]]:
-    starts = []
-    for size, slope, slope_place, noise in ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0)):
-        start = {f"size {block}": size for block in range(blocks)}
-        starts.append(start | {"lambda": slope, "mu": slope_place, "noise": float(np.log(noise))})
-    return starts
-
-
-def _sums(
-    readings: Readings, orders: IntArray, box: Box, motion: FloatArray | None
-) -> Sums:
-    blocks, terms = readings.multiplier.shape[-1], len(orders)
-    own = 0 if motion is None else 6
+def _sums(readings: Readings, start: Polynomial | None, motion: FloatArray | None, kept: FloatArray) -> Sums:
+    """Sums over the readings less their free part and trend; without values if `start` is None."""
+    terms, own = len(readings.orders), 0 if motion is None else 6
     groups = int(readings.capture.max()) + 1 if own else 0
-    mixed = blocks * terms if readings.mixed else 0
-    sums = Sums(0 if mixed else blocks * terms, 2, mixed, groups, own)
-    weight = readings.metric / readings.sigma
+    trend = readings.trend
+    parameters = trend.parameters if trend else 0
+    columns = 0 if readings.mixed else readings.blocks * terms
+    sums = Sums(columns, 2, readings.blocks * terms if readings.mixed else parameters, groups, own)
+    observed = np.zeros_like(readings.observed)
+    if start is not None:
+        observed = readings.observed - readings.values(start)
+        observed = observed - (readings.values(trend.mean) if trend else 0.0)
     for first in range(0, len(readings), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        phi = basis(readings.inputs[rows], orders, box)
-        count = len(phi)
-        if mixed:
-            design = (readings.multiplier[rows, :, :, None] * phi[:, None, None, :]).reshape(count, 2, -1)
-            shared = np.empty((count, 0))
-        else:
-            design = None
-            shared = (readings.multiplier[rows, :, None] * phi[:, None, :]).reshape(count, -1)
+        design = _design(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
+        mixed = design if readings.mixed else None
+        if trend:
+            by_parameter = trend.by_parameter(readings.inputs[rows])
+            by_parameter = by_parameter.reshape(len(design), readings.blocks, 2, parameters)
+            mixed = np.einsum("nb,nbop->nop", readings.multiplier[rows], by_parameter)
         sums.add(
-            readings.observed[rows],
-            weight[rows],
-            shared,
-            design,
+            observed[rows],
+            (readings.weight * kept)[rows],
+            np.empty((len(design), 0)) if readings.mixed else design,
+            mixed,
             None if motion is None else motion[rows],
             readings.capture[rows],
         )
     return sums
+
+
+def _polynomial(readings: Readings, start: Polynomial, found: Posterior) -> Polynomial:
+    blocks, terms = readings.blocks, len(readings.orders)
+    outputs = 1 if readings.mixed else 2
+    mean = found.mixed_mean if readings.mixed else found.mean
+    by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, -1)
+    coefficients = by_term.copy()
+    coefficients[readings.free] += start.coefficients
+    polynomial = Polynomial(readings.orders, readings.box, coefficients)
+    if readings.trend is None:
+        return polynomial
+    mean_part, by_parameter = readings.trend.mean, readings.trend.by_parameter
+    moved = by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
+    return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))
+
+
+def _motion(readings: Readings, polynomial: Polynomial) -> FloatArray:
+    assert readings.motion is not None
+    return readings.motion(readings.slopes(polynomial))
+
+
+def _weights(readings: Readings, polynomial: Polynomial) -> FloatArray:
+    """1 for readings near the model, falling to 0 for those far off; Hampel's descending function."""
+    off = np.linalg.norm(readings.observed - readings.values(polynomial), axis=1) * readings.weight
+    size = float(np.median(off)) / _MAD_OF_RAYLEIGH
+    off = off / max(size, _noise_floor(readings))
+    fall = _GROSS / np.maximum(off, _GROSS) * np.clip((_LOST - off) / (_LOST - _GROSS), 0.0, 1.0)
+    return np.asarray(np.sqrt(np.where(off <= _GROSS, 1.0, fall)))
+
+
+def _moved(found: Posterior) -> tuple[MovedCapture, ...]:
+    sigma = np.sqrt(np.diag(found.side_covariance)[-found.own_mean.size :].reshape(found.own_mean.shape))
+    times = np.zeros(len(found.own_mean))
+    for part in (_SHIFT, _TURN):
+        length = np.linalg.norm(found.own_mean[:, part], axis=1)
+        sure = (np.abs(found.own_mean[:, part]) > _SURE * sigma[:, part]).any(axis=1)
+        ratio = length / max(float(np.median(length)), _LEAST_MOTION)
+        times = np.maximum(times, np.where(sure & (ratio > _STANDS_OUT), ratio, 0.0))
+    shift, turn = (np.linalg.norm(found.own_mean[:, part], axis=1) for part in (_SHIFT, _TURN))
+    return tuple(
+        MovedCapture(int(name), float(shift[name]), float(turn[name]), float(times[name]))
+        for name in np.flatnonzero(times)
+    )
+
+
+def _widened(found: Posterior, moved: tuple[MovedCapture, ...]) -> FloatArray:
+    """Offsets (captures, 6) of the prior: wide for those that moved, so that they do not spoil the others' size."""
+    offset = np.zeros_like(found.own_mean)
+    for each in moved:
+        offset[each.capture] = np.log(10.0 * each.times)
+    return offset
+
+
+def _spread(readings: Readings, found: Posterior) -> Spread:
+    """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings."""
+    orders, box, blocks = readings.orders, readings.box, readings.blocks
+    outputs = blocks * (1 if readings.mixed else 2)
+    rows = np.random.default_rng(0).permutation(len(readings))[:_SAMPLES]
+    sample = basis(readings.inputs[rows], orders, box)
+    weight = readings.metric[rows]
+    if readings.mixed:
+        shared = 0
+        design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
+        joint = _low_rank(design.reshape(2 * len(rows), -1), _root(found.side_covariance))
+        joint = joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2)
+        apart = np.zeros((len(orders), 0))
+        joint_orders = orders
+    else:
+        design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
+        design = design.reshape(len(rows), -1)
+        factor = _low_rank(design, _root(found.alone))
+        apart = factor.reshape(blocks, len(orders), -1).transpose(1, 0, 2).reshape(len(orders), -1)
+        # What the coefficients do with the side unknowns, the trend's parameters among them.
+        trend = readings.trend
+        shared = trend.parameters if trend else 0
+        follow = found.by_side.transpose(0, 2, 1)  # (2, columns, side)
+        by_term = follow.reshape(2, blocks, len(orders), -1).transpose(2, 1, 0, 3).reshape(len(orders), outputs, -1)
+        side = Polynomial(orders, box, by_term.reshape(len(orders), -1))
+        if trend:
+            by_parameter = trend.by_parameter.coefficients.reshape(len(trend.by_parameter.orders), outputs, -1)
+            padded = np.zeros((*by_parameter.shape[:2], by_term.shape[2]))
+            padded[..., :shared] = by_parameter
+            side = side.plus(Polynomial(trend.by_parameter.orders, box, padded.reshape(len(padded), -1)))
+        joint_orders = side.orders
+        joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ _lower_root(found.side_covariance)
+        sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(readings.inputs[rows])
+        sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
+        sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
+        keep = _principal(sampled[:, shared:], 1.0 - 1e-3)
+        joint = np.concatenate([joint[..., :shared], joint[..., shared:] @ keep], axis=-1)
+    return Spread(
+        outputs,
+        Polynomial(orders, box, apart),
+        Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
+        shared,
+    )
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """F with F F' = covariance, whatever the scales of the unknowns."""
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _lower_root(covariance: FloatArray) -> FloatArray:
+    """Lower triangular F with F F' = covariance: the first unknowns follow the first variables alone."""
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0, scale, 1.0)
+    correlation = covariance / scale[:, None] / scale + 1e-12 * np.eye(len(covariance))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
+
+
+def _low_rank(design: FloatArray, root: FloatArray) -> FloatArray:
+    return root @ _principal(design @ root, _KEPT)
+
+
+def _principal(sampled: FloatArray, share: float) -> FloatArray:
+    """Directions (k, rank) of standard normal variables that keep a share of the variance of samples (n, k).
+
+    Scaled so that the mean variance of the samples stays what it is.
+    """
+    if sampled.shape[1] == 0:
+        return np.zeros((0, 0))
+    values, vectors = np.linalg.eigh(sampled.T @ sampled)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    total = float(values.sum())
+    if total == 0.0:
+        return np.zeros((sampled.shape[1], 0))
+    running = np.cumsum(values)
+    rank = int(np.searchsorted(running, share * total)) + 1
+    return np.asarray(vectors[:, :rank] * np.sqrt(total / running[rank - 1]))

@@ -38,3 +38,10 @@ def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
 def arcmin_between(first: FloatArray, second: FloatArray) -> FloatArray:
     """Angle in arcminutes between unit directions (..., 3)."""
     return angle_between(first, second) / ARCMIN
+
+
+def dir_by_tangents(tangents: FloatArray) -> FloatArray:
+    """Derivative (..., 3, 2) of the unit direction by its tangents (..., 2)."""
+    direction = dir_of_tangents(tangents)
+    length = np.sqrt(1.0 + np.sum(tangents**2, axis=-1))[..., None, None]
+    return np.asarray((np.eye(3)[:, :2] - direction[..., :, None] * direction[..., None, :2]) / length)

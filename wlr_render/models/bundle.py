@@ -21,8 +21,17 @@ import numpy as np
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.contraction import display_contraction, see_through_contraction
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined, pixel_answer
+from wlr_render.models.fitted_model import (
+    Answer,
+    FittedDisplay,
+    FittedSeeThrough,
+    Forms,
+    Sensitivity,
+    joined,
+    pixel_answer,
+)
 from wlr_render.models.inverse import Deviation, solve_view_tangents, solve_warm_then_cold
+from wlr_render.models.spread import Spread
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.newton import Root
 from wlr_render.numerics.polynomial import Box, Polynomial
@@ -103,6 +112,7 @@ class BundleDisplay(FittedDisplay):
         base_plane: the plane of the fit.
         forward: (u px, v px, x m, y m) -> (tx, ty).
         backward_start: (x m, y m, tx, ty) -> (u px, v px), where backward queries start.
+        spread: covariance of `forward`.
     """
 
     panel: Panel
@@ -110,6 +120,7 @@ class BundleDisplay(FittedDisplay):
     base_plane: BasePlane
     forward: Polynomial
     backward_start: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (4, 2), "backward_start": (4, 2)}
 
@@ -127,6 +138,13 @@ class BundleDisplay(FittedDisplay):
             self.forward, self.backward_start, self.base_plane.carry(viewpoint, tangents), tangents, start
         )
 
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        depth = self.base_plane.depth_along(viewpoint, tangents)
+        inputs = joined(subject, viewpoint[:, :2] + depth[:, None] * tangents)
+        _, jacobian = self.forward.with_jacobian(inputs, axes=(2, 3))
+        # p~ moves with the tangents: t = f(pixel, p~(t)).
+        return Sensitivity(inputs, np.linalg.inv(np.eye(2) - jacobian @ self.base_plane.carry_by_tangents(depth, tangents)))
+
 
 @dataclass(frozen=True)
 class BundleSeeThrough(FittedSeeThrough):
@@ -139,11 +157,13 @@ class BundleSeeThrough(FittedSeeThrough):
         eye_box: box of valid viewpoints.
         base_plane: the plane of the fit.
         deviation: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m).
+        spread: covariance of `deviation`.
     """
 
     eye_box: EyeBox
     base_plane: BasePlane
     deviation: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"deviation": (4, 4)}
 
@@ -171,3 +191,8 @@ class BundleSeeThrough(FittedSeeThrough):
         inputs = joined(self.base_plane.carry(viewpoint, root.unknown), root.unknown)
         inside = self.deviation.box.contains(inputs)
         return Answer(root.unknown, inside, root.converged, root.unknown)
+
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        inputs = joined(self.base_plane.carry(viewpoint, tangents), tangents)
+        deviation = _deviation_at(self.deviation, self.base_plane, tangents, viewpoint)
+        return Sensitivity(inputs, deviation.view_by_value(1.0 / (viewpoint[:, 2] - subject[:, 2])))

@@ -11,9 +11,10 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.directions import ARCMIN, dir_by_tangents, dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Panel, QueryResult, Status
 from wlr_render.models.inverse import solve_pixel
+from wlr_render.models.spread import Spread
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -35,6 +36,19 @@ class Answer:
     inside: BoolArray
     solved: BoolArray | None = None
     start: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How view tangents follow a model's polynomial.
+
+    Attributes:
+        inputs: (m, variables) of the polynomial.
+        by_polynomial: (m, 2, outputs) derivative of the view tangents by its values there.
+    """
+
+    inputs: FloatArray
+    by_polynomial: FloatArray
 
 
 ChunkQuery = Callable[[FloatArray, FloatArray, FloatArray | None], Answer]
@@ -119,11 +133,12 @@ Forms = dict[str, tuple[int, int]]
 
 
 class FittedModel(ABC):
-    """Base of models made of polynomials; a subclass is a frozen dataclass and implements the two formulas.
+    """Base of models made of polynomials; a subclass is a frozen dataclass and implements the formulas.
 
     Attributes:
-        FORMS: variables and outputs of each polynomial, by attribute name.
+        FORMS: variables and outputs of each polynomial, by attribute name; the first is the model, others start solves.
         eye_box: box of valid viewpoints; a viewpoint outside is OUTSIDE_FIT.
+        spread: covariance of the first polynomial; None for models that were not fitted with one.
 
     Raises:
         BadInputError: a polynomial has wrong numbers of variables, outputs or terms, or coefficients that are not
@@ -132,6 +147,7 @@ class FittedModel(ABC):
 
     FORMS: ClassVar[Forms]
     eye_box: EyeBox
+    spread: Spread | None
 
     def __post_init__(self) -> None:
         for name, (variables, outputs) in self.FORMS.items():
@@ -158,6 +174,24 @@ class FittedModel(ABC):
     def _backward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         """Display: view tangents (m, 2) -> pixels. See-through: points (m, 3) -> view tangents."""
 
+    @abstractmethod
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        """How the view tangents (m, 2) of a pixel (m, 2) or a real point (m, 3) follow the first polynomial."""
+
+    def _sigma(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
+        if self.spread is None:
+            raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
+        lead = view_dir.shape[:-1]
+        subject, viewpoint = (_flat(np.asarray(each, np.float64), lead) for each in (subject, viewpoint))
+        sigma = np.full(len(subject), np.nan)
+        tangents = tangents_of_dir(view_dir.reshape(-1, 3))
+        rows = np.flatnonzero(np.isfinite(tangents).all(axis=1))
+        at = self._sensitivity(subject[rows], viewpoint[rows], tangents[rows])
+        covariance = at.by_polynomial @ self.spread.covariance(at.inputs) @ at.by_polynomial.transpose(0, 2, 1)
+        turned = dir_by_tangents(tangents[rows])
+        sigma[rows] = np.sqrt(np.einsum("nij,njk,nik->n", turned, covariance, turned)) / ARCMIN
+        return sigma.reshape(lead)
+
 
 class FittedDisplay(FittedModel):
     """Base of display models with a forward and a backward formula.
@@ -181,6 +215,16 @@ class FittedDisplay(FittedModel):
         tangents = tangents_of_dir(np.asarray(view_dir))
         return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
 
+    def sigma(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """Standard error (...) of `view_dir_of_pixel` in arcminutes: the rms angle that the fit expects of itself.
+
+        NaN where there is no answer.
+
+        Raises:
+            BadInputError: the model has no covariance.
+        """
+        return self._sigma(pixel, viewpoint, self.view_dir_of_pixel(pixel, viewpoint).value)
+
 
 class FittedSeeThrough(FittedModel):
     """Base of see-through models with a forward and a backward formula."""
@@ -198,6 +242,10 @@ class FittedSeeThrough(FittedModel):
         """Backward; see `mappings.SeeThroughMapping`."""
         in_front = _points_in_front(point, viewpoint)
         return _as_directions(answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start))
+
+    def sigma(self, point: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """Standard error (...) of `view_dir_of_real_point` in arcminutes; see `FittedDisplay.sigma`."""
+        return self._sigma(point, viewpoint, self.view_dir_of_real_point(point, viewpoint).value)
 
 
 def _as_directions(result: QueryResult) -> QueryResult:

@@ -99,6 +99,12 @@ class Deviation:
         slope = far[..., None] * self.by_tangents[:, :2] + near[..., None] * (self.by_tangents[:, 2:] - by_depth)
         return value, slope
 
+    def view_by_value(self, inverse_depth: FloatArray) -> FloatArray:
+        """Derivative (m, 2, 4) of the view tangents of points at `inverse_depth` (m,) by the model's value (A, B)."""
+        near = inverse_depth[:, None, None]
+        by_value = np.concatenate([(1.0 - self.depth[:, None, None] * near) * np.eye(2), near * np.eye(2)], axis=-1)
+        return np.asarray(-np.linalg.solve(np.eye(2) + self.seen_at(inverse_depth)[1], by_value))
+
 
 def solve_view_tangents(
     deviation_at: Callable[[FloatArray, IntArray], Deviation],

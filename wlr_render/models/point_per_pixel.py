@@ -11,7 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms
+from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, Sensitivity
+from wlr_render.models.spread import Spread
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
@@ -35,6 +36,7 @@ class PointPerPixelDisplay(FittedDisplay):
     panel: Panel
     eye_box: EyeBox
     point: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"point": (2, 3)}
 
@@ -57,3 +59,9 @@ class PointPerPixelDisplay(FittedDisplay):
         first = cold if start is None else np.where(np.isfinite(start), start, cold)
         root = solve_2x2(residual, first, _TOLERANCE)
         return Answer(root.unknown, self.point.box.contains(root.unknown), root.converged, root.unknown)
+
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        shift = viewpoint - self.eye_box.centre
+        by_depth = -(shift[:, :2] + shift[:, 2:] * tangents)[..., None]
+        by_point = np.concatenate([np.broadcast_to(np.eye(2), (len(subject), 2, 2)), by_depth], axis=-1)
+        return Sensitivity(subject, by_point / (1.0 + self.point(subject)[:, 2:] * shift[:, 2:])[..., None])

@@ -11,8 +11,9 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, pixel_answer
-from wlr_render.models.volumetric import deviated_contraction, deviated_ray, deviated_view
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, Sensitivity, pixel_answer
+from wlr_render.models.spread import Spread
+from wlr_render.models.volumetric import deviated_contraction, deviated_ray, deviated_sensitivity, deviated_view
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
@@ -34,6 +35,7 @@ class StaticDisplay(FittedDisplay):
     eye_box: EyeBox
     forward: Polynomial
     backward_start: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward_start": (2, 2)}
 
@@ -42,6 +44,9 @@ class StaticDisplay(FittedDisplay):
 
     def _backward(self, tangents: FloatArray, _viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         return pixel_answer(self.forward, self.backward_start, _nowhere(tangents), tangents, start)
+
+    def _sensitivity(self, subject: FloatArray, _viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        return Sensitivity(subject, np.broadcast_to(np.eye(2), (len(tangents), 2, 2)))
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ class StaticSeeThrough(FittedSeeThrough):
 
     eye_box: EyeBox
     forward: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (2, 4)}
 
@@ -69,6 +75,9 @@ class StaticSeeThrough(FittedSeeThrough):
 
     def _backward(self, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         return deviated_view(self.forward, _nowhere(point), point, viewpoint, start)
+
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        return deviated_sensitivity(self.forward, _nowhere(subject), subject, viewpoint, tangents)
 
 
 def _nowhere(rows: FloatArray) -> FloatArray:

@@ -9,11 +9,27 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from wlr_render.mappings import EyeBox, Panel
+<<<<<<< HEAD
 from wlr_render.models.contraction import see_through_contraction
 from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined, pixel_answer
 from wlr_render.models.inverse import Deviation, solve_view_tangents
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial
+=======
+from wlr_render.models.fitted_model import (
+    Answer,
+    FittedDisplay,
+    FittedSeeThrough,
+    Forms,
+    Sensitivity,
+    joined,
+    pixel_answer,
+)
+from wlr_render.models.inverse import Deviation, solve_view_tangents
+from wlr_render.models.spread import Spread
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Polynomial
+>>>>>>> f264890 (wip)
 
 
 @dataclass(frozen=True)
@@ -33,6 +49,7 @@ class VolumetricDisplay(FittedDisplay):
     eye_box: EyeBox
     forward: Polynomial
     backward_start: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (5, 2), "backward_start": (5, 2)}
 
@@ -42,6 +59,9 @@ class VolumetricDisplay(FittedDisplay):
 
     def _backward(self, tangents: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         return pixel_answer(self.forward, self.backward_start, viewpoint, tangents, start)
+
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        return Sensitivity(joined(subject, viewpoint), np.broadcast_to(np.eye(2), (len(tangents), 2, 2)))
 
 
 @dataclass(frozen=True)
@@ -58,6 +78,7 @@ class VolumetricSeeThrough(FittedSeeThrough):
 
     eye_box: EyeBox
     forward: Polynomial
+    spread: Spread | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (5, 4)}
 
@@ -70,6 +91,9 @@ class VolumetricSeeThrough(FittedSeeThrough):
 
     def _backward(self, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         return deviated_view(self.forward, viewpoint, point, viewpoint, start)
+
+    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
+        return deviated_sensitivity(self.forward, viewpoint, subject, viewpoint, tangents)
 
 
 def deviated_contraction(forward: Polynomial, eye_box: EyeBox, place_of: Callable[[FloatArray], FloatArray]) -> float:
@@ -102,11 +126,31 @@ def deviated_view(
     forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Answer:
     """The view direction whose `deviated_ray` passes through the point."""
+<<<<<<< HEAD
     forward_at = forward.held(range(place.shape[1]), place)
 
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
         return Deviation.at_viewpoint(*forward_at.with_jacobian(tangents, index))
+=======
+
+    def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
+        return _deviation_at(forward, joined(place[index], tangents))
+>>>>>>> f264890 (wip)
 
     root = solve_view_tangents(deviation_at, point, viewpoint, start)
     inside = forward.box.contains(joined(place, root.unknown))
     return Answer(root.unknown, inside, root.converged, root.unknown)
+
+
+def deviated_sensitivity(
+    forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, tangents: FloatArray
+) -> Sensitivity:
+    """How `deviated_view` follows the polynomial."""
+    inputs = joined(place, tangents)
+    inverse_depth = 1.0 / (viewpoint[:, 2] - point[:, 2])
+    return Sensitivity(inputs, _deviation_at(forward, inputs).view_by_value(inverse_depth))
+
+
+def _deviation_at(forward: Polynomial, inputs: FloatArray) -> Deviation:
+    last = inputs.shape[1]
+    return Deviation.at_viewpoint(*forward.with_jacobian(inputs, axes=(last - 2, last - 1)))

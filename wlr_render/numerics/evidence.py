@@ -25,8 +25,6 @@ from scipy.optimize import minimize
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-FREE = float(np.log(1e3))
-"""log of a prior size that holds nothing: a thousand times what unknowns of order one need."""
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _NEGLIGIBLE = 1e-7  # what the readings say of an unknown, over what its prior says
 _ENOUGH = 0.02  # a step that gains less log evidence (natural units) ends the search
@@ -125,8 +123,7 @@ class Prior:
     Attributes:
         names: of the hyperparameters; one is "noise", the logarithm of the noise.
         bounds: (hyperparameters, 2) lowest and highest.
-        features: (columns, hyperparameters), offset: (columns,) of the coefficients x, the same for each output;
-            `FREE` with no features for one that no prior holds.
+        features: (columns, hyperparameters), offset: (columns,) of the coefficients x, the same for each output.
         mixed_features: (mixed, hyperparameters), mixed_offset: (mixed,) of z.
         own_features: (own, hyperparameters), own_offset: (own,) or (groups, own) of b.
     """

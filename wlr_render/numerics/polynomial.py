@@ -336,6 +336,13 @@ class Polynomial:
         value, jacobian = _in_blocks(both, inputs)
         return value, jacobian
 
+    def plus(self, other: "Polynomial") -> "Polynomial":
+        """The sum with a polynomial over the same box, whose terms may be others."""
+        orders, index = _distinct(np.concatenate([self.orders, other.orders]))
+        coefficients = np.zeros((len(orders), self.coefficients.shape[1]))
+        np.add.at(coefficients, index, np.concatenate([self.coefficients, other.coefficients]))
+        return Polynomial(orders, self.box, coefficients)
+
     def held(self, axes: Sequence[int], inputs: FloatArray) -> HeldPolynomial:
         """Hold the variables `axes` at (n, axes); the result is a polynomial of the others, ascending."""
         return HeldPolynomial(self._split(axes), self.box, inputs)
