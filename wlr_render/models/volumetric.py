@@ -8,14 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from wlr_render.mappings import EyeBox, Panel
-<<<<<<< HEAD
 from wlr_render.models.contraction import see_through_contraction
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined, pixel_answer
-from wlr_render.models.inverse import Deviation, solve_view_tangents
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, Polynomial
-=======
 from wlr_render.models.fitted_model import (
     Answer,
     FittedDisplay,
@@ -27,9 +23,8 @@ from wlr_render.models.fitted_model import (
 )
 from wlr_render.models.inverse import Deviation, solve_view_tangents
 from wlr_render.models.spread import Spread
-from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Polynomial
->>>>>>> f264890 (wip)
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 
 @dataclass(frozen=True)
@@ -126,16 +121,10 @@ def deviated_view(
     forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Answer:
     """The view direction whose `deviated_ray` passes through the point."""
-<<<<<<< HEAD
     forward_at = forward.held(range(place.shape[1]), place)
 
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
         return Deviation.at_viewpoint(*forward_at.with_jacobian(tangents, index))
-=======
-
-    def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
-        return _deviation_at(forward, joined(place[index], tangents))
->>>>>>> f264890 (wip)
 
     root = solve_view_tangents(deviation_at, point, viewpoint, start)
     inside = forward.box.contains(joined(place, root.unknown))
@@ -146,11 +135,5 @@ def deviated_sensitivity(
     forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, tangents: FloatArray
 ) -> Sensitivity:
     """How `deviated_view` follows the polynomial."""
-    inputs = joined(place, tangents)
-    inverse_depth = 1.0 / (viewpoint[:, 2] - point[:, 2])
-    return Sensitivity(inputs, _deviation_at(forward, inputs).view_by_value(inverse_depth))
-
-
-def _deviation_at(forward: Polynomial, inputs: FloatArray) -> Deviation:
-    last = inputs.shape[1]
-    return Deviation.at_viewpoint(*forward.with_jacobian(inputs, axes=(last - 2, last - 1)))
+    by_value = _deviation(forward, place, tangents).view_by_value(1.0 / (viewpoint[:, 2] - point[:, 2]))
+    return Sensitivity(joined(place, tangents), by_value)
