@@ -1,15 +1,23 @@
-"""Quality of a fit: residuals and cross-validated errors."""
+"""A fitted model and its report: what the fit found of the bench, how sure it is, and what would make it surer."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from wlr_render.calibration.regression import Fitted, HeldOut
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.calibration.smooth_fit import MovedCapture, Readings, SmoothFit
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import QueryResult
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+AnyModel = TypeVar("AnyModel", FittedDisplay, FittedSeeThrough)
+_BANDS = 5  # of camera positions along x and y that are left out in turn
+_TESTED = 2_000  # pairs of viewpoint and pixel or point at which the predicted error is averaged
 
 
 @dataclass(frozen=True)
@@ -34,75 +42,229 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class FitReport:
-    """Quality of a model on the captures it was fitted to, and on held-out captures.
+class HeldOut:
+    """Camera positions that were left out and predicted by a fit to the others.
 
     Attributes:
-        kind: "planar", "volumetric", "static" or "point-per-pixel".
-        degree: total degree N.
-        coefficients: of each polynomial by name: the number of its coefficients.
-        condition: largest condition number of the scaled designs.
-        viewpoints: number of camera positions.
-        samples: number of measured directions.
-        unsolved: samples at which the fitted model has no answer.
+        left_out: which, e.g. "row 2 of 5".
+        captures: how many.
+        rms_arcmin: of the errors there. expected_arcmin: what the fit expects, noise and motions included.
+    """
+
+    left_out: str
+    captures: int
+    rms_arcmin: float
+    expected_arcmin: float
+
+
+@dataclass(frozen=True)
+class OneMore:
+    """What one more row or column of camera positions would bring.
+
+    Attributes:
+        positions: which, e.g. "a row of 5 camera positions at y = +4 mm".
+        predicted_arcmin: rms error of the model with them, as `FitReport.predicted_arcmin`.
+    """
+
+    positions: str
+    predicted_arcmin: float
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """Quality of a model, on the captures that it was fitted to and beyond.
+
+    Attributes:
+        kind: "planar", "volumetric", "static", "point-per-pixel", "grey-box" or "prescription".
+        orders: limits of the orders, e.g. "pixel 8, place 5".
+        coefficients: number of them. determined: how many of them the captures determine.
+        viewpoints: number of camera positions. samples: of measured directions.
+        unsolved: samples at which the fitted model has no answer. outliers: samples of weight zero.
         residual_arcmin: of the view directions, predicted from pixel (or real point) and viewpoint by the whole model.
         residual_px: of the pixels, predicted from view direction and viewpoint; None for see-through.
         contraction: of the model's solve over the eye box; below 1 the solve has one solution (`models.contraction`).
-        held_out_arcmin: of the forward fit, per degree tried; a degree that the positions left over cannot determine is
-            missing.
+        noise_arcmin: found, per axis. stated_noise_arcmin: median of the captures' sigma; None for exact data.
+        repeatability_um, wobble_urad: found standard deviations, per axis, of what the readings of a capture share: a
+            shift and a turn of the camera.
+        moved: captures that stood elsewhere than stated, by far more than the others.
+        log_evidence: natural logarithm; of models of the same captures, the one with the largest is most probable.
+        predicted_arcmin: rms error that the fit expects of itself over the eye box.
+        held_out: rows and columns of camera positions predicted from the others.
+        one_more: None where the kind has no places.
     """
 
     kind: str
-    degree: int
-    coefficients: dict[str, int]
-    condition: float
+    orders: str
+    coefficients: int
+    determined: float
     viewpoints: int
     samples: int
     unsolved: int
+    outliers: int
     residual_arcmin: Residuals
     residual_px: Residuals | None
     contraction: float
-    held_out_arcmin: tuple[HeldOut, ...]
+    noise_arcmin: float
+    stated_noise_arcmin: float | None
+    repeatability_um: float
+    wobble_urad: float
+    moved: tuple[MovedCapture, ...]
+    log_evidence: float
+    predicted_arcmin: float
+    held_out: tuple[HeldOut, ...]
+    one_more: OneMore | None
 
-    def held_out_at_degree(self) -> HeldOut | None:
-        """The held-out error of the degree in use, or None where it could not be determined."""
-        return next((entry for entry in self.held_out_arcmin if entry.degree == self.degree), None)
+    @property
+    def held_out_arcmin(self) -> tuple[float, float] | None:
+        """Rms over all held-out rows and columns, and what the fits expected; None where nothing was held out."""
+        if not self.held_out:
+            return None
+        captures = np.array([each.captures for each in self.held_out], dtype=np.float64)
+        found, expected = (
+            float(np.sqrt(np.average(np.square(sizes), weights=captures)))
+            for sizes in zip(*((each.rms_arcmin, each.expected_arcmin) for each in self.held_out), strict=True)
+        )
+        return found, expected
 
-    @classmethod
-    def of(
-        cls,
-        kind: str,
-        captures: DisplayCaptures | SeeThroughCaptures,
-        fits: dict[str, Fitted],
-        contraction: float,
-        seen: QueryResult,
-        shown: QueryResult | None = None,
-    ) -> "FitReport":
-        """Compare a model's predictions with the captures it was fitted to.
 
-        Args:
-            kind: of the model.
-            captures: n rows.
-            fits: by polynomial name.
-            contraction: of the model's solve.
-            seen: predicted view directions (n, 3).
-            shown: predicted panel pixels (n, 2), for a display.
-        """
-        first = next(iter(fits.values()))
+@dataclass(frozen=True)
+class ModelFit(Generic[AnyModel]):
+    """A fitted model with everything that was found on the way.
+
+    Attributes:
+        kind: see `FitReport`.
+        mapping: the model, with its covariance.
+        captures: what it was fitted to.
+        smooth: the fit of its polynomial.
+        readings_of: captures -> readings, with which it was made.
+        orders: limits of the orders in words.
+        contraction: see `FitReport`.
+    """
+
+    kind: str
+    mapping: AnyModel
+    captures: DisplayCaptures | SeeThroughCaptures
+    smooth: SmoothFit
+    readings_of: Callable[[DisplayCaptures | SeeThroughCaptures], Readings]
+    orders: str
+    contraction: float
+
+    @cached_property
+    def report(self) -> FitReport:
+        """The report; held-out positions and the row to add cost about as much as the fit."""
+        smooth, captures = self.smooth, self.captures
+        seen = self._seen(captures)
         residual_px, usable = None, seen.usable
-        if shown is not None and isinstance(captures, DisplayCaptures):
+        if isinstance(self.mapping, FittedDisplay) and isinstance(captures, DisplayCaptures):
+            shown = self.mapping.pixel_of_view_dir(captures.view_dir, captures.viewpoint)
             usable = usable & shown.usable
             residual_px = Residuals.of(np.linalg.norm(shown.value - captures.pixel, axis=1))
-        return cls(
-            kind=kind,
-            degree=first.degree,
-            coefficients={name: fitted.polynomial.coefficients.size for name, fitted in fits.items()},
-            condition=max(fitted.condition for fitted in fits.values()),
+        stated = captures.sigma_arcmin if np.any(captures.sigma_arcmin > 0) else None
+        unit = 1.0 if stated is None else float(np.median(stated))
+        return FitReport(
+            kind=self.kind,
+            orders=self.orders,
+            coefficients=smooth.polynomial.coefficients.size,
+            determined=smooth.posterior.determined,
             viewpoints=len(np.unique(captures.capture)),
             samples=len(captures),
             unsolved=int(np.sum(~usable)),
+            outliers=int(np.sum(smooth.kept == 0.0)),
             residual_arcmin=Residuals.of(arcmin_between(seen.value, captures.view_dir)),
             residual_px=residual_px,
-            contraction=contraction,
-            held_out_arcmin=first.held_out,
+            contraction=self.contraction,
+            noise_arcmin=smooth.noise * unit,
+            stated_noise_arcmin=None if stated is None else unit,
+            repeatability_um=1e6 * smooth.shift_m,
+            wobble_urad=1e6 * smooth.turn_rad,
+            moved=smooth.moved,
+            log_evidence=smooth.posterior.log_evidence,
+            predicted_arcmin=self.predicted_arcmin(self.mapping),
+            held_out=tuple(self._held_out()),
+            one_more=self._one_more(),
         )
+
+    def predicted_arcmin(self, model: AnyModel) -> float:
+        """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""
+        rng = np.random.default_rng(0)
+        rows = rng.integers(0, len(self.captures), _TESTED)
+        viewpoint = model.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTED, 3)))
+        sigma = model.sigma(self._subject(self.captures)[rows], viewpoint)
+        return float(np.sqrt(np.nanmean(sigma**2)))
+
+    @staticmethod
+    def _subject(captures: DisplayCaptures | SeeThroughCaptures) -> FloatArray:
+        return captures.pixel if isinstance(captures, DisplayCaptures) else captures.point
+
+    def _seen(self, captures: DisplayCaptures | SeeThroughCaptures) -> QueryResult:
+        subject = self._subject(captures)
+        if isinstance(self.mapping, FittedDisplay):
+            return self.mapping.view_dir_of_pixel(subject, captures.viewpoint)
+        return self.mapping.view_dir_of_real_point(subject, captures.viewpoint)
+
+    @property
+    def _has_places(self) -> bool:
+        return bool(self.smooth.readings.is_place.any()) and len(np.unique(self.captures.capture)) > 1
+
+    def _held_out(self) -> list[HeldOut]:
+        if not self._has_places:
+            return []
+        captures, found = self.captures, []
+        for axis, noun in enumerate(("column", "row")):
+            band = _bands(captures.viewpoint[:, axis], captures.capture)
+            count = int(band.max()) + 1
+            for number in range(count if count > 1 else 0):
+                out = band == number
+                rms, expected = self.smooth.left_out(out)
+                name = f"{noun} {number + 1} of {count}"
+                found.append(HeldOut(name, len(np.unique(captures.capture[out])), rms, expected))
+        return found
+
+    def _one_more(self) -> OneMore | None:
+        """Of a row and a column where the model is least sure, the one that helps more."""
+        if not self._has_places:
+            return None
+        position = np.unique(self.captures.viewpoint, axis=0)
+        low, high = position.min(axis=0), position.max(axis=0)
+        count = max(3, round(len(position) ** 0.5))
+        tried = []
+        for axis, noun in enumerate(("column", "row")):
+            along = np.linspace(low[1 - axis], high[1 - axis], count)
+            places = []
+            for level in np.linspace(low[axis], high[axis], _BANDS):
+                place = np.tile(0.5 * (low + high), (count, 1))
+                place[:, axis], place[:, 1 - axis] = level, along
+                places.append(place)
+            rows = np.random.default_rng(0).integers(0, len(self.captures), 200)
+            subject = self._subject(self.captures)[rows][:, None]
+            sure = [np.nanmean(self.mapping.sigma(subject, place[None]) ** 2) for place in places]
+            worst = places[int(np.argmax(sure))]
+            spread = self.smooth.spread_with(self.readings_of(self._with_positions(worst)))
+            predicted = self.predicted_arcmin(replace(self.mapping, spread=spread))
+            name = f"a {noun} of {count} camera positions at {'xy'[axis]} = {1e3 * worst[0, axis]:+.1f} mm"
+            tried.append(OneMore(name, predicted))
+        return min(tried, key=lambda each: each.predicted_arcmin)
+
+    def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
+        """The captures and further ones from viewpoints (m, 3), each of which sees what the nearest camera saw."""
+        captures = self.captures
+        parts = [captures]
+        last = int(captures.capture.max())
+        names, first = np.unique(captures.capture, return_index=True)
+        for number, place in enumerate(viewpoint):
+            nearest = names[np.argmin(np.linalg.norm(captures.viewpoint[first] - place, axis=1))]
+            copy = select(captures, captures.capture == nearest)
+            copy = replace(copy, viewpoint=np.tile(place, (len(copy), 1)))
+            seen = self._seen(copy)
+            known = seen.usable & (seen.value[:, 2] < 0)
+            copy = select(replace(copy, capture=np.full(len(copy), last + 1 + number)), known)
+            parts.append(replace(copy, view_dir=seen.value[known]))
+        return concatenate(parts)
+
+
+def _bands(coordinate: FloatArray, capture: IntArray) -> IntArray:
+    """Number (n,) of the band of captures along a coordinate (n,): bands have equally many captures, about."""
+    _, first, position = np.unique(capture, return_index=True, return_inverse=True)
+    order = np.argsort(np.argsort(coordinate[first], kind="stable"), kind="stable")
+    count = min(_BANDS, max(2, round(len(first) ** 0.5)))
+    return np.asarray((order * count // len(first))[position])

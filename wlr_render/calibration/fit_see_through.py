@@ -1,130 +1,197 @@
 """Fit a see-through model to captures."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from wlr_render.calibration.base_plane import choose_base_plane
-from wlr_render.calibration.coverage import missing_coverage
-from wlr_render.calibration.fit_report import FitReport
-from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit, relative_sigma
+from wlr_render.calibration.fit_report import ModelFit
+from wlr_render.calibration.smooth_fit import (
+    TREND_ALONE,
+    Limits,
+    Readings,
+    Trend,
+    UndeterminedError,
+    angular_metric,
+    fit,
+    turn_columns,
+)
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import SeeThroughMapping
 from wlr_render.models.bundle import BundleSeeThrough
 from wlr_render.models.contraction import require_unique
 from wlr_render.models.fitted_model import FittedSeeThrough
+from wlr_render.models.spread import Spread
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.least_squares import RankDeficientError
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.polynomial import Polynomial
 
-_SeeThroughFit = tuple[FittedSeeThrough, SeeThroughCaptures, dict[str, Fitted]]
-"""A fitted mapping, the captures it was made from, and its fits by polynomial name."""
+SEE_THROUGH_LIMITS = Limits(pixel=6, place=4, total=6)
+"""Of direction and place: deviations are smoother than the display's distortion."""
 
 
 def fit_see_through(
-    captures: SeeThroughCaptures, kind: str = "planar", degree: int | None = None, base_plane: BasePlane | None = None
-) -> tuple[SeeThroughMapping, FitReport]:
-    """Fit a see-through model to captures of targets.
-
-    The model is the deviation from the straight ray. A point X seen at depth Z in front of the base plane along t
-    gives (X_xy - p~) / Z - t = A + B / Z, which is linear in the unknown A(p~, t) and B(p~, t): any number of target
-    poses, tilted or not, go into one least-squares problem that minimises angles, weighted by 1 / sigma.
+    captures: SeeThroughCaptures,
+    kind: str = "planar",
+    degree: int | None = None,
+    base_plane: BasePlane | None = None,
+    trend: Trend | None = None,
+) -> ModelFit[FittedSeeThrough]:
+    """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
 
     Args:
-        captures: what was measured.
-        kind: "planar", "volumetric" or "static" (of each target pose, only the camera position nearest to the eye
-            box's centre is used).
-        degree: total degree N, or None to choose it by held-out camera positions.
+        captures: what was measured, at two or more target depths.
+        kind: "planar", "volumetric", "static" (of each target pose, only the camera position nearest to the eye
+            box's centre is used), or with a trend "grey-box" or "prescription"; see `fit_display`.
+        degree: highest total degree; None for `SEE_THROUGH_LIMITS`.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
+        trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
 
     Raises:
-        BadInputError: an unknown kind, a point behind the base plane, captures that do not determine the model, or a
-            model that may have two solutions; the sentence says what is missing.
+        BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
+            each other, or a model that may have two solutions; the sentence says what is missing.
     """
-    mapping, used, fits = _fitted(captures, kind, degree, base_plane)
-    contraction = require_unique(mapping.contraction(), kind, "see-through")
-    seen = mapping.view_dir_of_real_point(used.point, used.viewpoint)
-    return mapping, FitReport.of(kind, used, fits, contraction, seen)
-
-
-def see_through_of_degree(captures: SeeThroughCaptures, kind: str, degree: int) -> SeeThroughMapping:
-    """Fit a see-through model of a given degree as `fit_see_through` does, without cross-validation and report."""
-    return _fitted(captures, kind, degree)[0]
-
-
-def _fitted(
-    captures: SeeThroughCaptures, kind: str, degree: int | None, base_plane: BasePlane | None = None
-) -> _SeeThroughFit:
     if kind not in _KINDS:
         raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
-    plane = base_plane or choose_base_plane(captures.viewpoint, captures.eye_box)
-    if np.any(plane.depth_of(captures.point) <= 0):
+    how = _KINDS[kind]
+    if how.needs_trend and trend is None:
+        raise BadInputError(
+            f"a {kind} see-through model needs the device's prescription; name it, or fit a planar model."
+        )
+    used = select(captures, _nominal(captures)) if how.nominal else captures
+    plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
+    if np.any(plane.depth_of(used.point) <= 0):
         raise BadInputError(
             f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."
         )
+    limits = SEE_THROUGH_LIMITS if degree is None else Limits(degree, degree, degree)
+    if how.nothing_but_trend:
+        limits = TREND_ALONE
+    readings_of = partial(how.readings, plane=plane, limits=limits, trend=trend if how.needs_trend else None)
     refusal = f"the captures do not determine a {kind} see-through model"
-    lowest = 1 if degree is None else degree
-    # Positions that are not exact, and a target that is tilted, hide from the rank that they are too few.
-    if lacks := _lacking_places(captures, kind, lowest):
-        raise BadInputError(f"{refusal}: {lacks}.")
+    poses = len(np.unique(used.target_pose))
+    if poses < 2 and not how.nothing_but_trend:
+        raise BadInputError(
+            f"{refusal}: it needs a second target depth and there are {poses} target pose(s): add one nearer or farther."
+        )
     try:
-        return _KINDS[kind](captures, plane, degree)
-    except RankDeficientError as error:
-        lacks = missing_coverage("view directions", captures.tangents, "xy", lowest)
-        raise BadInputError(f"{refusal}: {lacks or _one_depth(captures)}.") from error
+        smooth = fit(readings_of(used))
+    except UndeterminedError as error:
+        raise BadInputError(
+            f"{refusal}: the real points lie in one line of sight or at one depth; spread them over the field, and "
+            "photograph the target nearer and farther."
+        ) from error
+    smooth.require_agreement(f"the see-through captures of {captures.device}", used.sigma_arcmin)
+    mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
+    contraction = require_unique(mapping.contraction(), kind, "see-through")
+    return ModelFit(kind, mapping, used, smooth, readings_of, limits.words("direction", how.places), contraction)
 
 
-def _fit_planar(captures: SeeThroughCaptures, plane: BasePlane, degree: int | None) -> _SeeThroughFit:
+def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
     tangents = captures.tangents
-    in_plane = plane.carry(captures.viewpoint, tangents)
+    depth_to_plane = plane.depth_along(captures.viewpoint, tangents)
+    in_plane = captures.viewpoint[:, :2] + depth_to_plane[:, None] * tangents
     depth = (plane.z_at(in_plane) - captures.point[:, 2])[:, None]
+    carried = plane.carry_by_tangents(depth_to_plane, tangents)
+
+    def motion(slope: FloatArray) -> FloatArray:
+        """(P - p~) / Z - t less the deviation at (p~, t): both p~ and t move with the camera."""
+        turned = turn_columns(tangents)
+        along_z = (tangents / (1.0 + tangents @ np.array(plane.slope))[:, None])[:, :, None]
+        by_shift = np.concatenate([np.eye(2) - along_z * np.array(plane.slope), along_z], axis=2)
+        by_place = -np.eye(2) / depth[:, :, None] - slope[:, :, :2]
+        by_tangents = -np.eye(2) - slope[:, :, 2:]
+        return np.concatenate([by_place @ by_shift, by_place @ carried @ turned + by_tangents @ turned], axis=2)
+
     observed = (captures.point[:, :2] - in_plane) / depth - tangents
-    fitted = _deviation(captures, np.hstack([in_plane, tangents]), observed, depth, captures.capture, degree)
-    return BundleSeeThrough(captures.eye_box, plane, fitted.polynomial), captures, {"deviation": fitted}
+    return _readings(captures, in_plane, observed, depth, motion, limits, trend)
 
 
-def _fit_volumetric(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
-    forward = _forward(captures, captures.viewpoint, captures.capture, degree)
-    return VolumetricSeeThrough(captures.eye_box, forward.polynomial), captures, {"forward": forward}
-
-
-def _fit_static(captures: SeeThroughCaptures, _: BasePlane, degree: int | None) -> _SeeThroughFit:
-    centred = select(captures, _nominal(captures))
-    forward = _forward(centred, np.empty((len(centred), 0)), np.arange(len(centred)), degree)
-    return StaticSeeThrough(captures.eye_box, forward.polynomial), centred, {"forward": forward}
-
-
-_KINDS: dict[str, Callable[[SeeThroughCaptures, BasePlane, int | None], _SeeThroughFit]] = {
-    "planar": _fit_planar,
-    "volumetric": _fit_volumetric,
-    "static": _fit_static,
-}
-
-
-def _forward(captures: SeeThroughCaptures, position: FloatArray, group: IntArray, degree: int | None) -> Fitted:
-    """Deviation of models without a base plane; `position` (n, any) is what they know of it."""
+def _in_volume(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
     tangents = captures.tangents
+    straight, depth = _straight(captures)
+
+    def motion(slope: FloatArray) -> FloatArray:
+        by_shift = -np.concatenate([np.tile(np.eye(2), (len(depth), 1, 1)), straight[:, :, None]], axis=2)
+        by_tangents = -np.eye(2) - slope[:, :, 3:]
+        return np.concatenate([by_shift / depth[:, :, None] - slope[:, :, :3], by_tangents @ turn_columns(tangents)], 2)
+
+    return _readings(captures, captures.viewpoint, straight - tangents, depth, motion, limits, trend)
+
+
+def _at_one_place(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+    straight, depth = _straight(captures)
+    nowhere = np.empty((len(captures), 0))
+    return _readings(captures, nowhere, straight - captures.tangents, depth, None, limits, trend)
+
+
+def _straight(captures: SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
+    """Tangents (n, 2) of the straight line from viewpoint to point, and the point's depth (n, 1)."""
     depth = captures.viewpoint[:, 2:] - captures.point[:, 2:]
-    straight = (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth
-    return _deviation(captures, np.hstack([position, tangents]), straight - tangents, depth, group, degree)
+    return (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth, depth
 
 
-def _deviation(
+def _readings(
     captures: SeeThroughCaptures,
-    inputs: FloatArray,
+    place: FloatArray,
     observed: FloatArray,
     depth: FloatArray,
-    group: IntArray,
-    degree: int | None,
-) -> Fitted:
-    """Fit observed (n, 2) = A(inputs) + B(inputs) / depth."""
-    multiplier = np.stack([np.ones_like(depth), 1.0 / depth], axis=2)
-    metric = angular_metric(captures.tangents)
-    sigma = relative_sigma(captures.sigma_arcmin)
-    return fit(Regression(inputs, observed[:, None], multiplier, metric, sigma, group), degree)
+    motion: Callable[[FloatArray], FloatArray] | None,
+    limits: Limits,
+    trend: Trend | None,
+) -> Readings:
+    """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
+    places = place.shape[1]
+    visit = np.stack([captures.capture, captures.target_pose], axis=1)  # the stage is driven anew for each target
+    return Readings(
+        inputs=np.hstack([place, captures.tangents]),
+        is_place=np.array([True] * places + [False, False]),
+        observed=observed,
+        multiplier=np.hstack([np.ones_like(depth), 1.0 / depth]),
+        metric=angular_metric(captures.tangents),
+        sigma=captures.sigma_arcmin,
+        capture=np.unique(visit, axis=0, return_inverse=True)[1].reshape(-1),
+        motion=motion,
+        orders=limits.orders(2, places)[:, np.roll(np.arange(2 + places), places)],
+        trend=trend,
+    )
+
+
+def _bundle(captures: SeeThroughCaptures, plane: BasePlane, deviation: Polynomial, spread: Spread) -> FittedSeeThrough:
+    return BundleSeeThrough(captures.eye_box, plane, deviation, spread)
+
+
+def _volumetric(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Spread) -> FittedSeeThrough:
+    return VolumetricSeeThrough(captures.eye_box, forward, spread)
+
+
+def _static(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Spread) -> FittedSeeThrough:
+    return StaticSeeThrough(captures.eye_box, forward, spread)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How a kind of model is fitted: its readings, its model, and whether it has places, a trend, one position."""
+
+    readings: Callable[[SeeThroughCaptures, BasePlane, Limits, Trend | None], Readings]
+    model: Callable[[SeeThroughCaptures, BasePlane, Polynomial, Spread], FittedSeeThrough]
+    places: bool = True
+    nominal: bool = False
+    needs_trend: bool = False
+    nothing_but_trend: bool = False
+
+
+_KINDS = {
+    "planar": _Kind(_on_plane, _bundle),
+    "volumetric": _Kind(_in_volume, _volumetric),
+    "static": _Kind(_at_one_place, _static, places=False, nominal=True),
+    "grey-box": _Kind(_on_plane, _bundle, needs_trend=True),
+    "prescription": _Kind(_on_plane, _bundle, needs_trend=True, nothing_but_trend=True),
+}
 
 
 def _nominal(captures: SeeThroughCaptures) -> BoolArray:
@@ -136,19 +203,3 @@ def _nominal(captures: SeeThroughCaptures) -> BoolArray:
         nearest = captures.capture[rows[np.argmin(distance[rows])]]
         chosen[rows] = captures.capture[rows] == nearest
     return chosen
-
-
-def _lacking_places(captures: SeeThroughCaptures, kind: str, degree: int) -> str | None:
-    lacks = None
-    if kind == "planar":
-        lacks = missing_coverage("viewpoints", captures.viewpoint[:, :2], "xy", degree)
-    elif kind == "volumetric":
-        lacks = missing_coverage("viewpoints", captures.viewpoint, "xyz", degree)
-    if lacks is None and len(np.unique(captures.target_pose)) < 2:
-        lacks = _one_depth(captures)
-    return lacks
-
-
-def _one_depth(captures: SeeThroughCaptures) -> str:
-    poses = len(np.unique(captures.target_pose))
-    return f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"

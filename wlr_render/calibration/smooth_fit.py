@@ -18,7 +18,7 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.models.spread import Spread
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
-from wlr_render.numerics.polynomial import Box, Polynomial, basis
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
 
 NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading: exact data would send it to zero, where rounding decides."""
@@ -34,6 +34,7 @@ _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight f
 _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _STANDS_OUT, _SURE = 8.0, 6.0  # a capture's motion over the others' median, and over its own sigma
+_CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
 _SAMPLES = 500  # readings at which that is judged
 
@@ -54,6 +55,38 @@ def turn_columns(tangents: FloatArray) -> FloatArray:
     (tx, ty), one = tangents.T, np.ones(len(tangents))
     by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
     return np.moveaxis(np.array(by_turn), -1, 0)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Highest orders of a fit.
+
+    Attributes:
+        pixel: joint order of the pixel's or direction's variables. place: of the place's. total: of all; negative for
+            no terms at all.
+    """
+
+    pixel: int
+    place: int
+    total: int
+
+    def orders(self, pixels: int, places: int) -> IntArray:
+        """(terms, pixels + places) for numbers of variables."""
+        if self.total < 0:
+            return np.zeros((0, pixels + places), np.int64)
+        return limited_orders(pixels, self.pixel, places, self.place, self.total)
+
+    def words(self, noun: str, places: bool) -> str:
+        """In a table: "pixel 8, place 5"."""
+        if self.total < 0:
+            return "none"
+        if not places or self.pixel == self.place:
+            return f"{noun} {self.pixel}" if not places else f"total {self.total}"
+        return f"{noun} {self.pixel}, place {self.place}"
+
+
+TREND_ALONE = Limits(-1, -1, -1)
+"""No terms: the trend alone."""
 
 
 @dataclass(frozen=True)
@@ -215,6 +248,24 @@ class SmoothFit:
     def turn_rad(self) -> float:
         """Wobble of the captures' orientations per axis; 0 where no motion was modelled."""
         return float(np.exp(self.posterior.hyper["turn"])) if "turn" in self.posterior.hyper else 0.0
+
+    def require_agreement(self, what: str, sigma_arcmin: FloatArray) -> None:
+        """Refuse readings that contradict each other beyond any noise.
+
+        Args:
+            what: the readings, in a sentence.
+            sigma_arcmin: (n,) their stated sigma.
+
+        Raises:
+            BadInputError: they do.
+        """
+        stated = float(np.median(sigma_arcmin)) or 1.0
+        if (found := self.noise * stated) > _CONTRADICTION_ARCMIN:
+            raise BadInputError(
+                f"{what} contradict each other: no smooth optics brings them within {found:.0f}' of one another; check "
+                "that viewpoints and directions are in the device frame (metres, OpenXR axes), that pixels count from "
+                "the panel's outer top left corner, and that rows belong together."
+            )
 
     @cached_property
     def spread(self) -> Spread:
@@ -477,15 +528,17 @@ def _spread(readings: Readings, found: Posterior) -> Spread:
     if readings.mixed:
         shared = 0
         design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
-        joint = _low_rank(design.reshape(2 * len(rows), -1), _root(found.side_covariance))
+        root = _root(found.side_covariance)
+        joint = root @ _principal(design.reshape(2 * len(rows), -1) @ root)
         joint = joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2)
         apart = np.zeros((len(orders), 0))
         joint_orders = orders
     else:
         design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
         design = design.reshape(len(rows), -1)
-        factor = _low_rank(design, _root(found.alone))
-        apart = factor.reshape(blocks, len(orders), -1).transpose(1, 0, 2).reshape(len(orders), -1)
+        root = _root(found.alone)
+        apart_root = root @ _principal(design @ root)
+        apart = apart_root.reshape(blocks, len(orders), -1).transpose(1, 0, 2).reshape(len(orders), -1)
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
         shared = trend.parameters if trend else 0
@@ -502,7 +555,7 @@ def _spread(readings: Readings, found: Posterior) -> Spread:
         sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(readings.inputs[rows])
         sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
-        keep = _principal(sampled[:, shared:], 1.0 - 1e-3)
+        keep = _principal(sampled[:, shared:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
         joint = np.concatenate([joint[..., :shared], joint[..., shared:] @ keep], axis=-1)
     return Spread(
         outputs,
@@ -528,22 +581,17 @@ def _lower_root(covariance: FloatArray) -> FloatArray:
     return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
 
 
-def _low_rank(design: FloatArray, root: FloatArray) -> FloatArray:
-    return root @ _principal(design @ root, _KEPT)
+def _principal(sampled: FloatArray, others: float = 0.0) -> FloatArray:
+    """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
 
-
-def _principal(sampled: FloatArray, share: float) -> FloatArray:
-    """Directions (k, rank) of standard normal variables that keep a share of the variance of samples (n, k).
-
-    Scaled so that the mean variance of the samples stays what it is.
+    Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside `others`,
+    the sum of squares of further samples.
     """
-    if sampled.shape[1] == 0:
-        return np.zeros((0, 0))
     values, vectors = np.linalg.eigh(sampled.T @ sampled)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     total = float(values.sum())
-    if total == 0.0:
+    if total <= (1.0 - _KEPT) * 0.01 * others or total == 0.0:
         return np.zeros((sampled.shape[1], 0))
     running = np.cumsum(values)
-    rank = int(np.searchsorted(running, share * total)) + 1
+    rank = int(np.searchsorted(running, _KEPT * total)) + 1
     return np.asarray(vectors[:, :rank] * np.sqrt(total / running[rank - 1]))
