@@ -3,12 +3,14 @@ import json
 
 import numpy as np
 import pytest
-from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_see_through
+from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_see_through, static_display
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
+from wlr_render.models.spread import Spread
 from wlr_render.numerics.polynomial import Polynomial, limited_orders
 
 
@@ -234,3 +236,107 @@ def test_files_of_version_1_are_still_read(tmp_path):
     path.write_text(json.dumps(record | eye | {"version": 1, "colour": "red"}))
     with pytest.raises(BadInputError, match="unknown key 'colour'"):
         load_eye_models(path)
+
+
+def with_spread(mapping, name, shared=0, orders=None):
+    """A mapping with factors of very different sizes; `apart` has two variables, `joint` three."""
+    polynomial = getattr(mapping, name)
+    rng, outputs = np.random.default_rng(5), polynomial.coefficients.shape[1]
+    orders = polynomial.orders if orders is None else orders
+
+    def factors(count):
+        size = 10.0 ** rng.uniform(-9.0, -3.0, count) * (1.0 if count else 0.0)
+        return Polynomial(orders, polynomial.box, size * rng.normal(size=(len(orders), count)))
+
+    spread = Spread(outputs, factors(outputs // 2 * 2), factors(3 * outputs), shared)
+    return dataclasses.replace(mapping, spread=spread)
+
+
+def of_both(display=bundle_display, see_through=bundle_see_through, **spread):
+    one, other = display(), see_through()
+    names = (next(iter(each.FORMS)) for each in (one, other))
+    return model(*(with_spread(each, name, **spread) for each, name in zip((one, other), names, strict=True)))
+
+
+def read_again(tmp_path, written):
+    return load_eye_model(save_eye_models(tmp_path / "eye.json", [written]))
+
+
+@pytest.mark.parametrize("display", DISPLAYS)
+@pytest.mark.parametrize("see_through", SEE_THROUGHS)
+def test_a_spread_comes_back_to_five_digits_of_each_factor_and_then_bit_for_bit(tmp_path, display, see_through):
+    written = of_both(DISPLAYS[display], SEE_THROUGHS[see_through], shared=2)
+    read = read_again(tmp_path, written)
+    for side in ("display", "see_through"):
+        before, after = (getattr(each.mappings, side).spread for each in (written, read))
+        assert (after.outputs, after.shared) == (before.outputs, 2)
+        for one, other in ((before.apart, after.apart), (before.joint, after.joint)):
+            size = np.abs(one.coefficients).max(axis=0)
+            assert np.all(np.abs(one.coefficients - other.coefficients) <= 0.5e-4 * size)
+            assert np.any(np.abs(one.coefficients - other.coefficients) > 0.5e-6 * size)
+    assert_same(read_again(tmp_path, read), read)
+
+
+def test_a_spread_with_terms_of_its_own_comes_back(tmp_path):
+    orders = limited_orders(2, 1, 2, 3, 3)[::-1]
+    read = read_again(tmp_path, of_both(orders=orders))
+    for spread in (read.mappings.display.spread, read.mappings.see_through.spread):
+        assert np.array_equal(spread.apart.orders, orders)
+        assert np.array_equal(spread.joint.orders, orders)
+    (eye,) = json.loads((tmp_path / "eye.json").read_text())["eyes"]
+    assert "orders" in eye["display"]["spread"]["joint"]
+
+
+def test_a_model_of_exact_data_without_factors_comes_back(tmp_path):
+    display = bundle_display()
+    none = Polynomial(display.forward.orders, display.forward.box, np.zeros((15, 0)))
+    read = read_again(tmp_path, model(dataclasses.replace(display, spread=Spread(2, none, none))))
+    assert read.mappings.display.sigma(np.array([500.0, 400.0]), EYE_BOX.centre) == 0.0
+
+
+def test_a_standard_error_follows_from_the_file_by_its_description_alone(tmp_path):
+    written = of_both(display=static_display)
+    (eye,) = json.loads(save_eye_models(tmp_path / "eye.json", [written]).read_text())["eyes"]
+    record, pixel = eye["display"], np.array([120.0, 640.0])
+    low, high = np.array(record["forward"]["low"]), np.array(record["forward"]["high"])
+    orders = np.array([term["orders"] for term in record["forward"]["terms"]])
+    terms = np.prod(np.cos(orders * np.arccos((2 * pixel - low - high) / (high - low))), axis=1)
+    tx, ty = terms @ np.array([term["values"] for term in record["forward"]["terms"]])
+    spread = record["spread"]
+    apart, joint = (np.array(spread[name]["unit"]) * (terms @ spread[name]["values"]) for name in ("apart", "joint"))
+    ((xx, xy), (_, yy)) = joint.reshape(2, 3) @ joint.reshape(2, 3).T + np.eye(2) * np.sum(apart**2)
+    square = ((1 + ty**2) * xx - 2 * tx * ty * xy + (1 + tx**2) * yy) / (1 + tx**2 + ty**2) ** 2
+    sigma = written.mappings.display.sigma(pixel, EYE_BOX.centre)
+    np.testing.assert_allclose(np.sqrt(square) / ARCMIN, sigma, rtol=1e-3)
+
+
+def spread_of(record):
+    return first(record)["display"]["spread"]
+
+
+@pytest.mark.parametrize(
+    ("edit", "sentence"),
+    [
+        (lambda s: s.pop("shared"), r"\[display\] \[spread\]: key 'shared' is missing"),
+        (lambda s: s.update(shared=4), "'shared' is 4, but 'joint' has 3 variables"),
+        (lambda s: s.update(rank=4), "unknown key 'rank'"),
+        (lambda s: s["joint"]["unit"].pop(), r"\[joint\]: 'unit' must hold positive numbers, 2 for each variable"),
+        (lambda s: s["apart"]["unit"].__setitem__(0, 0.0), r"\[apart\]: 'unit' must hold positive numbers"),
+        (lambda s: s["joint"]["values"].pop(), "'values' must be 15 lists of 6 whole numbers: terms by factors"),
+        (lambda s: s["joint"]["values"][3].pop(), "'values' must be 15 lists of 6 whole numbers"),
+        (lambda s: s["joint"]["values"][3].__setitem__(0, 0.5), "'values' must be 15 lists of 6 whole numbers"),
+        (lambda s: s["joint"].pop("values"), "'values' must be 15 lists of 6 whole numbers"),
+        (lambda s: s["joint"].update(orders=[[0, 0, 0, 0]] * 15), "has the same 'orders' twice"),
+        (lambda s: s["joint"].update(orders=[[0, 0, 0, -1]]), "'orders' must be whole numbers from 0 to 50"),
+        (lambda s: s["joint"].update(low=[0.0]), "unknown key 'low'"),
+    ],
+)
+def test_a_fault_in_a_spread_is_one_sentence_with_its_name(tmp_path, edit, sentence):
+    path = save_eye_models(tmp_path / "eye.json", [of_both()])
+    record = json.loads(path.read_text())
+    edit(spread_of(record))
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match=sentence) as caught:
+        load_eye_model(path)
+    assert str(caught.value).startswith(str(path))
+    assert len(str(caught.value)) < 300 + len(str(path))

@@ -72,9 +72,7 @@ def fit_display(
     try:
         smooth = fit(readings_of(used))
     except UndeterminedError as error:
-        raise BadInputError(
-            f"the captures do not determine a {kind} display model: {_lacking(used, kind)}."
-        ) from error
+        raise BadInputError(f"the captures do not determine a {kind} display model: {_lacking(used, kind)}.") from error
     smooth.require_agreement(f"the display captures of {captures.device}", used.sigma_arcmin)
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
     contraction = require_unique(mapping.contraction(), kind, "display")
@@ -158,9 +156,7 @@ def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
     )
 
 
-def _bundle(
-    captures: DisplayCaptures, plane: BasePlane, forward: Polynomial, spread: Spread
-) -> FittedDisplay:
+def _bundle(captures: DisplayCaptures, plane: BasePlane, forward: Polynomial, spread: Spread) -> FittedDisplay:
     return BundleDisplay(captures.panel, captures.eye_box, plane, forward, backward_start_of(forward), spread)
 
 

@@ -477,7 +477,9 @@ def _polynomial(readings: Readings, start: Polynomial, found: Posterior) -> Poly
     if readings.trend is None:
         return polynomial
     mean_part, by_parameter = readings.trend.mean, readings.trend.by_parameter
-    moved = by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
+    moved = (
+        by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
+    )
     return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))
 
 

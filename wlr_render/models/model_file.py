@@ -6,18 +6,45 @@
         eye            "left" or "right"
         name           of the model
         eye_box        {centre_m, size_m}
-        display        {kind, panel {width_px, height_px}, base_plane {z_m, slope} (planar only), and its polynomials}
-        see_through    {kind, base_plane {z_m, slope} (planar only), and its polynomials}
+        display        {kind, panel {width_px, height_px}, base_plane {z_m, slope} (planar only), its polynomials, and
+                       spread if the model has one}
+        see_through    {kind, base_plane {z_m, slope} (planar only), its polynomials, and spread if the model has one}
         report         residuals that the calibration reported, in free form
 
 Versions 1 and 2 are still read. Version 1 has the keys of its single eye in the header. Both have base planes without
 slope and polynomials with the `degree` up to which they hold all terms, and call a display's `backward_start`
-`backward`; their see-through `backward` is not used.
+`backward`; their see-through `backward` is not used. They have no spread.
 
 Kinds and the inputs and outputs of their polynomials are those of the classes in this package. A polynomial is
 {low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
 terms of `values` (one per output) times the product over inputs of Chebyshev T_k, with k from `orders`. Numbers are
 written so that they are read back exactly.
+
+A spread {apart, joint, shared} is the covariance of the values of the mapping's first polynomial (`forward`,
+`deviation` or `point`) as two tables of factors, either of which may be absent:
+
+    {orders (absent if they are the polynomial's), unit, values}
+
+Factor c at given inputs is unit[c] times the sum over terms of values[term][c] times the term's product of T_k, with
+`low` and `high` of the polynomial; `values` are whole numbers of up to five digits. The polynomial has m outputs, x and
+y in turn. `joint` has m r factors: number o r + j is the change of output o by random variable j. `apart` has m r / 2:
+number b r + j is the change of outputs 2 b and 2 b + 1, by random variables j of the x and of the y axis. All variables
+are independent and standard normal, and the first `shared` of `joint` are the same ones in the eye's display and
+see-through. The covariance of outputs o and p is therefore
+
+    C[o][p] = sum_j joint[o r + j] joint[p r + j]  +  sum_j apart[b r + j] apart[c r + j] if o - p is even
+
+where b and c are o and p halved and rounded down.
+
+The standard error of a view direction follows: with S the (2, m) derivative of its tangents t = (tx, ty) by the
+outputs, and V = S C S', its square is, in radians squared,
+
+    ((1 + ty^2) V[0][0] - 2 tx ty V[0][1] + (1 + tx^2) V[1][1]) / (1 + tx^2 + ty^2)^2
+
+S is the unit matrix for a static or volumetric display. The base-plane point p~ of a planar display moves with t, so
+that S = (1 - F D)^-1, where F is the derivative of `forward` by p~ and D that of p~ by t: d times the unit matrix for a
+plane without slope that lies d metres in front of the viewpoint. Of a see-through, S = -(dG/dt)^-1 (1, 1 / Z), where
+G(t) = 0 is the equation that the class solves for a point at depth Z; e.g. G = t + A + B / Z - (P - p~) / Z if planar.
 """
 
 import json
@@ -36,8 +63,10 @@ from wlr_render.mappings import EyeBox, EyeMappings, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
+from wlr_render.models.spread import Spread
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, term_count, total_degree
 from wlr_render.toml_files import Table, read_json
 
@@ -46,6 +75,7 @@ VERSION = 3
 _BACKWARD = "backward"  # of versions 1 and 2: what backward queries answered with
 HIGHEST_ORDER = 50
 """Of a variable in a term: no fit comes near it."""
+_DIGITS = 5  # of a spread's numbers
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
 # A new model only needs a line here: its fields and FORMS define its form in the file.
@@ -97,7 +127,7 @@ def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
         "device": devices.pop(),
         "eyes": [_eye_record(by_eye[eye]) for eye in sorted(by_eye)],
     }
-    return write_text(path, json.dumps(record, indent=1, allow_nan=False) + "\n")
+    return write_text(path, _json_text(record) + "\n")
 
 
 def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, ...]:
@@ -194,15 +224,55 @@ def _check_header(table: Table) -> int:
     return int(version)
 
 
+def _json_text(value: Any, margin: str = "\n") -> str:
+    """JSON with a line for each entry, and lists without tables or lists in them on one line."""
+    if isinstance(value, dict) and value:
+        entries = [f"{json.dumps(key)}: {_json_text(entry, margin + ' ')}" for key, entry in value.items()]
+        opening, closing = "{}"
+    elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
+        entries, opening, closing = [_json_text(entry, margin + " ") for entry in value], "[", "]"
+    else:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    return f"{opening}{margin} " + f",{margin} ".join(entries) + f"{margin}{closing}"
+
+
 def _mapping_record(mapping: object, kinds: dict[str, type[Any]]) -> dict[str, Any]:
     for kind, model in kinds.items():
         if isinstance(mapping, model):
-            return {"kind": kind} | {name: _record(getattr(mapping, name)) for name in _part_names(model)}
+            record = {"kind": kind} | {name: _record(getattr(mapping, name)) for name in _part_names(model)}
+            if mapping.spread is None:
+                return record
+            return record | {"spread": _spread_record(mapping.spread, getattr(mapping, _modelled(model)))}
     raise BadInputError(f"a {type(mapping).__name__} cannot be written to a model file; only {', '.join(kinds)} can.")
 
 
 def _part_names(model: type[Any]) -> list[str]:
-    return [f.name for f in fields(model) if f.name != "eye_box"]
+    return [f.name for f in fields(model) if f.name not in ("eye_box", "spread")]
+
+
+def _modelled(model: type[Any]) -> str:
+    """Name of the polynomial that the spread is of."""
+    forms: Forms = model.FORMS
+    return next(iter(forms))
+
+
+def _spread_record(spread: Spread, polynomial: Polynomial) -> dict[str, Any]:
+    tables = {"apart": spread.apart, "joint": spread.joint}
+    records = {name: _factors_record(each, polynomial) for name, each in tables.items() if each.coefficients.size}
+    return {"shared": spread.shared, **records}
+
+
+def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, Any]:
+    """Whole numbers, each factor's in units of a power of ten of which the largest has `_DIGITS` digits."""
+    if not (
+        np.array_equal(factors.box.low, polynomial.box.low) and np.array_equal(factors.box.high, polynomial.box.high)
+    ):
+        raise ValueError("a spread and its polynomial must have the same box")
+    largest = np.abs(factors.coefficients).max(axis=0)
+    exponents = [int(f"{each:.{_DIGITS - 1}e}".partition("e")[2]) - _DIGITS + 1 if each else 0 for each in largest]
+    unit = [float(f"1e{exponent}") for exponent in exponents]
+    own = {} if np.array_equal(factors.orders, polynomial.orders) else {"orders": factors.orders.tolist()}
+    return own | {"unit": unit, "values": np.rint(factors.coefficients / unit).astype(np.int64).tolist()}
 
 
 def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
@@ -225,8 +295,47 @@ def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version
     parts = {name: _part(table.table(old.get(name, name)), name, forms) for name in _part_names(model)}
     if version < VERSION:
         table.unchecked(_BACKWARD)
+    spread = _spread(table.table("spread"), parts[_modelled(model)]) if table.has("spread") else None
     table.finish()
-    return model(eye_box=eye_box, **parts)
+    return model(eye_box=eye_box, **parts, spread=spread)
+
+
+def _spread(table: Table, polynomial: Polynomial) -> Spread:
+    outputs = polynomial.coefficients.shape[1]
+    apart = _factors(table, "apart", polynomial, outputs // 2)
+    joint = _factors(table, "joint", polynomial, outputs)
+    shared, variables = table.whole("shared"), joint.coefficients.shape[1] // outputs
+    if shared > variables:
+        raise table.fail(f"'shared' is {shared}, but 'joint' has {variables} variables.")
+    table.finish()
+    return Spread(outputs, apart, joint, shared)
+
+
+def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> Polynomial:
+    """Factors of a spread, `outputs` of each variable."""
+    orders, box = polynomial.orders, polynomial.box
+    if not parent.has(name):
+        return Polynomial(orders, box, np.zeros((len(orders), 0)))
+    table = parent.table(name)
+    if table.has("orders"):
+        orders = _orders(table, table.vectors("orders", orders.shape[1]))
+    unit = table.numbers("unit")
+    if not len(unit) or len(unit) % outputs or np.any(unit <= 0):
+        raise table.fail(f"'unit' must hold positive numbers, {outputs} for each variable.")
+    values = _whole_numbers(table.unchecked("values"))
+    if values.shape != (len(orders), len(unit)):
+        raise table.fail(f"'values' must be {len(orders)} lists of {len(unit)} whole numbers: terms by factors.")
+    table.finish()
+    return Polynomial(orders, box, values * unit)
+
+
+def _whole_numbers(value: Any) -> IntArray:
+    """An array of lists of whole numbers; an empty one of anything else."""
+    try:
+        read = np.array(value)
+    except ValueError:
+        return np.zeros(0, np.int64)
+    return read if read.dtype == np.int64 else np.zeros(0, np.int64)
 
 
 def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomial:
@@ -249,12 +358,7 @@ def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
     terms = table.tables("terms")
     if not terms:
         raise table.fail("'terms' is empty; write one term at least.")
-    read = np.array([term.vector("orders", variables) for term in terms])
-    orders = read.astype(np.int64)
-    if np.any(orders != read) or orders.min() < 0 or orders.max() > HIGHEST_ORDER:
-        raise table.fail(f"'orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
-    if len(np.unique(orders, axis=0)) != len(orders):
-        raise table.fail("'terms' has the same 'orders' twice; write each term once.")
+    orders = _orders(table, np.array([term.vector("orders", variables) for term in terms]))
     if table.has("degree"):  # of version 1 or 2
         degree = table.whole("degree")
         if not np.array_equal(orders, total_degree(variables, degree)):
@@ -263,3 +367,12 @@ def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
                 "and by 'orders'."
             )
     return Polynomial(orders, box, np.array([term.vector("values", outputs) for term in terms]))
+
+
+def _orders(table: Table, read: FloatArray) -> IntArray:
+    orders = read.astype(np.int64)
+    if np.any(orders != read) or orders.min() < 0 or orders.max() > HIGHEST_ORDER:
+        raise table.fail(f"'orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
+    if len(np.unique(orders, axis=0)) != len(orders):
+        raise table.fail("'terms' has the same 'orders' twice; write each term once.")
+    return orders
