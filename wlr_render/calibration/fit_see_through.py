@@ -76,7 +76,8 @@ def fit_see_through(
     poses = len(np.unique(used.target_pose))
     if poses < 2 and not how.nothing_but_trend:
         raise BadInputError(
-            f"{refusal}: it needs a second target depth and there are {poses} target pose(s): add one nearer or farther."
+            f"{refusal}: it needs a second target depth and there are {poses} target pose(s): add one nearer or "
+            "farther."
         )
     try:
         smooth = fit(readings_of(used))

@@ -586,8 +586,8 @@ def _lower_root(covariance: FloatArray) -> FloatArray:
 def _principal(sampled: FloatArray, others: float = 0.0) -> FloatArray:
     """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
 
-    Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside `others`,
-    the sum of squares of further samples.
+    Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside
+    `others`, the sum of squares of further samples.
     """
     values, vectors = np.linalg.eigh(sampled.T @ sampled)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]

@@ -295,7 +295,9 @@ def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version
     parts = {name: _part(table.table(old.get(name, name)), name, forms) for name in _part_names(model)}
     if version < VERSION:
         table.unchecked(_BACKWARD)
-    spread = _spread(table.table("spread"), parts[_modelled(model)]) if table.has("spread") else None
+    modelled, spread = parts[_modelled(model)], None
+    if table.has("spread") and isinstance(modelled, Polynomial):
+        spread = _spread(table.table("spread"), modelled)
     table.finish()
     return model(eye_box=eye_box, **parts, spread=spread)
 
