@@ -85,7 +85,7 @@ def dense(degrees: Sequence[int], study: Study) -> Findings:
         pair = [_dense(study, eye, kind, degree) for kind in KINDS]
         ratio = pair[1].rms(Measure.FORWARD) / pair[0].rms(Measure.FORWARD)
         terms: list[Cell] = [term_count(4, degree), term_count(5, degree)]
-        errors = [outcome.cell(measure) for measure in (Measure.FORWARD, Measure.BACKWARD) for outcome in pair]
+        errors = [outcome.rms(measure) for measure in (Measure.FORWARD, Measure.BACKWARD) for outcome in pair]
         rows.append([str(eye), degree, *terms, *errors, ratio])
     columns = ["eye", "N", *_per_kind("terms, {}"), *_per_kind("forward rms, {} (arcmin)")]
     columns += [*_per_kind("backward rms, {} (px)"), "forward, volumetric / planar"]
@@ -106,7 +106,7 @@ def depth(degrees: Sequence[int], study: Study) -> Findings:
     rows: list[list[Cell]] = []
     for eye in study.eyes:
         pair = [_dense(study, eye, kind, DEGREE) for kind in KINDS]
-        errors = [outcome.cell(measure) for measure in (Measure.FORWARD, DepthMeasure.MOVED_BACK) for outcome in pair]
+        errors = [outcome.rms(measure) for measure in (Measure.FORWARD, DepthMeasure.MOVED_BACK) for outcome in pair]
         rows.append([str(eye), *errors, *(_p95(outcome) for outcome in pair)])
     columns = ["eye", *_per_kind("in the eye box, {} (arcmin)"), *_per_kind("moved back, {} (arcmin)")]
     columns += _per_kind("self-contradiction p95, {} (arcmin)")
@@ -145,7 +145,7 @@ def eye_box(study: Study) -> Findings:
     for eye in study.eyes:
         boxes = [SMALL_BOX_MM, eye.eye_box_mm, LARGE_BOX_MM]
         outcomes = [study.display(replace(eye, eye_box_mm=box), "planar", DEGREE, VIEWPOINTS) for box in boxes]
-        rows.append([str(eye), *(outcome.cell(Measure.FORWARD) for outcome in outcomes)])
+        rows.append([str(eye), *(outcome.rms(Measure.FORWARD) for outcome in outcomes)])
         lines[str(eye)] = [0, 1, 2], [outcome.rms(Measure.FORWARD) for outcome in outcomes]
     names = [box_text(SMALL_BOX_MM), "as given", box_text(LARGE_BOX_MM)]
     settings = f"planar N={DEGREE}, {VIEWPOINTS} viewpoints, noise-free"
@@ -161,7 +161,7 @@ def field(study: Study) -> Findings:
         [
             str(eye),
             *(
-                study.display(replace(eye, whole_panel=whole), kind, DEGREE, count).cell(Measure.FORWARD)
+                study.display(replace(eye, whole_panel=whole), kind, DEGREE, count).rms(Measure.FORWARD)
                 for whole in (False, True)
                 for kind, count in FIELD_VIEWPOINTS.items()
             ),

@@ -1,6 +1,6 @@
 """Simulate captures of the panel and of targets from exact mappings, with noise and position errors."""
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,9 +10,13 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, Se
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.geometry.directions import ARCMIN, normalised
+from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import EyeMappings, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
+
+LEAST_SIGMA_ARCMIN = 1e-3
+"""Stated by captures of a camera without noise on a stage with errors: 0 would state that the camera stood exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +27,9 @@ class CaptureSetup:
         truth: the device's own mappings, and the eye box to be covered.
         camera_noise_arcmin: standard deviation of a measured direction about each transverse axis. One pixel of a
             camera with one pixel per arcminute is 1.
-        stage_error_m: standard deviation of the true camera position about the reported one, independent per
-            position and axis.
+        stage_error_m: standard deviation of the true camera position about the reported one, independent per visit of
+            a position and per axis.
+        stage_turn_rad: standard deviation of the camera's rotation about each axis, likewise independent.
         camera_field: the part of the display's field that is photographed, by a grid of camera pixels; None for all
             of it, by a grid of panel pixels.
         grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
@@ -40,9 +45,11 @@ class CaptureSetup:
     camera_field: FieldOfView | None = None
     grid: tuple[int, int] = (25, 21)
     target_depths_m: tuple[float, ...] = (0.4, 3.0)
+    _: KW_ONLY
+    stage_turn_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("camera_noise_arcmin", "stage_error_m"):
+        for name in ("camera_noise_arcmin", "stage_error_m", "stage_turn_rad"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise BadInputError(f"capture setup: '{name}' is {value}; it must be zero or a positive number.")
@@ -63,6 +70,12 @@ class CaptureSetup:
             if kind == "volumetric"
             else viewpoints.planar(box, self.field.reach, count)
         )
+
+    @property
+    def stated_sigma_arcmin(self) -> float:
+        """Sigma of a measured direction that captures state; 0 only where they are exact."""
+        has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0
+        return self.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if has_stage_errors else 0.0)
 
     @cached_property
     def field(self) -> FieldOfView:
@@ -103,14 +116,13 @@ def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.
 
     Args:
         setup: what stands on the bench, and its errors.
-        viewpoint: (m, 3) positions that the stage reports; the true ones differ by the stage error.
-        rng: source of the stage error and the camera noise.
+        viewpoint: (m, 3) positions that the stage reports; the true ones differ by the stage errors.
+        rng: source of the stage errors and the camera noise.
 
     Raises:
         BadInputError: nothing is seen from anywhere.
     """
-    actual = _actual_positions(setup, viewpoint, rng)
-    position, pixel, view_dir = _decoded(setup, actual)
+    position, pixel, view_dir = _decoded(setup, _visited(setup, viewpoint, rng))
     captures = DisplayCaptures(
         device=setup.truth.name,
         eye=setup.truth.eye,
@@ -120,20 +132,49 @@ def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.
         view_dir=view_dir,
         pixel=pixel,
         capture=position,
-        sigma_arcmin=np.zeros(len(position)),
+        sigma_arcmin=np.full(len(position), setup.stated_sigma_arcmin),
     )
     return with_camera_noise(captures, setup.camera_noise_arcmin, rng)
 
 
-def _decoded(setup: CaptureSetup, actual: FloatArray) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Which position (n,) saw which panel pixel (n, 2) in which direction (n, 3)."""
+@dataclass(frozen=True)
+class _Visits:
+    """Where the camera stood at m visits of the stage.
+
+    Attributes:
+        position: (m, 3) true positions.
+        turned: (m, 3, 3) rotations from measured to true directions; None for a stage that does not turn the camera.
+    """
+
+    position: FloatArray
+    turned: FloatArray | None
+
+    def measured(self, view_dir: FloatArray) -> FloatArray:
+        """Measured directions (m, n, 3) of true directions (m, n, 3)."""
+        return view_dir if self.turned is None else np.asarray(view_dir @ self.turned)
+
+    def true(self, measured: FloatArray) -> FloatArray:
+        """True directions (m, n, 3) of measured directions (1, n, 3)."""
+        return measured if self.turned is None else np.asarray(measured @ np.swapaxes(self.turned, -1, -2))
+
+
+def _visited(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> _Visits:
+    position = np.asarray(viewpoint + rng.normal(0.0, setup.stage_error_m, viewpoint.shape))
+    if setup.stage_turn_rad == 0.0:
+        return _Visits(position, None)
+    turn = rng.normal(0.0, setup.stage_turn_rad, viewpoint.shape)
+    return _Visits(position, rotations_of_vectors(turn))
+
+
+def _decoded(setup: CaptureSetup, visits: _Visits) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Which position (n,) saw which panel pixel (n, 2) in which measured direction (n, 3)."""
     if setup.camera_field is None:
         pixel = setup.truth.display.panel.grid(*setup.grid).reshape(-1, 2)
-        seen = setup.truth.display.view_dir_of_pixel(pixel[None], actual[:, None])
+        seen = setup.truth.display.view_dir_of_pixel(pixel[None], visits.position[:, None])
         position, column = np.nonzero(seen.usable)
-        return position, pixel[column], seen.value[position, column]
+        return position, pixel[column], visits.measured(seen.value)[position, column]
     view_dir = setup.camera_dirs()
-    shown = setup.truth.display.pixel_of_view_dir(view_dir[None], actual[:, None])
+    shown = setup.truth.display.pixel_of_view_dir(visits.true(view_dir[None]), visits.position[:, None])
     position, column = np.nonzero(shown.usable)
     return position, shown.value[position, column], view_dir[column]
 
@@ -144,7 +185,7 @@ def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.ran
     Args:
         setup: what stands on the bench, and its errors.
         viewpoint: (m, 3) positions that the stage reports; it is driven anew for each target.
-        rng: source of the stage error and the camera noise.
+        rng: source of the stage errors and the camera noise.
 
     Raises:
         BadInputError: nothing is seen from anywhere.
@@ -156,20 +197,21 @@ def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.ran
 def _one_target(
     setup: CaptureSetup, number: int, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
-    actual = _actual_positions(setup, viewpoint, rng)
+    visits = _visited(setup, viewpoint, rng)
     dot = setup.dots(setup.target_depths_m[number], viewpoint)
-    seen = setup.truth.see_through.view_dir_of_real_point(dot[None], actual[:, None])
-    position, column = np.nonzero(seen.usable & setup.field.contains(seen.value))
+    seen = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
+    view_dir = visits.measured(seen.value)
+    position, column = np.nonzero(seen.usable & setup.field.contains(view_dir))
     return SeeThroughCaptures(
         device=setup.truth.name,
         eye=setup.truth.eye,
         eye_box=setup.truth.eye_box,
         viewpoint=viewpoint[position],
-        view_dir=seen.value[position, column],
+        view_dir=view_dir[position, column],
         point=dot[column],
         capture=position,
         target_pose=np.full(len(position), number),
-        sigma_arcmin=np.zeros(len(position)),
+        sigma_arcmin=np.full(len(position), setup.stated_sigma_arcmin),
     )
 
 
@@ -184,7 +226,3 @@ def with_camera_noise(captures: AnyCaptures, sigma_arcmin: float, rng: np.random
     along = np.sum(kick * captures.view_dir, axis=-1, keepdims=True)
     noisy = normalised(captures.view_dir + kick - along * captures.view_dir)
     return replace(captures, view_dir=noisy, sigma_arcmin=np.full(len(captures), sigma_arcmin))
-
-
-def _actual_positions(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> FloatArray:
-    return np.asarray(viewpoint + rng.normal(0.0, setup.stage_error_m, viewpoint.shape))

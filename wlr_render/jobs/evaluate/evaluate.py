@@ -251,7 +251,7 @@ def see_through(options: EvaluateOptions, study: Study) -> Findings:
     repeated: list[list[Outcome]] = []
     for eye in study.eyes:
         without = study.outcome_of(NoModelTrial(eye))
-        rows.append([str(eye), "none", None, without.cell(Measure.REAL_POINT), None, None, None])
+        rows.append([str(eye), "none", None, without.rms(Measure.REAL_POINT), None, None, None])
         for kind, degree in SEE_THROUGH_MODELS:
             trial = trial_at(SeeThroughTrial, eye, kind, degree, VIEWPOINTS)
             exact, noisy = study.repeated(trial), study.repeated(replace(trial, camera_noise_arcmin=level))

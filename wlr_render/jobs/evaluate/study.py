@@ -76,7 +76,7 @@ class Study:
     outcome_of: Callable[[AnyTrial], Outcome]
     repeats: int = 1
 
-    def display(self, eye: EvaluatedEye, kind: str, degree: int, count: int) -> Outcome:
+    def display(self, eye: EvaluatedEye, kind: str, degree: int | None, count: int) -> Outcome:
         """The outcome of an error-free trial of the display model."""
         return self.outcome_of(trial_at(DisplayTrial, eye, kind, degree, count))
 
@@ -159,7 +159,7 @@ def _conditions(eyes: Sequence[EvaluatedEye]) -> ReportTable:
 
 
 def trial_at(
-    trial: type[AnyOwnTrial], eye: EvaluatedEye, kind: str, degree: int, count: int, **errors: Any
+    trial: type[AnyOwnTrial], eye: EvaluatedEye, kind: str, degree: int | None, count: int, **errors: Any
 ) -> AnyOwnTrial:
     """A trial of an eye; `errors` are the fields of the trial that state errors of the bench."""
     where: dict[str, Any] = {"whole_panel": eye.whole_panel, "eye": eye.eye}
@@ -173,7 +173,7 @@ def pooled(outcomes: Sequence[Outcome], measure: str) -> float:
 
 def pooled_cell(outcomes: Sequence[Outcome], measure: str) -> Cell:
     """`pooled` for a table, or why there is no model."""
-    return outcomes[0].refused or pooled(outcomes, measure)
+    return pooled(outcomes, measure)
 
 
 def spread_note(groups: Sequence[Sequence[Outcome]], measure: str) -> str:

@@ -1,5 +1,6 @@
 """Trials: simulate captures of a traced device, fit a model to them, and measure its errors at random viewpoints."""
 
+import time
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
@@ -12,18 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
-from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
-from wlr_render.numerics.polynomial import term_count
+from wlr_render.mappings import EyeBox, EyeMappings
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.processes import as_finished
 from wlr_render.progress import Progress
-from wlr_render.report.blocks import Cell
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,
@@ -33,6 +33,7 @@ from wlr_render.simulation.simulate_captures import (
 )
 
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
+AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 BoxSize = tuple[float, float, float]
 Simulate = Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], AnyCaptures]
 
@@ -116,7 +117,8 @@ class Measure(StrEnum):
     """A kind of error, always at random viewpoints of the eye box.
 
     FORWARD: direction of a pixel. BACKWARD: pixel of a direction. REAL_POINT: direction of a real point. REAL_RAY:
-    direction of the real ray of a view direction. MISS: distance of that ray from the real point.
+    direction of the real ray of a view direction. MISS: distance of that ray from the real point. PREDICTED: standard
+    error that the model states of FORWARD, or of REAL_POINT if it is a see-through model.
     """
 
     FORWARD = "forward (arcmin)"
@@ -124,22 +126,46 @@ class Measure(StrEnum):
     REAL_POINT = "real point (arcmin)"
     REAL_RAY = "real ray (arcmin)"
     MISS = "miss (mm)"
+    PREDICTED = "predicted (arcmin)"
+
+
+@dataclass(frozen=True)
+class FoundBench:
+    """What a fit found of the bench, standard deviations per axis.
+
+    Attributes:
+        noise_arcmin: of a reading.
+        repeatability_um, wobble_urad: of the shift and the turn of the camera per visit of a position.
+    """
+
+    noise_arcmin: float
+    repeatability_um: float
+    wobble_urad: float
+
+    @classmethod
+    def of(cls, fit: AnyFit) -> "FoundBench":
+        """What a fit found; its whole report would cost as much time as the fit."""
+        unit = float(np.median(fit.captures.sigma_arcmin)) or 1.0
+        return cls(unit * fit.smooth.noise, 1e6 * fit.smooth.shift_m, 1e6 * fit.smooth.turn_rad)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a trial: errors, or why no model could be fitted."""
+    """Result of a trial.
+
+    Attributes:
+        errors: by measure.
+        found: of the bench; None without a fit.
+        seconds: process time of the fit.
+    """
 
     errors: Mapping[str, Summary]
-    refused: str = ""
+    found: FoundBench | None = None
+    seconds: float = field(default=0.0, compare=False)
 
     def rms(self, measure: str) -> float:
-        """Root mean square error; NaN without a model."""
+        """Root mean square error; NaN if it was not measured."""
         return self.errors[measure].rms if measure in self.errors else float("nan")
-
-    def cell(self, measure: str) -> Cell:
-        """`rms` for a table, or why there is none."""
-        return self.refused or self.rms(measure)
 
 
 @dataclass(frozen=True)
@@ -149,10 +175,10 @@ class Trial:
     Attributes:
         device: a shipped device's name, or the path of its file.
         kind: model type; it also decides where the camera stands.
-        degree: total degree N.
+        degree: limit of the total degree N; None for the limits of the fit.
         viewpoints: number of camera positions.
         eye_box_mm: edge lengths of the eye box.
-        camera_noise_arcmin, stage_error_mm: standard deviations per axis of the bench's errors.
+        camera_noise_arcmin, stage_error_mm, stage_turn_urad: standard deviations per axis of the bench's errors.
         repeat: number of the repetition, for other random errors.
         whole_panel: the whole panel is captured and evaluated instead of the nominal field.
         eye: "left" or "right".
@@ -160,11 +186,12 @@ class Trial:
 
     device: str
     kind: str
-    degree: int
+    degree: int | None
     viewpoints: int
     eye_box_mm: BoxSize
     camera_noise_arcmin: float = 0.0
     stage_error_mm: float = 0.0
+    stage_turn_urad: float = 0.0
     repeat: int = 0
     whole_panel: bool = False
     eye: str = field(default="right", repr=False)
@@ -177,19 +204,7 @@ class Trial:
     @property
     def has_random_errors(self) -> bool:
         """Whether repetitions differ."""
-        return bool(self.camera_noise_arcmin or self.stage_error_mm)
-
-    @property
-    def needed_viewpoints(self) -> int:
-        """Fewest camera positions that determine the model: the number of terms of a polynomial in the position."""
-        axes = {"planar": 2, "volumetric": 3}.get(self.kind, 0)
-        return term_count(axes, self.degree)
-
-    def refusal(self, fault: BadInputError) -> Outcome:
-        """The outcome of a refused fit; raises the fault if there were enough camera positions."""
-        if self.viewpoints >= self.needed_viewpoints:
-            raise fault
-        return Outcome({}, f"refused: needs {self.needed_viewpoints}")
+        return bool(self.camera_noise_arcmin or self.stage_error_mm or self.stage_turn_urad)
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random numbers that depend on the seed, the eye and the trial alone."""
@@ -214,21 +229,21 @@ class DisplayTrial(Trial):
         return super().has_random_errors or bool(self.tracking_error_mm)
 
     def run(self, seed: int) -> Outcome:
-        """Fit and evaluate; too few camera positions give a refused outcome."""
+        """Fit and evaluate."""
         rng = self.rng(seed)
-        captures = _measured(self, simulate_display, rng)
-        try:
-            model, _ = fit_display(captures, self.kind, self.degree)
-        except BadInputError as fault:
-            return self.refusal(fault)
-        return Outcome(self.errors(model, rng, seed))
+        fitted, seconds = _timed(fit_display, _measured(self, simulate_display, rng), self)
+        return Outcome(self.errors(fitted.mapping, rng, seed), FoundBench.of(fitted), seconds)
 
-    def errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
+    def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
         """Errors of a fitted model."""
         observations = display_observations(self.at, seed)
         offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, observations.viewpoint.shape)
         error = mapping_error.display_error(model, mapping_error.displaced(observations, offset))
-        return {Measure.FORWARD: summary(error.forward_arcmin), Measure.BACKWARD: summary(error.backward_px)}
+        return {
+            Measure.FORWARD: summary(error.forward_arcmin),
+            Measure.BACKWARD: summary(error.backward_px),
+            Measure.PREDICTED: summary(model.sigma(observations.pixel, observations.viewpoint)),
+        }
 
 
 @dataclass(frozen=True)
@@ -236,20 +251,18 @@ class SeeThroughTrial(Trial):
     """A trial of the see-through model."""
 
     def run(self, seed: int) -> Outcome:
-        """Fit and evaluate; too few camera positions give a refused outcome."""
+        """Fit and evaluate."""
         captures = _measured(self, simulate_see_through, self.rng(seed))
-        try:
-            model, _ = fit_see_through(captures, self.kind, self.degree)
-        except BadInputError as fault:
-            return self.refusal(fault)
-        error = mapping_error.see_through_error(model, see_through_observations(self.at, seed))
-        return Outcome(
-            {
-                Measure.REAL_POINT: summary(error.backward_arcmin),
-                Measure.REAL_RAY: summary(error.forward_arcmin),
-                Measure.MISS: summary(1e3 * error.forward_miss_m),
-            }
-        )
+        fitted, seconds = _timed(fit_see_through, captures, self)
+        seen = see_through_observations(self.at, seed)
+        error = mapping_error.see_through_error(fitted.mapping, seen)
+        errors: dict[str, Summary] = {
+            Measure.REAL_POINT: summary(error.backward_arcmin),
+            Measure.REAL_RAY: summary(error.forward_arcmin),
+            Measure.MISS: summary(1e3 * error.forward_miss_m),
+            Measure.PREDICTED: summary(fitted.mapping.sigma(seen.point, seen.viewpoint)),
+        }
+        return Outcome(errors, FoundBench.of(fitted), seconds)
 
 
 @dataclass(frozen=True)
@@ -293,14 +306,24 @@ def _run(task: list[AnyTrial], seed: int) -> list[tuple[AnyTrial, Outcome]]:
     return [(trial, trial.run(seed)) for trial in task]
 
 
+def _timed(
+    fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]], captures: AnyCaptures, trial: Trial
+) -> tuple[ModelFit[AnyModel], float]:
+    """A trial's fit, and its process time in seconds."""
+    started = time.process_time()
+    fitted = fit(captures, trial.kind, trial.degree)
+    return fitted, time.process_time() - started
+
+
 def _measured(trial: Trial, simulate: Simulate[AnyCaptures], rng: np.random.Generator) -> AnyCaptures:
     """The trial's captures; camera noise needs no new tracing, a displaced camera does."""
-    if trial.stage_error_mm == 0.0:
+    if trial.stage_error_mm == trial.stage_turn_urad == 0.0:
         captures: AnyCaptures = _exact(simulate, trial.at, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)
     setup = replace(
         capture_setup(trial.at),
         camera_noise_arcmin=trial.camera_noise_arcmin,
         stage_error_m=1e-3 * trial.stage_error_mm,
+        stage_turn_rad=1e-6 * trial.stage_turn_urad,
     )
     return simulate(setup, setup.camera_positions(trial.kind, trial.viewpoints), rng)
