@@ -15,7 +15,7 @@ from wlr_render.calibration.smooth_fit import (
     Trend,
     UndeterminedError,
     angular_metric,
-    fit,
+    fit_within,
     turn_columns,
 )
 from wlr_render.captures.correspondences import DisplayCaptures, select
@@ -32,8 +32,9 @@ from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
-DISPLAY_LIMITS = Limits(pixel=8, place=5, total=8)
-"""What the optics of the shipped devices need; the evidence decides how much of it is used."""
+DISPLAY_LIMITS = (Limits(pixel=8, place=5, total=8), Limits(pixel=10, place=5, total=10))
+"""What the optics of the shipped devices need at usual noise, and without noise; the evidence decides how much of it
+is used."""
 
 
 def fit_display(
@@ -65,18 +66,20 @@ def fit_display(
         raise BadInputError(f"a {kind} display model needs the device's prescription; name it, or fit a planar model.")
     used = _nearest_to_centre(captures) if how.nominal else captures
     plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
-    limits = DISPLAY_LIMITS if degree is None else Limits(degree, degree, degree)
+    limits = DISPLAY_LIMITS if degree is None else (Limits(degree, degree, degree),)
     if how.nothing_but_trend:
-        limits = TREND_ALONE
-    readings_of = partial(how.readings, plane=plane, limits=limits, trend=trend if how.needs_trend else None)
+        limits = (TREND_ALONE,)
+    readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
     try:
-        smooth = fit(readings_of(used))
+        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits)
     except UndeterminedError as error:
         raise BadInputError(f"the captures do not determine a {kind} display model: {_lacking(used, kind)}.") from error
     smooth.require_agreement(f"the display captures of {captures.device}", used.sigma_arcmin)
+    used_limits = smooth.readings.limits
+    readings_of = partial(readings_within, limits=used_limits)
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
     contraction = require_unique(mapping.contraction(), kind, "display")
-    return ModelFit(kind, mapping, used, smooth, readings_of, limits.words("pixel", how.places), contraction)
+    return ModelFit(kind, mapping, used, smooth, readings_of, used_limits.words("pixel", how.places), contraction)
 
 
 def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
@@ -132,6 +135,7 @@ def _readings(
         capture=np.unique(captures.capture, return_inverse=True)[1],
         motion=motion,
         orders=limits.orders(2, places),
+        limits=limits,
         trend=trend,
     )
 
@@ -153,6 +157,7 @@ def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
         capture=np.unique(captures.capture, return_inverse=True)[1],
         motion=None,
         orders=limits.orders(2, 0),
+        limits=limits,
     )
 
 

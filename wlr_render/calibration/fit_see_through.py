@@ -15,7 +15,7 @@ from wlr_render.calibration.smooth_fit import (
     Trend,
     UndeterminedError,
     angular_metric,
-    fit,
+    fit_within,
     turn_columns,
 )
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
@@ -30,7 +30,7 @@ from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
-SEE_THROUGH_LIMITS = Limits(pixel=6, place=4, total=6)
+SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=8, place=5, total=8))
 """Of direction and place: deviations are smoother than the display's distortion."""
 
 
@@ -68,10 +68,10 @@ def fit_see_through(
         raise BadInputError(
             f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."
         )
-    limits = SEE_THROUGH_LIMITS if degree is None else Limits(degree, degree, degree)
+    limits = SEE_THROUGH_LIMITS if degree is None else (Limits(degree, degree, degree),)
     if how.nothing_but_trend:
-        limits = TREND_ALONE
-    readings_of = partial(how.readings, plane=plane, limits=limits, trend=trend if how.needs_trend else None)
+        limits = (TREND_ALONE,)
+    readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
     refusal = f"the captures do not determine a {kind} see-through model"
     poses = len(np.unique(used.target_pose))
     if poses < 2 and not how.nothing_but_trend:
@@ -80,16 +80,18 @@ def fit_see_through(
             "farther."
         )
     try:
-        smooth = fit(readings_of(used))
+        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits)
     except UndeterminedError as error:
         raise BadInputError(
             f"{refusal}: the real points lie in one line of sight or at one depth; spread them over the field, and "
             "photograph the target nearer and farther."
         ) from error
     smooth.require_agreement(f"the see-through captures of {captures.device}", used.sigma_arcmin)
+    used_limits = smooth.readings.limits
+    readings_of = partial(readings_within, limits=used_limits)
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
     contraction = require_unique(mapping.contraction(), kind, "see-through")
-    return ModelFit(kind, mapping, used, smooth, readings_of, limits.words("direction", how.places), contraction)
+    return ModelFit(kind, mapping, used, smooth, readings_of, used_limits.words("direction", how.places), contraction)
 
 
 def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
@@ -158,6 +160,7 @@ def _readings(
         capture=np.unique(visit, axis=0, return_inverse=True)[1].reshape(-1),
         motion=motion,
         orders=limits.orders(2, places)[:, np.roll(np.arange(2 + places), places)],
+        limits=limits,
         trend=trend,
     )
 

@@ -6,7 +6,7 @@ camera, is unknown, too; its size is the repeatability of the stage. Orders are 
 where camera positions are few, the posterior is wide.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -31,6 +31,7 @@ _LEAST_MOTION = 1e-9  # metres, radians
 _SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
+_SATURATED = 0.75  # share of the coefficients that the readings determine above which wider limits are tried
 _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _STANDS_OUT, _SURE = 8.0, 6.0  # a capture's motion over the others' median, and over its own sigma
@@ -121,7 +122,7 @@ class Readings:
         capture: (n,) indices 0..captures - 1 of what shares a motion of the camera.
         motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): by how much `observed` less the model
             changes with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
-        orders: (terms, variables) limits of the fit.
+        orders: (terms, variables) of the fit. limits: that they keep.
         trend: what is known before; None for nothing.
     """
 
@@ -134,6 +135,7 @@ class Readings:
     capture: IntArray
     motion: Callable[[FloatArray], FloatArray] | None
     orders: IntArray
+    limits: Limits
     trend: Trend | None = None
 
     def __len__(self) -> int:
@@ -307,8 +309,28 @@ class SmoothFit:
         return _spread(readings, posterior(sums, prior, np.array(list(self.posterior.hyper.values()))))
 
 
-def fit(readings: Readings) -> SmoothFit:
+def fit_within(readings_of: Callable[[Limits], Readings], limits: Sequence[Limits]) -> SmoothFit:
+    """Fit within the first limits of the orders that leave most coefficients to the prior, or within the last.
+
+    Where the readings determine nearly all coefficients, it is the limits that stop them, not the noise.
+
+    Raises:
+        BadInputError: as `fit`.
+    """
+    smooth = fit(readings_of(limits[0]))
+    for wider in limits[1:]:
+        if smooth.posterior.determined < _SATURATED * smooth.polynomial.coefficients.size:
+            break
+        smooth = fit(readings_of(wider), smooth.posterior.hyper)
+    return smooth
+
+
+def fit(readings: Readings, start_at: Mapping[str, float] | None = None) -> SmoothFit:
     """Fit by maximum evidence.
+
+    Args:
+        readings: what was measured.
+        start_at: hyperparameters of a fit to the same readings, to start from; None searches from several starts.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
@@ -316,7 +338,7 @@ def fit(readings: Readings) -> SmoothFit:
     start = _free_part(readings)
     kept = np.ones(len(readings))
     prior = _prior(readings, moving=False)
-    starts = [_start_hyper(prior, *values) for values in _STARTS]
+    starts = [_start_hyper(prior, *values) for values in _STARTS] if start_at is None else [dict(start_at)]
     for _ in range(_ROUNDS):
         found = maximise(_sums(readings, start, None, kept), prior, starts)
         polynomial = _polynomial(readings, start, found)
@@ -382,13 +404,12 @@ class UndeterminedError(BadInputError):
 def _prior(readings: Readings, moving: bool) -> Prior:
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     sizes = [f"size {block}" for block in range(blocks)]
-    names = (*sizes, "lambda", "mu", "noise", *(("shift", "turn") if moving else ()))
-    of_place, of_rest = orders[:, readings.is_place].sum(axis=1), orders[:, ~readings.is_place].sum(axis=1)
+    slopes = [f"{'mu' if place else 'lambda'} {axis}" for axis, place in enumerate(readings.is_place)]
+    names = (*sizes, *slopes, "noise", *(("shift", "turn") if moving else ()))
     features = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
         features[block, ~free, block] = 1.0
-        features[block, ~free, blocks] = -of_rest[~free]
-        features[block, ~free, blocks + 1] = -of_place[~free]
+        features[block, ~free, blocks : blocks + len(slopes)] = -orders[~free]
     flat = features.reshape(-1, len(names))
     none = np.zeros((0, len(names)))
     parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
@@ -396,7 +417,7 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     own = np.zeros((6 if moving else 0, len(names)))
     if moving:
         own[_SHIFT, -2] = own[_TURN, -1] = 1.0
-    bounds = [(-25.0, 8.0)] * blocks + [(0.0, 8.0)] * 2 + [(np.log(_noise_floor(readings)), 12.0)]
+    bounds = [(-25.0, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(np.log(_noise_floor(readings)), 12.0)]
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
     return Prior(
@@ -417,8 +438,8 @@ def _noise_floor(readings: Readings) -> float:
 
 
 def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise: float) -> dict[str, float]:
-    values = {"lambda": slope, "mu": by_place, "noise": float(np.log(noise))}
-    return {name: values.get(name, size) for name in prior.names}
+    values = {"size": size, "lambda": slope, "mu": by_place, "noise": float(np.log(noise))}
+    return {name: values[name.split()[0]] for name in prior.names}
 
 
 def _motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:

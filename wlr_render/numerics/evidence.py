@@ -200,7 +200,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     """Posterior and evidence at given hyperparameters (hyperparameters,).
 
     Raises:
-        np.linalg.LinAlgError: rounding leaves a normal matrix indefinite.
+        np.linalg.LinAlgError: rounding leaves a normal matrix indefinite, or nothing of the sum of squares.
     """
     log_noise = float(hyper[prior.noise])
     per_noise = float(np.exp(-log_noise))
@@ -211,21 +211,28 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     side_used = side_scale**2 * np.diag(sums.side_gram) * per_noise**2 > _NEGLIGIBLE
     width, side_width = scale[used] * per_noise, side_scale[side_used] * per_noise
     # In units of their prior sizes the unknowns have the normal matrix [[N, cross'], [cross, side]] for each output.
-    inverse, log_determinant = _inverse(_bordered(sums.gram[np.ix_(used, used)], width))
+    # Sums of squares come from triangular solves, which keep their digits where an inverse would not.
+    lower = _cholesky(_normal(sums.gram[np.ix_(used, used)], width))
     cross = side_width[:, None] * sums.side_cross[:, side_used][:, :, used] * width
     pull, side_pull = per_noise * width * sums.moment[:, used], per_noise * side_width * sums.side_moment[side_used]
-    follow, free = cross @ inverse, pull @ inverse
-    schur = _bordered(sums.side_gram[np.ix_(side_used, side_used)], side_width)
-    side_inverse, side_log_determinant = _inverse(schur - np.einsum("oic,ojc->ij", follow, cross, optimize=True))
-    rest = side_pull - np.einsum("oic,oc->i", cross, free)
-    side_unit = side_inverse @ rest
-    unit = free - side_unit @ follow
-    variance = np.diag(inverse) + np.einsum("oic,oic->oc", follow, side_inverse @ follow)
+    half_cross = np.stack([_solved(lower, each.T) for each in cross])  # (outputs, used, side)
+    half_pull = _solved(lower, pull.T)
+    side_normal = _normal(sums.side_gram[np.ix_(side_used, side_used)], side_width)
+    side_lower = _cholesky(side_normal - sum(each.T @ each for each in half_cross))
+    rest = side_pull - np.einsum("ois,io->s", half_cross, half_pull)
+    half_rest = _solved(side_lower, rest)
+    side_unit = _solved(side_lower, half_rest, transposed=True)
+    follow = np.stack([_solved(lower, each, transposed=True).T for each in half_cross])
+    unit = _solved(lower, half_pull, transposed=True).T - side_unit @ follow
+    inverse, side_inverse = _inverse(lower), _inverse(side_lower)
+    variance = np.diag(inverse) + np.einsum("osc,osc->oc", follow, side_inverse @ follow)
     side_variance = np.diag(side_inverse)
-    quadratic = sums.square * per_noise**2 - float(np.sum(pull * free)) - float(rest @ side_unit)
+    quadratic = sums.square * per_noise**2 - float(np.sum(half_pull**2)) - float(half_rest @ half_rest)
     determined = unit.size - float(variance.sum()) + len(side_unit) - float(side_variance.sum())
     square = quadratic - float(np.sum(unit**2)) - float(side_unit @ side_unit)
-    log_determinant = len(pull) * log_determinant + side_log_determinant
+    if square < 0.0:
+        raise np.linalg.LinAlgError("rounding leaves nothing of the sum of squares")
+    log_determinant = 2.0 * float(len(pull) * np.log(np.diag(lower)).sum() + np.log(np.diag(side_lower)).sum())
     minus_two = log_determinant + quadratic + sums.count * (2.0 * log_noise + _LOG_2PI) - 2.0 * sums.log_weight
     slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
     slope = slope + (side_unit**2 + side_variance - 1.0) @ side_features[side_used]
@@ -249,23 +256,36 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     )
 
 
-def _bordered(gram: FloatArray, width: FloatArray) -> FloatArray:
+def _normal(gram: FloatArray, width: FloatArray) -> FloatArray:
     """Normal matrix of unknowns in units of their prior sizes."""
     normal = width[:, None] * gram * width
     normal[np.diag_indices_from(normal)] += 1.0
     return np.asarray(normal)
 
 
-def _inverse(normal: FloatArray) -> tuple[FloatArray, float]:
-    """Inverse and log determinant of a positive definite matrix."""
+def _cholesky(normal: FloatArray) -> FloatArray:
+    """Lower triangular factor of a positive definite matrix."""
     if len(normal) == 0:
-        return normal, 0.0
+        return normal
     factor, failed = lapack.dpotrf(normal, lower=1, clean=1)
     if failed:
         raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-    log_determinant = 2.0 * float(np.log(np.diag(factor)).sum())
-    lower, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
-    return np.asarray(lower + np.tril(lower, -1).T), log_determinant
+    return np.asarray(factor)
+
+
+def _solved(lower: FloatArray, columns: FloatArray, transposed: bool = False) -> FloatArray:
+    if columns.size == 0:
+        return np.zeros_like(columns)
+    solution, _ = lapack.dtrtrs(lower, columns, lower=1, trans=int(transposed))
+    return np.asarray(solution)
+
+
+def _inverse(lower: FloatArray) -> FloatArray:
+    """Inverse of the matrix with this Cholesky factor."""
+    if len(lower) == 0:
+        return lower
+    half, _ = lapack.dpotri(lower, lower=1)
+    return np.asarray(half + np.tril(half, -1).T)
 
 
 def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatArray:
