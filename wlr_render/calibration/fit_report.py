@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import QueryResult
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 AnyModel = TypeVar("AnyModel", FittedDisplay, FittedSeeThrough)
 _BANDS = 5  # of camera positions along x and y that are left out in turn
@@ -206,6 +206,11 @@ class ModelFit(Generic[AnyModel]):
     def _has_places(self) -> bool:
         return bool(self.smooth.readings.is_place.any()) and len(np.unique(self.captures.capture)) > 1
 
+    def left_out(self, name: str, out: BoolArray) -> HeldOut:
+        """Error of a fit without some of the captures, (n,) bool, at the hyperparameters of all."""
+        rms, expected = self.smooth.left_out(out)
+        return HeldOut(name, len(np.unique(self.captures.capture[out])), rms, expected)
+
     def _held_out(self) -> list[HeldOut]:
         if not self._has_places:
             return []
@@ -215,9 +220,7 @@ class ModelFit(Generic[AnyModel]):
             count = int(band.max()) + 1
             for number in range(count if count > 1 else 0):
                 out = band == number
-                rms, expected = self.smooth.left_out(out)
-                name = f"{noun} {number + 1} of {count}"
-                found.append(HeldOut(name, len(np.unique(captures.capture[out])), rms, expected))
+                found.append(self.left_out(f"{noun} {number + 1} of {count}", out))
         return found
 
     def _one_more(self) -> OneMore | None:

@@ -13,9 +13,8 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_report import FitReport
+from wlr_render.calibration.fit_report import HeldOut, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.calibration.regression import HeldOut
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.fit import HeldOutImprovement, held_out_improvement
@@ -25,15 +24,15 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_captures import display_captures, see_through_captures
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
-AnyMapping = TypeVar("AnyMapping", DisplayMapping, SeeThroughMapping)
+AnyMapping = TypeVar("AnyMapping", FittedDisplay, FittedSeeThrough)
 
-_KIND = "planar"
 _ROWS = 6_000  # of a fit: five times more lower its error by a twentieth, and take three times as long
 _HELD_OUT = 4  # one photograph in so many
 
@@ -43,16 +42,14 @@ class Refitted:
     """A model refitted to the captures as the nominal and as the corrected bench describe them.
 
     Attributes:
-        degree: of both fits.
-        own_before, own_after: error on held-out captures that are placed by the bench of the fit itself; None where
-            there are too few. What is smooth, such as a stage's scale, does not show: fit and captures share it.
+        own_before, own_after: held-out captures that are placed by the bench of the fit itself. What is smooth, such as
+            a stage's scale, does not show: fit and captures share it.
         before, after: rms error in arcminutes on held-out captures, placed where the corrected bench says they were.
         improvement: of `after` over `before`.
     """
 
-    degree: int
-    own_before: HeldOut | None
-    own_after: HeldOut | None
+    own_before: HeldOut
+    own_after: HeldOut
     before: float
     after: float
     improvement: HeldOutImprovement
@@ -69,11 +66,10 @@ class _Refit(Generic[AnyMapping]):
 
 @dataclass(frozen=True)
 class _Side(Generic[AnyCaptures, AnyMapping]):
-    """One side of the headset: degree and fit of its models, its captures, and the directions (n, 3) models predict."""
+    """One side of the headset: its captures, the fit of its models, and the directions (n, 3) that models predict."""
 
-    degree: int
     captures: Callable[[Bench, Session], AnyCaptures]
-    fit: Callable[[AnyCaptures, str, int | None], tuple[AnyMapping, FitReport]]
+    fit: Callable[[AnyCaptures], ModelFit[AnyMapping]]
     seen: Callable[[AnyMapping, AnyCaptures], FloatArray]
 
 
@@ -99,9 +95,8 @@ def _world_seen(model: SeeThroughMapping, captures: SeeThroughCaptures) -> Float
     return model.view_dir_of_real_point(captures.point, captures.viewpoint).value
 
 
-# Where the held-out error of the shipped devices levels off, on the grids that benches measure.
-_DISPLAY = _Side(6, _display_captures, fit_display, _panel_seen)
-_SEE_THROUGH = _Side(3, _see_through_captures, fit_see_through, _world_seen)
+_DISPLAY = _Side(_display_captures, fit_display, _panel_seen)
+_SEE_THROUGH = _Side(_see_through_captures, fit_see_through, _world_seen)
 
 
 def _refit(
@@ -116,38 +111,33 @@ def _refit(
     rng = np.random.default_rng(0)
     rows = np.sort(rng.permutation(len(before))[:_ROWS])
     before, after = select(before, rows), select(after, rows)
-    (model_before, own_before), (model_after, own_after) = _pair(side, before, after, side.degree)
     names = np.unique(before.capture)
     out = np.isin(before.capture, rng.permutation(names)[: max(2, len(names) // _HELD_OUT)])
-    partial = _pair(side, select(before, ~out), select(after, ~out), own_before.degree)
+    whole = _pair(side, before, after)
     judge = select(after, out)
-    old, new = (arcmin_between(side.seen(model, judge), judge.view_dir) for model, _ in partial)
+    old, new = (
+        arcmin_between(side.seen(each.mapping, judge), judge.view_dir)
+        for each in _pair(side, select(before, ~out), select(after, ~out))
+    )
     both = np.isfinite(old) & np.isfinite(new)
     names, owner = np.unique(judge.capture[both], return_inverse=True)
     squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
     rms = [float(np.sqrt(square.sum() / both.sum())) for square in squares]
     refitted = Refitted(
-        own_before.degree,
-        own_before.held_out_at_degree(),
-        own_after.held_out_at_degree(),
+        whole[0].left_out("one capture in four", out),
+        whole[1].left_out("one capture in four", out),
         rms[0],
         rms[1],
         held_out_improvement(squares[0], squares[1]),
     )
-    return _Refit(model_before, model_after, refitted)
+    return _Refit(whole[0].mapping, whole[1].mapping, refitted)
 
 
 def _pair(
-    side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures, degree: int
-) -> tuple[tuple[AnyMapping, FitReport], tuple[AnyMapping, FitReport]]:
-    """Two fits at one degree: the given one or, where the captures are too few for it, the best that they support."""
-    try:
-        first = side.fit(before, _KIND, degree)
-    except BadInputError:
-        first = side.fit(before, _KIND, None)
-    if _same(before, after):
-        return first, first
-    return first, side.fit(after, _KIND, first[1].degree)
+    side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures
+) -> tuple[ModelFit[AnyMapping], ModelFit[AnyMapping]]:
+    first = side.fit(before)
+    return first, first if _same(before, after) else side.fit(after)
 
 
 def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
