@@ -101,6 +101,47 @@ def test_stage_error_moves_the_camera_and_not_the_report(setup):
     assert np.ptp(same_position[:, 0]) < 1e-4
 
 
+def test_stage_turn_rotates_all_directions_of_a_visit_alike_and_each_visit_on_its_own(setup):
+    turned = replace(setup, stage_turn_rad=1e-4)
+    at = planar(setup, 100)
+    captures = simulate_display(turned, at, rng())
+    exact = setup.truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint).value
+    turns = [_turn(exact[captures.capture == k], captures.view_dir[captures.capture == k]) for k in range(100)]
+    np.testing.assert_allclose(np.std(turns, axis=0), 1e-4, rtol=0.2)
+    world = simulate_see_through(turned, at, rng())
+    exact = setup.truth.see_through.view_dir_of_real_point(world.point, world.viewpoint).value
+    visits = [(world.capture == k) & (world.target_pose == pose) for pose in (0, 1) for k in range(100)]
+    turns = np.array([_turn(exact[rows], world.view_dir[rows]) for rows in visits])
+    np.testing.assert_allclose(turns.std(axis=0), 1e-4, rtol=0.2)
+    assert np.abs(np.corrcoef(turns[:100].ravel(), turns[100:].ravel())[0, 1]) < 0.2
+
+
+def test_a_turned_camera_with_a_small_field_decodes_what_it_looks_at(setup):
+    small = FieldOfView(np.array([-0.1, -0.05]), np.array([0.2, 0.05]))
+    turned = replace(setup, camera_field=small, grid=(4, 3), stage_turn_rad=1e-3)
+    captures = simulate_display(turned, planar(setup), rng())
+    exact = setup.truth.display.view_dir_of_pixel(captures.pixel, captures.viewpoint).value
+    turn = _turn(exact[captures.capture == 0], captures.view_dir[captures.capture == 0])
+    assert np.linalg.norm(turn) > 3e-4
+
+
+def _turn(exact, measured):
+    """The small rotation from measured to exact directions; all of them agree on it."""
+    lever = np.stack([np.cross(axis, measured) for axis in np.eye(3)], axis=-1).reshape(-1, 3)
+    turn, squares, *_ = np.linalg.lstsq(lever, (exact - measured).ravel(), rcond=None)
+    assert squares < 1e-10 * len(exact)
+    return turn
+
+
+def test_captures_of_a_stage_with_errors_never_state_that_they_are_exact(setup):
+    for errors, sigma in (({}, 0.0), ({"stage_error_m": 1e-5}, 1e-3), ({"stage_turn_rad": 1e-5}, 1e-3)):
+        with_errors = replace(setup, **errors)
+        for captures in (
+            simulate(with_errors, planar(setup), rng()) for simulate in (simulate_display, simulate_see_through)
+        ):
+            np.testing.assert_array_equal(captures.sigma_arcmin, sigma)
+
+
 def test_same_seed_gives_the_same_captures(setup):
     noisy = replace(setup, camera_noise_arcmin=1.0, stage_error_m=1e-4)
     first, second = (simulate_display(noisy, planar(setup), rng()) for _ in range(2))
@@ -112,6 +153,7 @@ def test_same_seed_gives_the_same_captures(setup):
     [
         ({"camera_noise_arcmin": -1.0}, "camera_noise_arcmin"),
         ({"stage_error_m": float("nan")}, "stage_error_m"),
+        ({"stage_turn_rad": -1e-6}, "stage_turn_rad"),
         ({"grid": (0, 3)}, "at least one column"),
         ({"target_depths_m": (1.0, 1.0)}, "give no ray"),
         ({"target_depths_m": (-1.0, 1.0)}, "give no ray"),

@@ -62,7 +62,8 @@ def limited_orders(first: int, first_limit: int, second: int, second_limit: int,
 
 
 def _order_table(rows: Iterable[tuple[int, ...]], variables: int) -> IntArray:
-    table = np.array(sorted(rows, key=lambda row: (sum(row), row)), dtype=np.int64).reshape(-1, variables)
+    ordered = sorted(rows, key=lambda row: (sum(row), row))
+    table = np.array(ordered, dtype=np.int64).reshape(len(ordered), variables)
     table.setflags(write=False)
     return table
 

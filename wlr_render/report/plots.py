@@ -35,9 +35,12 @@ def curves(
     log_x: bool = False,
     log_y: bool = False,
     grouped: bool = False,
+    predicted: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     caption: str = "",
 ) -> Plot:
     """Named curves (x, y) in one diagram; `axes` are the titles of x and y, units included.
+
+    `predicted` are values of curves by name; they are dashed in the colour of their curve. Do not group such curves.
 
     If `grouped`, names are "GROUP, KIND", e.g. a device and its model: each group has a colour, each kind a dash
     pattern, and the points are marked.
@@ -53,8 +56,17 @@ def curves(
             colour, dash = list(groups).index(group), list(kinds).index(kind)
             line = {"color": _COLOURS[colour % len(_COLOURS)], "dash": _DASHES[dash % len(_DASHES)]}
             trace |= {"mode": "lines+markers", "line": line}
+    if predicted is not None:
+        for number, trace in enumerate(data):
+            trace |= {"mode": "lines+markers", "line": {"color": _COLOURS[number % len(_COLOURS)]}}
+        data += [_dashed(trace, predicted[trace["name"]]) for trace in data]
     layout = {"xaxis": axis(axes[0], log_x), "yaxis": axis(axes[1], log_y), "hovermode": "closest"}
     return Plot(title, data, layout, caption)
+
+
+def _dashed(curve: dict[str, Any], points: tuple[ArrayLike, ArrayLike]) -> dict[str, Any]:
+    x, y = (_rounded(each) for each in points)
+    return curve | {"name": f"{curve['name']}, predicted", "x": x, "y": y, "line": curve["line"] | {"dash": "dash"}}
 
 
 def heat_map(

@@ -42,6 +42,11 @@ class CalibrateSimulateOptions(Options):
     stage_error_mm: Annotated[
         float, described("Error of each camera position in mm, standard deviation per axis."), Range(at_least=0)
     ] = 0.0
+    stage_turn_urad: Annotated[
+        float,
+        described("Rotation error of the camera at each position in microradians, standard deviation per axis."),
+        Range(at_least=0),
+    ] = 0.0
     seed: Seed = 1
     fit: FitOptions = DEFAULT_FIT
     out: OutputFolder = Path("out/calibrate")
@@ -89,7 +94,9 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
 
 def simulate_captures(truth: EyeMappings, options: CalibrateSimulateOptions) -> EyeCaptures:
     """Captures of both sides of an eye, taken where the type of model needs them."""
-    setup = CaptureSetup(truth, options.noise_px, 1e-3 * options.stage_error_mm)
+    setup = CaptureSetup(
+        truth, options.noise_px, 1e-3 * options.stage_error_mm, stage_turn_rad=1e-6 * options.stage_turn_urad
+    )
     positions = setup.camera_positions(options.fit.kind, options.viewpoints)
     rng = np.random.default_rng(seed_of(options.seed, truth.eye))
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))

@@ -4,21 +4,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Annotated, Literal, get_args
-
-import numpy as np
+from typing import Annotated, Literal, TypeVar, get_args
 
 from wlr_render.jobs.evaluate.study import (
+    FOUND_COLUMNS,
     Findings,
     Lines,
     Study,
     StudyOptions,
     error_curves,
+    found_cells,
     pooled,
-    pooled_cell,
     run_study,
     spread_note,
     trial_at,
+    with_predicted,
 )
 from wlr_render.jobs.evaluate.trials import (
     FARTHEST_M,
@@ -30,21 +30,23 @@ from wlr_render.jobs.evaluate.trials import (
     SeeThroughTrial,
 )
 from wlr_render.jobs.options import Degree, OnlyWith, ProgressArgument, Range, described
-from wlr_render.numerics.polynomial import term_count
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 
+AnyCell = TypeVar("AnyCell")
 ExperimentName = Literal["camera-positions", "noise", "position-errors", "see-through"]
-DEGREE, VIEWPOINTS = 5, 25
-"""Of the planar model where an experiment varies something else."""
+VIEWPOINTS = 25
+"""Camera positions where an experiment varies something else."""
 NOISES_ARCMIN = (0.0, 0.25, 1.0)
 SEE_THROUGH_NOISE_ARCMIN = 1.0
-STAGE_ERROR_MM = 0.05
-# 25 camera positions each: volumetric sampling can carry degree 3 on them and no more.
-NOISE_MODELS = (("planar", 5), ("volumetric", 3), ("point-per-pixel", 5), ("static", 5))
-SEE_THROUGH_MODELS = (("static", 3), ("volumetric", 3), ("planar", 3), ("planar", 5))
+STAGES_UM_URAD = ((0.0, 0.0), (10.0, 30.0), (30.0, 100.0))
+"""Errors of stages per axis: shift and turn of the camera."""
+STAGE_NOISE_ARCMIN = 0.25
+"""Camera noise beside the errors of a stage."""
+SAMPLINGS = ("planar", "volumetric")
+NOISE_MODELS = ("planar", "volumetric", "point-per-pixel", "static")
+SEE_THROUGH_MODELS = ("static", "volumetric", "planar")
 _NOT_NEGATIVE = Range(at_least=0)
-_AT_FLOOR = 1.10  # an error at most 10 % above the smallest one found reaches the floor
 
 
 @dataclass(frozen=True)
@@ -56,34 +58,48 @@ class EvaluateOptions(StudyOptions):
         tuple[ExperimentName, ...], described("Experiments to run, one or more (default: all).", flag=True, many=True)
     ] = get_args(ExperimentName)
     degrees: Annotated[
-        tuple[int, ...],
-        described("Polynomial degrees of the display model.", many=True),
+        tuple[int, ...] | None,
+        described(
+            "Limits of the display model's total degree to compare (default: the limits of `calibrate`).", many=True
+        ),
         Degree,
         OnlyWith("experiment", ("camera-positions",)),
-    ] = (3, 4, 5)
+    ] = None
     counts: Annotated[
         tuple[int, ...],
         described("Numbers of camera positions to compare.", many=True),
         Range(at_least=1, at_most=1000),
         OnlyWith("experiment", ("camera-positions",)),
-    ] = (12, 16, 21, 25, 36, 49, 81, 121)
+    ] = (5, 9, 12, 16, 25, 36, 49, 81, 121)
     goal_arcmin: Annotated[
-        float | None,
-        described("RMS error in arcmin that suffices (default: at most 10 % above the smallest error found)."),
+        float,
+        described("RMS error in arcmin that suffices; 0.1 is a tenth of what the eye resolves."),
         Range(above=0),
         OnlyWith("experiment", ("camera-positions",)),
-    ] = None
+    ] = 0.1
     noise_arcmin: Annotated[
         float | None,
-        described("Camera noise of your bench in arcmin per axis (default: none; 1' in see-through)."),
+        described(
+            "Camera noise of your bench in arcmin per axis (default: none; 0.25 in position-errors, 1 in see-through)."
+        ),
         _NOT_NEGATIVE,
-        OnlyWith("experiment", ("camera-positions", "noise", "see-through")),
     ] = None
     stage_error_mm: Annotated[
         float | None,
-        described("Camera position error of your bench in mm per axis (default: none; 0.05 in position-errors)."),
+        described(
+            "Camera position error of your bench in mm per axis (default: none; 0, 0.01 and 0.03 in position-errors)."
+        ),
         _NOT_NEGATIVE,
-        OnlyWith("experiment", ("camera-positions", "position-errors")),
+        OnlyWith("experiment", ("camera-positions", "position-errors", "see-through")),
+    ] = None
+    stage_turn_urad: Annotated[
+        float | None,
+        described(
+            "Camera rotation error of your bench in microradians per axis (default: none; 0, 30 and 100 in "
+            "position-errors)."
+        ),
+        _NOT_NEGATIVE,
+        OnlyWith("experiment", ("camera-positions", "position-errors", "see-through")),
     ] = None
     tracking_error_mm: Annotated[
         float,
@@ -102,168 +118,220 @@ class PositionsNeeded:
 
     Attributes:
         eye: which eye of which device.
-        positions, degree, rms_arcmin: the choice; None if no choice suffices.
+        wanted_arcmin: the rms that suffices.
+        positions: the choice; None if no number suffices.
+        degree: limit of the total degree, of the choice or of the best model; None for the limits of the fit.
+        rms_arcmin: with the choice; without one, of the most camera positions.
         fewer, fewer_rms_arcmin: the next smaller number of positions and its smallest error; None if there is none.
-        wanted_arcmin: the error that suffices.
-        is_largest: no larger number was tried.
     """
 
     eye: str
+    wanted_arcmin: float
     positions: int | None
     degree: int | None
-    rms_arcmin: float | None
-    fewer: int | None
-    fewer_rms_arcmin: float | None
-    wanted_arcmin: float
-    is_largest: bool = False
+    rms_arcmin: float
+    fewer: int | None = None
+    fewer_rms_arcmin: float | None = None
 
     def __str__(self) -> str:
+        limit = "" if self.degree is None else f" with N={self.degree}"
         if self.positions is None:
-            return f"{self.eye}: none of the numbers of camera positions tried reaches {self.wanted_arcmin:.2g}' rms."
-        text = f"{self.eye}: {self.positions} camera positions suffice: {self.rms_arcmin:.2g}' rms with N={self.degree}"
-        if self.fewer is not None:
-            error = self.fewer_rms_arcmin
-            text += f"; {self.fewer} " + ("are too few for a fit" if error is None else f"give {error:.2g}'")
-        return text + (". More may still improve it: no larger number was tried." if self.is_largest else ".")
+            return (
+                f"{self.eye}: none of the numbers of camera positions tried reaches {self.wanted_arcmin:.2g}' rms; "
+                f"the largest gives {self.rms_arcmin:.2g}'{limit}."
+            )
+        enough = f"{self.positions} camera positions suffice for {self.wanted_arcmin:.2g}'"
+        text = f"{self.eye}: {enough}: {self.rms_arcmin:.2g}' rms{limit}"
+        return text + (f"; {self.fewer} give {self.fewer_rms_arcmin:.2g}'." if self.fewer is not None else ".")
 
 
-def positions_needed(eye: str, errors: Mapping[tuple[int, int], float], goal: float | None) -> PositionsNeeded:
-    """The fewest camera positions whose error, and that of all larger numbers tried, suffices at one degree.
+def positions_needed(eye: str, errors: Mapping[tuple[int | None, int], float], goal: float) -> PositionsNeeded:
+    """The fewest camera positions whose error, and that of all larger numbers tried, suffices at one limit.
 
     Args:
         eye: its name.
-        errors: rms in arcminutes by degree and number of camera positions; NaN where no model can be fitted.
-        goal: the rms that suffices; None for 10 % above the smallest one.
+        errors: rms in arcminutes by limit of the degree and number of camera positions.
+        goal: the rms that suffices.
     """
-    finite = [error for error in errors.values() if np.isfinite(error)]
-    wanted = goal or (_AT_FLOOR * min(finite) if finite else np.nan)
     counts = sorted({count for _, count in errors})
-    sufficient = {
-        (count, errors[degree, count], degree)
-        for degree, count in errors
-        if all(errors[degree, other] <= wanted for other in counts if other >= count)
-    }
+    sufficient = [
+        (count, error, degree)
+        for (degree, count), error in errors.items()
+        if all(errors[degree, other] <= goal for other in counts if other >= count)
+    ]
     if not sufficient:
-        return PositionsNeeded(eye, None, None, None, None, None, wanted)
-    count, rms, degree = min(sufficient)
+        rms, degree = min(((error, n) for (n, count), error in errors.items() if count == counts[-1]), key=_error)
+        return PositionsNeeded(eye, goal, None, degree, rms)
+    count, rms, degree = min(sufficient, key=lambda choice: choice[:2])
     fewer = max((other for other in counts if other < count), default=None)
-    with_fewer = [error for (_, other), error in errors.items() if other == fewer and np.isfinite(error)]
-    is_largest = goal is None and count == counts[-1] and len(counts) > 1
-    return PositionsNeeded(eye, count, degree, rms, fewer, min(with_fewer, default=None), wanted, is_largest)
+    with_fewer = [error for (_, other), error in errors.items() if other == fewer]
+    return PositionsNeeded(eye, goal, count, degree, rms, fewer, min(with_fewer, default=None))
+
+
+def _error(choice: tuple[float, int | None]) -> float:
+    return choice[0]
 
 
 def camera_positions(options: EvaluateOptions, study: Study) -> Findings:
-    """Error over the number of camera positions."""
-    noise, stage = options.noise_arcmin or 0.0, options.stage_error_mm or 0.0
-    on_bench = partial(trial_at, DisplayTrial, camera_noise_arcmin=noise, stage_error_mm=stage)
+    """Error over the number of camera positions, of planar and volumetric sampling with as many positions."""
+    errors_of_bench = _bench(options, 0.0)
     counts = sorted(set(options.counts))
-    rows, other_rows, needed, groups = list[list[Cell]](), list[list[Cell]](), [], []
+    rows: list[list[Cell]] = []
+    needed, groups = [], []
     lines: Lines = {}
+    predicted: Lines = {}
     for eye in study.eyes:
-        errors: dict[tuple[int, int], float] = {}
-        for degree in options.degrees:
-            fewest = term_count(3, degree)
-            planar = [study.repeated(on_bench(eye, "planar", degree, count)) for count in counts]
-            few = (fewest, fewest * 3 // 2)
-            volumetric = [study.repeated(on_bench(eye, "volumetric", degree, count)) for count in few]
-            groups += [*planar, *volumetric]
-            cells = [pooled_cell(each, Measure.FORWARD) for each in (*planar, *volumetric)]
-            rows.append([str(eye), degree, *cells[:-2]])
-            other_rows.append([str(eye), degree, few[0], cells[-2], few[1], cells[-1]])
-            rms = [pooled(each, Measure.FORWARD) for each in (*planar, *volumetric)]
-            errors |= {(degree, count): error for count, error in zip(counts, rms[:-2], strict=True)}
-            lines[f"{eye}, planar, N={degree}"] = counts, rms[:-2]
-            lines[f"{eye}, volumetric, N={degree}"] = few, rms[-2:]
+        errors: dict[tuple[int | None, int], float] = {}
+        for degree in options.degrees or (None,):
+            by_count = [
+                [
+                    study.repeated(trial_at(DisplayTrial, eye, kind, degree, count, **errors_of_bench))
+                    for kind in SAMPLINGS
+                ]
+                for count in counts
+            ]
+            for count, pair in zip(counts, by_count, strict=True):
+                rms = [pooled(group, Measure.FORWARD) for group in pair]
+                cells = [cell for group in pair for cell in with_predicted(group, Measure.FORWARD)]
+                rows.append([str(eye), *_limit(options, degree), count, *cells, rms[1] / rms[0]])
+                errors[degree, count] = rms[0]
+                groups += pair
+            for kind, each in zip(SAMPLINGS, zip(*by_count, strict=True), strict=True):
+                name = f"{eye}, {kind}" + ("" if degree is None else f", N={degree}")
+                lines[name] = counts, [pooled(group, Measure.FORWARD) for group in each]
+                predicted[name] = counts, [pooled(group, Measure.PREDICTED) for group in each]
         needed.append(positions_needed(str(eye), errors, options.goal_arcmin))
-    bench = f"camera noise {noise:g}', stage error {stage:g} mm" if noise or stage else "noise-free"
-    notes = (spread_note(groups, Measure.FORWARD),) if noise or stage else ()
-    columns = ["eye", "N", *(f"{count} positions (arcmin)" for count in counts)]
-    other_columns = ["eye", "N", "fewest", "rms (arcmin)", "1.5 times the fewest", "rms on those (arcmin)"]
+    bench = _bench_words(errors_of_bench)
+    notes = (spread_note(groups, Measure.FORWARD),) if any(errors_of_bench.values()) else ()
+    columns = ["eye", *_limit(options, "N"), "camera positions"]
+    columns += [f"{kind}{word} (arcmin)" for kind in SAMPLINGS for word in ("", ", predicted")]
     return Findings(
         (
-            ReportTable(f"Camera positions: forward rms of planar sampling, {bench}", columns, rows, notes),
-            ReportTable(f"Camera positions that volumetric sampling needs, {bench}", other_columns, other_rows),
-            error_curves(f"Camera positions, {bench}", "number of camera positions", lines),
+            ReportTable(f"Camera positions: forward rms, {bench}", [*columns, "volumetric / planar"], rows, notes),
+            error_curves(f"Camera positions, {bench}", "number of camera positions", lines, predicted),
         ),
         verdict=[str(each) for each in needed],
-        advice=[
-            f"Calibrate {each.eye} with {each.positions} camera positions and a display model of degree {each.degree}."
-            for each in needed
-            if each.positions
-        ],
+        advice=[f"Calibrate {each.eye} with {each.positions} camera positions." for each in needed if each.positions],
         record={"camera_positions_needed": needed},
     )
 
 
+def _limit(options: EvaluateOptions, cell: AnyCell) -> list[AnyCell]:
+    """The cell of the column N, which a table has where degrees are given."""
+    return [] if options.degrees is None else [cell]
+
+
+def _bench(options: EvaluateOptions, noise_arcmin: float) -> dict[str, float]:
+    """Errors of the bench that a user gave, by field of a trial."""
+    return {
+        "camera_noise_arcmin": noise_arcmin if options.noise_arcmin is None else options.noise_arcmin,
+        "stage_error_mm": options.stage_error_mm or 0.0,
+        "stage_turn_urad": options.stage_turn_urad or 0.0,
+    }
+
+
+def _bench_words(errors: Mapping[str, float]) -> str:
+    words = {"camera_noise_arcmin": "camera noise {:g}'", "stage_error_mm": "stage error {:g} mm"}
+    words |= {"stage_turn_urad": "stage turn {:g} urad"}
+    return ", ".join(text.format(errors[name]) for name, text in words.items() if errors[name]) or "noise-free"
+
+
 def noise(options: EvaluateOptions, study: Study) -> Findings:
-    """Camera noise, on the models that 25 camera positions can carry and on the baselines."""
+    """Camera noise, on models of 25 camera positions."""
     levels = sorted({*NOISES_ARCMIN, options.noise_arcmin or 0.0})
     rows: list[list[Cell]] = []
     lines: Lines = {}
+    predicted: Lines = {}
     noisy: list[list[Outcome]] = []
-    for eye, (kind, degree) in product(study.eyes, NOISE_MODELS):
+    for eye, kind in product(study.eyes, NOISE_MODELS):
         groups = [
-            study.repeated(trial_at(DisplayTrial, eye, kind, degree, VIEWPOINTS, camera_noise_arcmin=level))
+            study.repeated(trial_at(DisplayTrial, eye, kind, None, VIEWPOINTS, camera_noise_arcmin=level))
             for level in levels
         ]
-        errors = [pooled(group, Measure.FORWARD) for group in groups]
-        rows.append([str(eye), kind, degree, *errors, pooled(groups[-1], Measure.BACKWARD)])
-        lines[f"{eye}, {kind}"] = levels, errors
+        cells = [cell for group in groups for cell in with_predicted(group, Measure.FORWARD)]
+        rows.append([str(eye), kind, *cells, found_cells(groups[-1])[0], pooled(groups[-1], Measure.BACKWARD)])
+        lines[f"{eye}, {kind}"] = levels, [pooled(group, Measure.FORWARD) for group in groups]
+        predicted[f"{eye}, {kind}"] = levels, [pooled(group, Measure.PREDICTED) for group in groups]
         noisy += groups[1:]
-    columns = ["eye", "model", "N", *(f"forward rms at {level:g}' noise (arcmin)" for level in levels)]
-    columns.append(f"backward rms at {levels[-1]:g}' noise (px)")
-    title = f"Camera noise, {VIEWPOINTS} viewpoints (static: one)"
-    plot = error_curves(title, "camera noise (arcmin)", lines)
+    columns = ["eye", "model"]
+    columns += [f"{level:g}' noise{word} (arcmin)" for level in levels for word in ("", ", predicted")]
+    columns += [f"{levels[-1]:g}' noise, noise found (arcmin)", f"{levels[-1]:g}' noise, backward (px)"]
+    title = f"Camera noise: forward rms, {VIEWPOINTS} camera positions (static: one)"
+    plot = error_curves(title, "camera noise (arcmin)", lines, predicted)
     return Findings((ReportTable(title, columns, rows, (spread_note(noisy, Measure.FORWARD),)), plot))
 
 
 def position_errors(options: EvaluateOptions, study: Study) -> Findings:
     """Errors of the stage during calibration, and of eye tracking in use."""
     tracking = options.tracking_error_mm
-    stage = STAGE_ERROR_MM if options.stage_error_mm is None else options.stage_error_mm
+    level = STAGE_NOISE_ARCMIN if options.noise_arcmin is None else options.noise_arcmin
+    stages: tuple[tuple[float, float], ...] = STAGES_UM_URAD
+    if options.stage_error_mm is not None or options.stage_turn_urad is not None:
+        stages = ((0.0, 0.0), (1e3 * (options.stage_error_mm or 0.0), options.stage_turn_urad or 0.0))
+    stages = tuple(dict.fromkeys(stages))
     rows: list[list[Cell]] = []
+    tracking_rows: list[list[Cell]] = []
     noisy: list[list[Outcome]] = []
     verdict = []
     for eye in study.eyes:
-        trial = trial_at(DisplayTrial, eye, "planar", DEGREE, VIEWPOINTS)
+        trial = trial_at(DisplayTrial, eye, "planar", None, VIEWPOINTS, camera_noise_arcmin=level)
         groups = [
-            study.repeated(replace(trial, stage_error_mm=stage)),
-            study.repeated(replace(trial, tracking_error_mm=tracking)),
+            study.repeated(replace(trial, stage_error_mm=1e-3 * shift, stage_turn_urad=turn)) for shift, turn in stages
         ]
-        exact, by_stage, by_tracking = (pooled(each, Measure.FORWARD) for each in ([study.outcome_of(trial)], *groups))
-        rows.append([str(eye), exact, by_stage, by_tracking])
-        verdict.append(
-            f"{eye}: {tracking:g} mm of eye-tracking error give {by_tracking:.2g}' rms, and {stage:g} mm of stage "
-            f"error during calibration {by_stage:.2g}'; exact positions give {exact:.2g}'."
+        tracked = study.repeated(replace(trial, tracking_error_mm=tracking))
+        for (shift, turn), group in zip(stages, groups, strict=True):
+            rows.append([str(eye), shift, turn, *with_predicted(group, Measure.FORWARD), *found_cells(group)])
+        exact, by_tracking = (pooled(group, Measure.FORWARD) for group in (groups[0], tracked))
+        tracking_rows.append([str(eye), exact, by_tracking])
+        by_stage = ", ".join(
+            f"{shift:g} um and {turn:g} urad of stage error {pooled(group, Measure.FORWARD):.2g}' "
+            f"(predicted {pooled(group, Measure.PREDICTED):.2g}')"
+            for (shift, turn), group in zip(stages, groups, strict=True)
+            if shift or turn
         )
-        noisy += groups
-    columns = ["eye", "exact positions (arcmin)", f"stage error {stage:g} mm (arcmin)"]
-    columns.append(f"eye-tracking error {tracking:g} mm (arcmin)")
-    title = f"Errors of position per axis: forward rms, planar N={DEGREE}, {VIEWPOINTS} viewpoints"
-    return Findings((ReportTable(title, columns, rows, (spread_note(noisy, Measure.FORWARD),)),), verdict)
+        verdict.append(
+            f"{eye}: exact positions give {exact:.2g}' rms, {tracking:g} mm of eye-tracking error {by_tracking:.2g}'"
+            + (f", {by_stage}." if by_stage else ".")
+        )
+        noisy += [*groups, tracked]
+    bench = f"planar, {VIEWPOINTS} camera positions, camera noise {level:g}'"
+    columns = ["eye", "stage shift (um)", "stage turn (urad)", "forward rms (arcmin)", "predicted (arcmin)"]
+    notes = (spread_note(noisy, Measure.FORWARD), "Errors of the stage are per axis, new at each visit of a position.")
+    tracking_columns = ["eye", "exact positions (arcmin)", f"eye-tracking error {tracking:g} mm (arcmin)"]
+    return Findings(
+        (
+            ReportTable(f"Errors of the stage, {bench}", [*columns, *FOUND_COLUMNS], rows, notes),
+            ReportTable(f"Errors of eye tracking per axis: forward rms, {bench}", tracking_columns, tracking_rows),
+        ),
+        verdict,
+    )
 
 
 def see_through(options: EvaluateOptions, study: Study) -> Findings:
     """The world through the combiner: no model, a static one, planar and volumetric sampling."""
-    given = options.noise_arcmin
-    level = SEE_THROUGH_NOISE_ARCMIN if given is None else given
+    errors_of_bench = _bench(options, SEE_THROUGH_NOISE_ARCMIN)
+    bench = _bench_words(errors_of_bench)
     rows: list[list[Cell]] = []
     repeated: list[list[Outcome]] = []
     for eye in study.eyes:
         without = study.outcome_of(NoModelTrial(eye))
-        rows.append([str(eye), "none", None, without.rms(Measure.REAL_POINT), None, None, None])
-        for kind, degree in SEE_THROUGH_MODELS:
-            trial = trial_at(SeeThroughTrial, eye, kind, degree, VIEWPOINTS)
-            exact, noisy = study.repeated(trial), study.repeated(replace(trial, camera_noise_arcmin=level))
-            figures = [(exact, Measure.REAL_POINT), *((noisy, m) for m in (Measure.REAL_POINT, Measure.REAL_RAY))]
-            errors = [pooled(*each) for each in (*figures, (noisy, Measure.MISS))]
-            rows.append([str(eye), kind, degree, *errors])
+        rows.append([str(eye), "none", without.rms(Measure.REAL_POINT), *[None] * 8])
+        for kind in SEE_THROUGH_MODELS:
+            benches: tuple[dict[str, float], ...] = ({}, errors_of_bench)
+            exact, noisy = (
+                study.repeated(trial_at(SeeThroughTrial, eye, kind, None, VIEWPOINTS, **errors)) for errors in benches
+            )
+            cells = [cell for group in (exact, noisy) for cell in with_predicted(group, Measure.REAL_POINT)]
+            others = [pooled(noisy, measure) for measure in (Measure.REAL_RAY, Measure.MISS)]
+            rows.append([str(eye), kind, *cells, *others, *found_cells(noisy)])
             repeated.append(noisy)
-    columns = ["eye", "model", "N", "real point, exact (arcmin)", f"real point, {level:g}' noise (arcmin)"]
-    columns += [f"real ray, {level:g}' noise (arcmin)", f"miss, {level:g}' noise (mm)"]
+    columns = ["eye", "model"]
+    columns += [f"real point, {level}{word} (arcmin)" for level in ("exact", "noisy") for word in ("", ", predicted")]
+    columns += ["real ray, noisy (arcmin)", "miss, noisy (mm)", *FOUND_COLUMNS]
     where = f"rms over real points at {NEAREST_M:g} to {FARTHEST_M:g} m"
-    title = f"See-through: {where}, {VIEWPOINTS} viewpoints (static: one)"
-    return Findings((ReportTable(title, columns, rows, (spread_note(repeated, Measure.REAL_POINT),)),))
+    title = f"See-through: {where}, {VIEWPOINTS} camera positions (static: one)"
+    notes = (f"Noisy: {bench}.", spread_note(repeated, Measure.REAL_POINT))
+    return Findings((ReportTable(title, columns, rows, notes),))
 
 
 EXPERIMENTS: dict[ExperimentName, Callable[[EvaluateOptions, Study], Findings]] = {

@@ -15,6 +15,8 @@ from wlr_render.jobs.evaluate.trials import (
     AnyTrial,
     DisplayTrial,
     EvaluatedEye,
+    FoundBench,
+    Measure,
     Outcome,
     SeeThroughTrial,
     Trial,
@@ -171,9 +173,19 @@ def pooled(outcomes: Sequence[Outcome], measure: str) -> float:
     return float(np.sqrt(np.mean([outcome.rms(measure) ** 2 for outcome in outcomes])))
 
 
-def pooled_cell(outcomes: Sequence[Outcome], measure: str) -> Cell:
-    """`pooled` for a table, or why there is no model."""
-    return pooled(outcomes, measure)
+def with_predicted(outcomes: Sequence[Outcome], measure: str) -> list[Cell]:
+    """Two cells: an error, and what the models predict of it."""
+    return [pooled(outcomes, measure), pooled(outcomes, Measure.PREDICTED)]
+
+
+def found_cells(outcomes: Sequence[Outcome]) -> list[Cell]:
+    """Three cells: noise, repeatability and wobble as found, root mean squares over repetitions."""
+    found = [outcome.found or FoundBench(np.nan, np.nan, np.nan) for outcome in outcomes]
+    values = [[each.noise_arcmin, each.repeatability_um, each.wobble_urad] for each in found]
+    return [float(each) for each in np.sqrt(np.mean(np.square(values), axis=0))]
+
+
+FOUND_COLUMNS = ("noise found (arcmin)", "stage shift found (um)", "stage turn found (urad)")
 
 
 def spread_note(groups: Sequence[Sequence[Outcome]], measure: str) -> str:
@@ -185,9 +197,10 @@ def spread_note(groups: Sequence[Sequence[Outcome]], measure: str) -> str:
     return f"Over {len(repeated[0])} repetitions each rms varies by at most {100 * worst:.2g} % (standard deviation)."
 
 
-def error_curves(title: str, x_title: str, lines: Lines) -> Plot:
-    """Forward errors on a logarithmic scale; names are "EYE, MODEL"."""
-    return curves(title, lines, (x_title, "forward rms (arcmin)"), log_y=True, grouped=True)
+def error_curves(title: str, x_title: str, lines: Lines, predicted: Lines | None = None) -> Plot:
+    """Forward errors on a logarithmic scale, and what the models predict of them; names are "EYE, MODEL"."""
+    axes = (x_title, "forward rms (arcmin)")
+    return curves(title, lines, axes, log_y=True, grouped=predicted is None, predicted=predicted)
 
 
 def box_text(box: Sequence[float]) -> str:
