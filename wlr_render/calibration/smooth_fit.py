@@ -25,6 +25,7 @@ NOISE_FLOOR_ARCMIN = 1e-3
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 """Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
 _CHUNK = 4_096  # readings whose design is held at once
+_FLAT = 1e-6  # of the box: no extent
 _BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 _SHIFT, _TURN = slice(0, 3), slice(3, 6)
 _LEAST_MOTION = 1e-9  # metres, radians
@@ -32,6 +33,7 @@ _SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the se
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _SATURATED = 0.75  # share of the coefficients that the readings determine above which wider limits are tried
+_MOTION_ROUNDS = 3
 _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _STANDS_OUT, _SURE = 8.0, 6.0  # a capture's motion over the others' median, and over its own sigma
@@ -156,7 +158,7 @@ class Readings:
         """Of the inputs, grown by a margin; a trend brings its own."""
         if self.trend is not None:
             return self.trend.mean.box
-        return fitted_box(self.inputs)
+        return fitted_box(self.inputs, self.is_place)
 
     @cached_property
     def weight(self) -> FloatArray:
@@ -192,9 +194,16 @@ class Readings:
         return np.asarray(np.einsum(equation, self.multiplier, value))
 
 
-def fitted_box(inputs: FloatArray) -> Box:
-    """Box of a fit to inputs (n, variables)."""
+def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
+    """Box of a fit to inputs (n, variables); a place without extent along an axis gets the extent of the others."""
     box = Box.around(inputs)
+    size = box.high - box.low
+    flat = np.ptp(inputs, axis=0) <= _FLAT * size
+    known = is_place & ~flat
+    if known.any():
+        wide = np.where(is_place & flat, size[known].max(), size)
+        centre = 0.5 * (box.low + box.high)
+        box = Box(np.where(flat, centre - 0.5 * wide, box.low), np.where(flat, centre + 0.5 * wide, box.high))
     margin = _BOX_MARGIN * (box.high - box.low)
     return Box(box.low - margin, box.high + margin)
 
@@ -348,20 +357,21 @@ def fit(readings: Readings, start_at: Mapping[str, float] | None = None) -> Smoo
         kept, starts = weights, [dict(found.hyper)]
     columns, moved = None, ()
     if readings.motion is not None and np.any(readings.sigma > 0):
-        still = dict(found.hyper)
-        columns = _motion(readings, polynomial)
-        sums = _sums(readings, start, columns, kept)
         prior = _prior(readings, moving=True)
-        found = maximise(sums, prior, [_motion_start(sums, prior, still)])
-        moved = _moved(found)
-        if moved:
-            prior = replace(prior, own_offset=_widened(found, moved))
-            found = maximise(sums, prior, [_motion_start(sums, prior, still)])
-        polynomial = _polynomial(readings, start, found)
-        columns = _motion(readings, polynomial)
-        sums = _sums(readings, start, columns, kept)
-        found = posterior(sums, prior, np.array(list(found.hyper.values())))
-        polynomial = _polynomial(readings, start, found)
+        hyper = dict(found.hyper)
+        # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
+        for round_ in range(_MOTION_ROUNDS):
+            columns = _motion(readings, polynomial)
+            sums = _sums(readings, start, columns, kept)
+            if round_ == 0:
+                hyper = _motion_start(sums, prior, hyper)
+                found = posterior(sums, prior, np.array(list(hyper.values())))
+            else:
+                found = maximise(sums, prior, [hyper])
+                if round_ == 1 and (moved := _moved(found)):
+                    prior = replace(prior, own_offset=_widened(found, moved))
+                    found = maximise(sums, prior, [_motion_start(sums, prior, hyper)])
+            hyper, polynomial = dict(found.hyper), _polynomial(readings, start, found)
     return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
 
 
@@ -449,7 +459,8 @@ def _motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str
 
     def evidence(start: dict[str, float]) -> float:
         try:
-            return posterior(sums, prior, np.array([start[name] for name in prior.names])).log_evidence
+            hyper = np.array([start[name] for name in prior.names])
+            return posterior(sums, prior, hyper).log_evidence
         except np.linalg.LinAlgError:
             return -np.inf
 
