@@ -1,7 +1,7 @@
 """Fit a display model to captures."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -30,7 +30,7 @@ from wlr_render.models.spread import Spread
 from wlr_render.models.static import StaticDisplay
 from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 DISPLAY_LIMITS = (Limits(pixel=8, place=5, total=8), Limits(pixel=10, place=5, total=10))
 """What the optics of the shipped devices need at usual noise, and without noise; the evidence decides how much of it
@@ -43,6 +43,7 @@ def fit_display(
     degree: int | None = None,
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
+    weights: FloatArray | None = None,
 ) -> ModelFit[FittedDisplay]:
     """Fit a display model to captures of the panel by maximum evidence.
 
@@ -54,6 +55,7 @@ def fit_display(
         degree: highest total degree; None for `DISPLAY_LIMITS`.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
+        weights: (n,) of the captures' readings, see `smooth_fit.fit`.
 
     Raises:
         BadInputError: an unknown kind, captures that determine nothing or contradict each other, or a model that may
@@ -71,7 +73,7 @@ def fit_display(
         limits = (TREND_ALONE,)
     readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
     try:
-        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits)
+        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights)
     except UndeterminedError as error:
         raise BadInputError(f"the captures do not determine a {kind} display model: {_lacking(used, kind)}.") from error
     smooth.require_agreement(f"the display captures of {captures.device}", used.sigma_arcmin)
@@ -80,6 +82,24 @@ def fit_display(
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
     contraction = require_unique(mapping.contraction(), kind, "display")
     return ModelFit(kind, mapping, used, smooth, readings_of, used_limits.words("pixel", how.places), contraction)
+
+
+def planar_box(captures: DisplayCaptures, plane: BasePlane) -> Box:
+    """Box (u px, v px, x m, y m) of a planar fit, for which its trend is compiled."""
+    return _on_plane(captures, plane, TREND_ALONE, None).box
+
+
+def with_trend(fitted: ModelFit[FittedDisplay], trend: Trend) -> ModelFit[FittedDisplay]:
+    """The fit with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
+    smooth = fitted.smooth.with_trend(trend)
+    assert isinstance(fitted.mapping, BundleDisplay)
+    mapping = replace(
+        fitted.mapping,
+        forward=smooth.polynomial,
+        backward_start=backward_start_of(smooth.polynomial),
+        spread=smooth.spread,
+    )
+    return replace(fitted, mapping=mapping, smooth=smooth, readings_of=partial(fitted.readings_of, trend=trend))
 
 
 def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:

@@ -1,33 +1,106 @@
 """Fit both mappings of one eye."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 
-from wlr_render.calibration.fit_display import fit_display
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from wlr_render.calibration import fit_display as display_fit
+from wlr_render.calibration import fit_see_through as see_through_fit
+from wlr_render.calibration.base_plane import choose_base_plane
+from wlr_render.calibration.fit_prescription import (
+    FittedAssembly,
+    Prescription,
+    display_trend,
+    fit_assembly,
+    see_through_trend,
+)
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.calibration.smooth_fit import Trend
+from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.model_file import EyeModel
+from wlr_render.numerics.arrays import FloatArray
+
+KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
+"""Kinds that need a prescription."""
 
 _SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes with a see-through that is as simple
+_COMPARED = ("prescription", "planar", "grey-box")  # the simpler ones first
+_WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one
 
 
 @dataclass(frozen=True)
 class EyeFit:
-    """Fitted mappings of one eye, with both fits."""
+    """Fitted mappings of one eye, with both fits.
+
+    Attributes:
+        mappings: the models. device: its name.
+        display, see_through: the fits.
+        log_evidence: natural logarithm of the probability density of all readings of both.
+        assembly: the prescription with the assembly errors that the trend was linearised about; None without one.
+    """
 
     mappings: EyeMappings
     device: str
     display: ModelFit[FittedDisplay]
     see_through: ModelFit[FittedSeeThrough]
+    log_evidence: float
+    assembly: FittedAssembly | None = None
+
+    @property
+    def kind(self) -> str:
+        """Of the display model."""
+        return self.display.kind
 
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""
         report = {"display": asdict(self.display.report), "see_through": asdict(self.see_through.report)}
         return EyeModel(self.mappings, self.device, report)
+
+
+@dataclass(frozen=True)
+class KindComparison:
+    """Fits of several kinds to the same readings with the same weights.
+
+    Attributes:
+        fits: by kind.
+        best: the kind to use: the most probable one, or a simpler one that is about as probable.
+    """
+
+    fits: Mapping[str, EyeFit]
+    best: str
+
+    @property
+    def chosen(self) -> EyeFit:
+        """The best fit."""
+        return self.fits[self.best]
+
+    def log10_odds(self, kind: str) -> float:
+        """Decimal logarithm of the odds of a kind against "planar", which needs no prescription."""
+        return (self.fits[kind].log_evidence - self.fits["planar"].log_evidence) / float(np.log(10.0))
+
+    @property
+    def sentence(self) -> str:
+        """What the prescription gained; empty for a single kind."""
+        if len(self.fits) == 1:
+            return ""
+        planar, best = self.fits["planar"].display, self.chosen.display
+        if self.best == "planar":
+            return (
+                "The prescription does not help: the captures are at least as probable without it. Check that it is of "
+                "this headset, or use the planar model."
+            )
+        how = "explains the captures" if self.best == "prescription" else "and a small smooth remainder explain them"
+        found, without = best.predicted_arcmin(best.mapping), planar.predicted_arcmin(planar.mapping)
+        return (
+            f"The prescription with fitted assembly errors {how}: the display model's predicted error is {found:.2g}', "
+            f"and {without:.2g}' without the prescription (log10 odds {self.log10_odds(self.best):.0f})."
+        )
 
 
 def fit_eye(
@@ -36,20 +109,141 @@ def fit_eye(
     display_degree: int | None = None,
     see_through_degree: int | None = None,
     base_plane: BasePlane | None = None,
+    prescription: Prescription | None = None,
 ) -> EyeFit:
     """Fit display and see-through of one kind by maximum evidence; a degree is a limit of the orders.
 
+    Args:
+        captures: of both.
+        kind: see `fit_display`; "grey-box" and "prescription" need a prescription, whose assembly errors are fitted.
+        display_degree, see_through_degree: limits of the total orders.
+        base_plane: of planar models; None for the planes of `choose_base_plane`.
+        prescription: of the eye, device frame.
+
     Raises:
-        BadInputError: there are no see-through captures, or as `fit_display` and `fit_see_through`.
+        BadInputError: there are no see-through captures, or as `fit_display`, `fit_see_through` and `fit_assembly`.
     """
+    see_through = _see_through_of(captures)
+    if kind in KINDS_BY_PRESCRIPTION:
+        if prescription is None:
+            raise BadInputError(f"a {kind} model needs the device's prescription; name it, or fit a planar model.")
+        trends = _Trends.of(captures, fit_assembly(captures, prescription), base_plane)
+        return _fit_with_trends(captures, kind, trends, (display_degree, see_through_degree))
+    shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane)
+    seen = see_through_fit.fit_see_through(
+        see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
+    )
+    return _eye_fit(captures, shown, seen, _log_evidence(shown) + _log_evidence(seen))
+
+
+def fit_kinds(
+    captures: EyeCaptures,
+    prescription: Prescription,
+    display_degree: int | None = None,
+    see_through_degree: int | None = None,
+    base_plane: BasePlane | None = None,
+) -> KindComparison:
+    """Fit a planar model, a grey box and the prescription with its assembly errors, and compare their evidence.
+
+    Outliers are those of the planar fit, which needs no prescription: evidence compares models of the same readings.
+
+    Raises:
+        BadInputError: as `fit_eye`.
+    """
+    degrees = (display_degree, see_through_degree)
+    planar = fit_eye(captures, "planar", *degrees, base_plane)
+    trends = _Trends.of(captures, fit_assembly(captures, prescription), base_plane)
+    weights = planar.display.smooth.kept, planar.see_through.smooth.kept
+    fits = {"planar": planar} | {
+        kind: _fit_with_trends(captures, kind, trends, degrees, weights) for kind in KINDS_BY_PRESCRIPTION
+    }
+    most = max(fit.log_evidence for fit in fits.values())
+    best = next(kind for kind in _COMPARED if fits[kind].log_evidence > most - _WORTH * np.log(10.0))
+    return KindComparison(fits, best)
+
+
+def _see_through_of(captures: EyeCaptures) -> SeeThroughCaptures:
     if captures.see_through is None:
         raise BadInputError(
             f"the captures of {captures.display.device} have no see-through part; fit the display alone, or add one."
         )
-    display = fit_display(captures.display, kind, display_degree, base_plane)
-    see_through_kind = _SEE_THROUGH_KIND.get(kind, kind)
-    see_through = fit_see_through(captures.see_through, see_through_kind, see_through_degree, base_plane)
+    return captures.see_through
+
+
+@dataclass(frozen=True)
+class _Trends:
+    """The fitted prescription as trends of both models, in the same parameters."""
+
+    assembly: FittedAssembly
+    planes: tuple[BasePlane, BasePlane]
+    display: Trend
+    see_through: Trend
+
+    @classmethod
+    def of(cls, captures: EyeCaptures, assembly: FittedAssembly, base_plane: BasePlane | None) -> "_Trends":
+        shown, seen = captures.display, _see_through_of(captures)
+        planes = (
+            base_plane or choose_base_plane(shown.viewpoint, shown.eye_box),
+            base_plane or choose_base_plane(seen.viewpoint, seen.eye_box),
+        )
+        return cls(
+            assembly,
+            planes,
+            display_trend(assembly, planes[0], display_fit.planar_box(shown, planes[0])),
+            see_through_trend(assembly, planes[1], see_through_fit.planar_box(seen, planes[1])),
+        )
+
+
+def _fit_with_trends(
+    captures: EyeCaptures,
+    kind: str,
+    trends: _Trends,
+    degrees: tuple[int | None, int | None],
+    weights: tuple[FloatArray | None, FloatArray | None] = (None, None),
+) -> EyeFit:
+    """Fit the display, then see-through with what the display says of the assembly errors as prior.
+
+    The product of both evidences is then that of all readings. What see-through adds goes back to the display, at its
+    hyperparameters, so that both models have the same posterior of the assembly errors.
+    """
+    shown = display_fit.fit_display(captures.display, kind, degrees[0], trends.planes[0], trends.display, weights[0])
+    mean, covariance = shown.smooth.trend_parameters
+    root = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    seen = see_through_fit.fit_see_through(
+        _see_through_of(captures), kind, degrees[1], trends.planes[1], trends.see_through.about(mean, root), weights[1]
+    )
+    log_evidence = _log_evidence(shown) + _log_evidence(seen)
+    of_see_through = _without_display(mean, root, *seen.smooth.trend_parameters)
+    shown = display_fit.with_trend(shown, trends.display.about(*of_see_through))
+    return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=trends.assembly)
+
+
+def _without_display(
+    mean: FloatArray, root: FloatArray, added_mean: FloatArray, added_covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What the prior and see-through say of the parameters: mean (p,) and root (p, p) of the covariance.
+
+    Args:
+        mean, root: what the prior and the display say.
+        added_mean, added_covariance: of q, parameters = mean + root @ q, after see-through: standard normal before.
+    """
+    identity = np.eye(len(mean))
+    precision = np.linalg.inv(added_covariance)
+    values, vectors = np.linalg.eigh(precision - identity)
+    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    inverse = solve_triangular(root, identity, lower=True)
+    covariance = np.linalg.inv(identity + inverse.T @ information @ inverse)
+    pull = inverse.T @ (information @ (inverse @ mean) + precision @ added_mean)
+    return covariance @ pull, np.linalg.cholesky(covariance)
+
+
+def _log_evidence(fitted: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) -> float:
+    return fitted.smooth.posterior.log_evidence
+
+
+def _eye_fit(
+    captures: EyeCaptures, shown: ModelFit[FittedDisplay], seen: ModelFit[FittedSeeThrough], log_evidence: float
+) -> EyeFit:
     source = captures.display
-    name = f"{source.device} ({kind})"
-    mappings = EyeMappings(name, source.eye, display.mapping, see_through.mapping, source.eye_box)
-    return EyeFit(mappings, source.device, display, see_through)
+    mappings = EyeMappings(f"{source.device} ({shown.kind})", source.eye, shown.mapping, seen.mapping, source.eye_box)
+    return EyeFit(mappings, source.device, shown, seen, log_evidence)

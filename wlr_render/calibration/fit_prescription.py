@@ -10,17 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from wlr_render.calibration.smooth_fit import Trend
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES, assembled
 from wlr_render.optics.compile_polynomials import CompiledMap, compile_display, compile_see_through
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
+
+Prescription = EyeOptics
+"""The optics of one eye as drawn; other modules of calibration take it from here."""
 
 _READINGS = 2500  # of the display, and as many of see-through: far more than twelve numbers need
 _ROUNDS = 6
@@ -57,23 +61,6 @@ class FittedAssembly:
     def optics(self) -> EyeOptics:
         """The prescription with its assembly errors."""
         return assembled(self.prescription, self.values)
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledTrend:
-    """The fitted prescription as polynomials, with their derivatives by the assembly errors.
-
-    Attributes:
-        assembly: the fit that was compiled.
-        base_plane: the plane of p~.
-        display: (u px, v px, x m, y m) -> (tx, ty).
-        see_through: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m); None if there is no box for it.
-    """
-
-    assembly: FittedAssembly
-    base_plane: BasePlane
-    display: CompiledMap
-    see_through: CompiledMap | None
 
 
 def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
@@ -114,26 +101,38 @@ def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float 
     )
 
 
-def compiled_trend(
-    assembly: FittedAssembly, base_plane: BasePlane, display_box: Box, see_through_box: Box | None = None
-) -> CompiledTrend:
-    """Compile the fitted prescription.
+def display_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend:
+    """Compile the fitted prescription's display: (u px, v px, x m, y m) -> (tx, ty).
+
+    The trend's parameters are the assembly errors in their plausible sizes, zero in the prescription as drawn, so that
+    the evidence of the readings counts what the errors have to be. It is linear about the fitted errors.
 
     Args:
         assembly: the fit.
-        base_plane: of the model.
-        display_box: of its inputs (u px, v px, x m, y m).
-        see_through_box: of its inputs (x m, y m, tx, ty); None for a display alone.
+        plane: the base plane of the model.
+        box: of its inputs.
 
     Raises:
-        BadInputError: hardly any ray of a box passes the optics.
+        BadInputError: hardly any ray of the box passes the optics.
     """
-    fitted = (assembly.prescription, assembly.values, base_plane)
-    display = compile_display(*fitted, display_box, assembly.wavelength_um)
-    if see_through_box is None:
-        return CompiledTrend(assembly, base_plane, display, None)
-    see_through = compile_see_through(*fitted, see_through_box, assembly.wavelength_um)
-    return CompiledTrend(assembly, base_plane, display, see_through)
+    return _trend(assembly, compile_display(assembly.prescription, assembly.values, plane, box, assembly.wavelength_um))
+
+
+def see_through_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend:
+    """Compile the fitted prescription's see-through: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m); see `display_trend`.
+
+    The parameters are the same as the display's.
+    """
+    return _trend(
+        assembly, compile_see_through(assembly.prescription, assembly.values, plane, box, assembly.wavelength_um)
+    )
+
+
+def _trend(assembly: FittedAssembly, compiled: CompiledMap) -> Trend:
+    polynomial, count = compiled.polynomial, len(ASSEMBLY_SIZES)
+    by_size = (compiled.by_assembly_error * ASSEMBLY_SIZES).reshape(len(polynomial.orders), -1)
+    about_fitted = Trend(polynomial, Polynomial(polynomial.orders, polynomial.box, by_size))
+    return about_fitted.about(-assembly.values / ASSEMBLY_SIZES, np.eye(count))
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from wlr_render.models.spread import Spread
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.polynomial import Box, Polynomial
 
 SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=8, place=5, total=8))
 """Of direction and place: deviations are smoother than the display's distortion."""
@@ -40,6 +40,7 @@ def fit_see_through(
     degree: int | None = None,
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
+    weights: FloatArray | None = None,
 ) -> ModelFit[FittedSeeThrough]:
     """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
 
@@ -50,6 +51,7 @@ def fit_see_through(
         degree: highest total degree; None for `SEE_THROUGH_LIMITS`.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
+        weights: (n,) of the captures' readings, see `smooth_fit.fit`.
 
     Raises:
         BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
@@ -80,7 +82,7 @@ def fit_see_through(
             "farther."
         )
     try:
-        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits)
+        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights)
     except UndeterminedError as error:
         raise BadInputError(
             f"{refusal}: the real points lie in one line of sight or at one depth; spread them over the field, and "
@@ -92,6 +94,11 @@ def fit_see_through(
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
     contraction = require_unique(mapping.contraction(), kind, "see-through")
     return ModelFit(kind, mapping, used, smooth, readings_of, used_limits.words("direction", how.places), contraction)
+
+
+def planar_box(captures: SeeThroughCaptures, plane: BasePlane) -> Box:
+    """Box (x m, y m, tx, ty) of a planar fit, for which its trend is compiled."""
+    return _on_plane(captures, plane, TREND_ALONE, None).box
 
 
 def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:

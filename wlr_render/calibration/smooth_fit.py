@@ -31,6 +31,7 @@ _SHIFT, _TURN = slice(0, 3), slice(3, 6)
 _LEAST_MOTION = 1e-9  # metres, radians
 _SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
+_NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _SATURATED = 0.75  # share of the coefficients that the readings determine above which wider limits are tried
 _MOTION_ROUNDS = 3
@@ -97,17 +98,29 @@ class Trend:
     """What is known before the fit, e.g. a prescription with its assembly errors: a mean and unknown parameters.
 
     Attributes:
-        mean: inputs -> outputs.
+        mean: inputs -> outputs, where the parameters are at their prior mean.
         by_parameter: inputs -> (outputs * parameters), change per prior standard deviation of each parameter.
     """
 
     mean: Polynomial
     by_parameter: Polynomial
 
+    def about(self, mean: FloatArray, root: FloatArray) -> "Trend":
+        """The trend in other parameters q, standard normal before the fit: parameters = mean + root @ q.
+
+        Args:
+            mean: (parameters,).
+            root: (parameters, parameters).
+        """
+        orders, box = self.by_parameter.orders, self.by_parameter.box
+        change = self.by_parameter.coefficients.reshape(len(orders), -1, self.parameters)
+        turned = Polynomial(orders, box, (change @ root).reshape(len(orders), -1))
+        return Trend(self.mean.plus(Polynomial(orders, box, change @ mean)), turned)
+
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return self.by_parameter.coefficients.shape[1] // self.mean.coefficients.shape[1]
+        return int(self.by_parameter.coefficients.shape[1] // self.mean.coefficients.shape[1])
 
 
 @dataclass(frozen=True)
@@ -278,6 +291,24 @@ class SmoothFit:
                 "the panel's outer top left corner, and that rows belong together."
             )
 
+    @property
+    def outputs(self) -> int:
+        """Of the polynomial."""
+        return int(self.polynomial.coefficients.shape[1])
+
+    @property
+    def trend_parameters(self) -> tuple[FloatArray, FloatArray]:
+        """Posterior mean (parameters,) and covariance (parameters, parameters) of the trend's parameters."""
+        count = self.readings.trend.parameters if self.readings.trend else 0
+        return self.posterior.mixed_mean[:count], self.posterior.side_covariance[:count, :count]
+
+    def with_trend(self, trend: Trend) -> "SmoothFit":
+        """The fit with another prior of the trend's parameters, at the same hyperparameters and weights."""
+        readings = replace(self.readings, trend=trend)
+        sums = _sums(readings, self._start, self._columns, self.kept)
+        found = posterior(sums, self._prior, np.array(list(self.posterior.hyper.values())))
+        return replace(self, polynomial=_polynomial(readings, self._start, found), posterior=found, readings=readings)
+
     @cached_property
     def spread(self) -> Spread:
         """Low-rank factors of the covariance of `polynomial`."""
@@ -318,7 +349,9 @@ class SmoothFit:
         return _spread(readings, posterior(sums, prior, np.array(list(self.posterior.hyper.values()))))
 
 
-def fit_within(readings_of: Callable[[Limits], Readings], limits: Sequence[Limits]) -> SmoothFit:
+def fit_within(
+    readings_of: Callable[[Limits], Readings], limits: Sequence[Limits], weights: FloatArray | None = None
+) -> SmoothFit:
     """Fit within the first limits of the orders that leave most coefficients to the prior, or within the last.
 
     Where the readings determine nearly all coefficients, it is the limits that stop them, not the noise.
@@ -326,36 +359,43 @@ def fit_within(readings_of: Callable[[Limits], Readings], limits: Sequence[Limit
     Raises:
         BadInputError: as `fit`.
     """
-    smooth = fit(readings_of(limits[0]))
+    smooth = fit(readings_of(limits[0]), weights=weights)
     for wider in limits[1:]:
-        if smooth.posterior.determined < _SATURATED * smooth.polynomial.coefficients.size:
+        if smooth.posterior.determined < _SATURATED * len(smooth.readings.orders) * smooth.outputs:
             break
-        smooth = fit(readings_of(wider), smooth.posterior.hyper)
+        smooth = fit(readings_of(wider), smooth.posterior.hyper, weights)
     return smooth
 
 
-def fit(readings: Readings, start_at: Mapping[str, float] | None = None) -> SmoothFit:
+def fit(
+    readings: Readings, start_at: Mapping[str, float] | None = None, weights: FloatArray | None = None
+) -> SmoothFit:
     """Fit by maximum evidence.
 
     Args:
         readings: what was measured.
         start_at: hyperparameters of a fit to the same readings, to start from; None searches from several starts.
+        weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
+            with the same readings and weights.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
     """
     start = _free_part(readings)
-    kept = np.ones(len(readings))
+    kept, found_weights = np.ones(len(readings)) if weights is None else weights, weights is None
     prior = _prior(readings, moving=False)
-    starts = [_start_hyper(prior, *values) for values in _STARTS] if start_at is None else [dict(start_at)]
+    starts = [dict(start_at)] if start_at is not None else _starts(readings, prior, start, kept)
     for _ in range(_ROUNDS):
         found = maximise(_sums(readings, start, None, kept), prior, starts)
         polynomial = _polynomial(readings, start, found)
+        if not found_weights:
+            break
         weights = _weights(readings, polynomial)
         if np.allclose(weights, kept, atol=0.05):
             break
         kept, starts = weights, [dict(found.hyper)]
-    columns, moved = None, ()
+    columns: FloatArray | None = None
+    moved: tuple[MovedCapture, ...] = ()
     if readings.motion is not None and np.any(readings.sigma > 0):
         prior = _prior(readings, moving=True)
         hyper = dict(found.hyper)
@@ -427,7 +467,7 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     own = np.zeros((6 if moving else 0, len(names)))
     if moving:
         own[_SHIFT, -2] = own[_TURN, -1] = 1.0
-    bounds = [(-25.0, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(np.log(_noise_floor(readings)), 12.0)]
+    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(np.log(_noise_floor(readings)), 12.0)]
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
     return Prior(
@@ -445,6 +485,25 @@ def _prior(readings: Readings, moving: bool) -> Prior:
 def _noise_floor(readings: Readings) -> float:
     stated = readings.sigma[readings.sigma > 0]
     return NOISE_FLOOR_ARCMIN / (float(np.median(stated)) if stated.size else 1.0)
+
+
+def _starts(readings: Readings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
+    """Where the search for hyperparameters starts.
+
+    Beside a trend the sizes are those of what it leaves of the readings, and nothing is left to find if it is right.
+    """
+    starts: Sequence[tuple[float, float, float, float]] = _STARTS
+    if readings.trend is not None:
+        alone = replace(readings, orders=readings.orders[:0])
+        without = _prior(alone, moving=False)
+        sums = _sums(alone, start, None, kept)
+        rest = posterior(sums, without, np.array(list(_start_hyper(without, *_STARTS[-1]).values())))
+        left = max(float(np.sqrt(rest.square / max(sums.count, 1))), _noise_floor(readings))
+        size = float(np.log(left / np.median(readings.weight)))
+        starts = [(_NO_SIZE, 0.7, 0.7, left)]
+        if len(readings.orders):
+            starts += [(size, 0.7, 0.7, 0.3 * left), (size, 1.2, 1.5, 0.03 * left), (size - 3.0, 0.7, 0.7, left)]
+    return [_start_hyper(prior, *values) for values in starts]
 
 
 def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise: float) -> dict[str, float]:
@@ -502,7 +561,7 @@ def _polynomial(readings: Readings, start: Polynomial, found: Posterior) -> Poly
     blocks, terms = readings.blocks, len(readings.orders)
     outputs = 1 if readings.mixed else 2
     mean = found.mixed_mean if readings.mixed else found.mean
-    by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, -1)
+    by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, blocks * outputs)
     coefficients = by_term.copy()
     coefficients[readings.free] += start.coefficients
     polynomial = Polynomial(readings.orders, readings.box, coefficients)
@@ -572,13 +631,15 @@ def _spread(readings: Readings, found: Posterior) -> Spread:
         design = design.reshape(len(rows), -1)
         root = _root(found.alone)
         apart_root = root @ _principal(design @ root)
-        apart = apart_root.reshape(blocks, len(orders), -1).transpose(1, 0, 2).reshape(len(orders), -1)
+        rank = apart_root.shape[1]
+        apart = apart_root.reshape(blocks, len(orders), rank).transpose(1, 0, 2).reshape(len(orders), blocks * rank)
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
         shared = trend.parameters if trend else 0
         follow = found.by_side.transpose(0, 2, 1)  # (2, columns, side)
-        by_term = follow.reshape(2, blocks, len(orders), -1).transpose(2, 1, 0, 3).reshape(len(orders), outputs, -1)
-        side = Polynomial(orders, box, by_term.reshape(len(orders), -1))
+        by_axis = follow.reshape(2, blocks, len(orders), follow.shape[2]).transpose(2, 1, 0, 3)
+        by_term = by_axis.reshape(len(orders), outputs, follow.shape[2])
+        side = Polynomial(orders, box, by_axis.reshape(len(orders), outputs * follow.shape[2]))
         if trend:
             by_parameter = trend.by_parameter.coefficients.reshape(len(trend.by_parameter.orders), outputs, -1)
             padded = np.zeros((*by_parameter.shape[:2], by_term.shape[2]))

@@ -221,6 +221,8 @@ class _Split:
 
     @classmethod
     def of(cls, orders: IntArray, coefficients: FloatArray, held_axes: Sequence[int]) -> "_Split":
+        if len(orders) == 0:  # zero, everywhere
+            orders, coefficients = np.zeros((1, orders.shape[1]), np.int64), np.zeros((1, coefficients.shape[1]))
         held = list(held_axes)
         free = [axis for axis in range(orders.shape[1]) if axis not in held]
         held_orders, row = _distinct(orders[:, held])
