@@ -218,10 +218,18 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
         ValueError: a value is not finite or has no TOML type; the sentence names the key.
     """
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    return write_text(path, f"{head}\n{toml_text(table)}".lstrip("\n"))
+
+
+def toml_text(table: Mapping[str, Any]) -> str:
+    """The text that `write_toml` writes.
+
+    Raises:
+        ValueError: a value is not finite or has no TOML type; the sentence names the key.
+    """
     content = tomli_w.dumps({key: _toml_value(value, key) for key, value in table.items()})
     # tomli_w gives each number of a vector a line of its own.
-    content = re.sub(r"\[\n([^\[\]{}\"]+),\n *\]", _on_one_line, content)
-    return write_text(path, f"{head}\n{content}".lstrip("\n"))
+    return re.sub(r"\[\n([^\[\]{}\"]+),\n *\]", _on_one_line, content)
 
 
 def _on_one_line(numbers: re.Match[str]) -> str:

@@ -4,37 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from prescribed_eyes import captured, prescription
 from wrong_headset import wrong_headset
 
-from wlr_render.calibration.fit_prescription import compiled_trend, fit_assembly
+from wlr_render.calibration.fit_prescription import display_trend, fit_assembly, see_through_trend
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.polynomial import Box
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 DEVICES = ("northstar", "freeform40", "birdbath28")
-
-
-def prescription(name):
-    return load_device(name).eyes["right"]
-
-
-def mappings(optics):
-    return EyeMappings(
-        "test", "right", TracedDisplay(optics, 0.55), TracedSeeThrough(optics, 0.55), optics.eye_box, optics.field
-    )
-
-
-def captured(optics, count=9, noise=0.0, stage_error_m=0.0, seed=1):
-    setup = CaptureSetup(mappings(optics), noise, stage_error_m, optics.field, (15, 13))
-    rng, positions = np.random.default_rng(seed), setup.camera_positions("planar", count)
-    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
 def forward_rms(fitted, truth):
@@ -110,7 +92,8 @@ def test_the_prescription_of_another_headset_is_refused(captured_device, named, 
         fit_assembly(captured(prescription(captured_device)), prescription(named))
 
 
-def test_the_trend_is_compiled_over_the_boxes_of_the_models():
+def test_the_trends_are_compiled_over_the_boxes_of_the_models():
+    """At the fitted errors they are the optics; at zero they are those continued to first order."""
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(0))
     captures = captured(truth)
     fitted = fit_assembly(captures, prescription("birdbath28"))
@@ -118,10 +101,15 @@ def test_the_trend_is_compiled_over_the_boxes_of_the_models():
     shown, seen = captures.display, captures.see_through
     inputs = np.concatenate([shown.pixel, plane.carry(shown.viewpoint, shown.tangents)], axis=1)
     world = np.concatenate([plane.carry(seen.viewpoint, seen.tangents), seen.tangents], axis=1)
-    trend = compiled_trend(fitted, plane, Box.around(inputs), Box.around(world))
-    np.testing.assert_allclose(trend.display.polynomial(inputs), shown.tangents, atol=1e-5)
-    deviation = trend.see_through.polynomial(world)
+    errors = fitted.values / ASSEMBLY_SIZES
+    display = display_trend(fitted, plane, Box.around(inputs)).about(errors, np.eye(12))
+    np.testing.assert_allclose(display.mean(inputs), shown.tangents, atol=1e-5)
+    see_through = see_through_trend(fitted, plane, Box.around(world)).about(errors, np.eye(12))
+    deviation = see_through.mean(world)
     depth = (seen.viewpoint[:, 2] - seen.point[:, 2])[:, None]
     past = world[:, :2] + deviation[:, 2:] + depth * (seen.tangents + deviation[:, :2]) - seen.point[:, :2]
     np.testing.assert_allclose(past / depth, 0.0, atol=1e-5)
-    assert compiled_trend(fitted, plane, Box.around(inputs)).see_through is None
+    more = display_trend(replace(fitted, values=1.001 * fitted.values), plane, Box.around(inputs))
+    step = display.by_parameter(inputs).reshape(len(inputs), 2, 12) @ (1e-3 * errors)
+    found = more.about(1.001 * errors, np.eye(12)).mean(inputs) - display.mean(inputs)
+    np.testing.assert_allclose(found, step, atol=0.02 * np.abs(step).max())

@@ -14,7 +14,9 @@ from wlr_render.calibration.fit_prescription import (
     Prescription,
     display_trend,
     fit_assembly,
+    prescription_report,
     see_through_trend,
+    with_posterior,
 )
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.smooth_fit import Trend
@@ -42,7 +44,7 @@ class EyeFit:
         mappings: the models. device: its name.
         display, see_through: the fits.
         log_evidence: natural logarithm of the probability density of all readings of both.
-        assembly: the prescription with the assembly errors that the trend was linearised about; None without one.
+        assembly: the prescription with the assembly errors that both models found; None without one.
     """
 
     mappings: EyeMappings
@@ -60,6 +62,8 @@ class EyeFit:
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""
         report = {"display": asdict(self.display.report), "see_through": asdict(self.see_through.report)}
+        if self.assembly is not None:
+            report["prescription"] = prescription_report(self.assembly, self.device, self.mappings.eye)
         return EyeModel(self.mappings, self.device, report)
 
 
@@ -127,8 +131,8 @@ def fit_eye(
     if kind in KINDS_BY_PRESCRIPTION:
         if prescription is None:
             raise BadInputError(f"a {kind} model needs the device's prescription; name it, or fit a planar model.")
-        trends = _Trends.of(captures, fit_assembly(captures, prescription), base_plane)
-        return _fit_with_trends(captures, kind, trends, (display_degree, see_through_degree))
+        trends = eye_trends(captures, fit_assembly(captures, prescription), base_plane)
+        return fit_with_trends(captures, kind, trends, (display_degree, see_through_degree))
     shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane)
     seen = see_through_fit.fit_see_through(
         see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
@@ -152,10 +156,10 @@ def fit_kinds(
     """
     degrees = (display_degree, see_through_degree)
     planar = fit_eye(captures, "planar", *degrees, base_plane)
-    trends = _Trends.of(captures, fit_assembly(captures, prescription), base_plane)
+    trends = eye_trends(captures, fit_assembly(captures, prescription), base_plane)
     weights = planar.display.smooth.kept, planar.see_through.smooth.kept
     fits = {"planar": planar} | {
-        kind: _fit_with_trends(captures, kind, trends, degrees, weights) for kind in KINDS_BY_PRESCRIPTION
+        kind: fit_with_trends(captures, kind, trends, degrees, weights) for kind in KINDS_BY_PRESCRIPTION
     }
     most = max(fit.log_evidence for fit in fits.values())
     best = next(kind for kind in _COMPARED if fits[kind].log_evidence > most - _WORTH * np.log(10.0))
@@ -171,40 +175,61 @@ def _see_through_of(captures: EyeCaptures) -> SeeThroughCaptures:
 
 
 @dataclass(frozen=True)
-class _Trends:
-    """The fitted prescription as trends of both models, in the same parameters."""
+class EyeTrends:
+    """The fitted prescription as trends of both models, in the same parameters.
+
+    Attributes:
+        assembly: the prescription with its assembly errors.
+        planes: base planes of display and see-through.
+        display, see_through: see `fit_prescription.display_trend` and `see_through_trend`.
+    """
 
     assembly: FittedAssembly
     planes: tuple[BasePlane, BasePlane]
     display: Trend
     see_through: Trend
 
-    @classmethod
-    def of(cls, captures: EyeCaptures, assembly: FittedAssembly, base_plane: BasePlane | None) -> "_Trends":
-        shown, seen = captures.display, _see_through_of(captures)
-        planes = (
-            base_plane or choose_base_plane(shown.viewpoint, shown.eye_box),
-            base_plane or choose_base_plane(seen.viewpoint, seen.eye_box),
-        )
-        return cls(
-            assembly,
-            planes,
-            display_trend(assembly, planes[0], display_fit.planar_box(shown, planes[0])),
-            see_through_trend(assembly, planes[1], see_through_fit.planar_box(seen, planes[1])),
-        )
+
+def eye_trends(captures: EyeCaptures, assembly: FittedAssembly, base_plane: BasePlane | None = None) -> EyeTrends:
+    """Compile the fitted prescription over what the captures cover.
+
+    Raises:
+        BadInputError: there are no see-through captures, or hardly any ray passes the optics.
+    """
+    shown, seen = captures.display, _see_through_of(captures)
+    planes = (
+        base_plane or choose_base_plane(shown.viewpoint, shown.eye_box),
+        base_plane or choose_base_plane(seen.viewpoint, seen.eye_box),
+    )
+    return EyeTrends(
+        assembly,
+        planes,
+        display_trend(assembly, planes[0], display_fit.planar_box(shown, planes[0])),
+        see_through_trend(assembly, planes[1], see_through_fit.planar_box(seen, planes[1])),
+    )
 
 
-def _fit_with_trends(
+def fit_with_trends(
     captures: EyeCaptures,
     kind: str,
-    trends: _Trends,
-    degrees: tuple[int | None, int | None],
+    trends: EyeTrends,
+    degrees: tuple[int | None, int | None] = (None, None),
     weights: tuple[FloatArray | None, FloatArray | None] = (None, None),
 ) -> EyeFit:
-    """Fit the display, then see-through with what the display says of the assembly errors as prior.
+    """Fit a grey box or a prescription: the display, then see-through with what the display says as prior.
 
     The product of both evidences is then that of all readings. What see-through adds goes back to the display, at its
     hyperparameters, so that both models have the same posterior of the assembly errors.
+
+    Args:
+        captures: of both.
+        kind: "grey-box" or "prescription".
+        trends: see `eye_trends`.
+        degrees: limits of the total orders of display and see-through.
+        weights: of the readings of both, see `smooth_fit.fit`.
+
+    Raises:
+        BadInputError: as `fit_display` and `fit_see_through`.
     """
     shown = display_fit.fit_display(captures.display, kind, degrees[0], trends.planes[0], trends.display, weights[0])
     mean, covariance = shown.smooth.trend_parameters
@@ -215,7 +240,9 @@ def _fit_with_trends(
     log_evidence = _log_evidence(shown) + _log_evidence(seen)
     of_see_through = _without_display(mean, root, *seen.smooth.trend_parameters)
     shown = display_fit.with_trend(shown, trends.display.about(*of_see_through))
-    return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=trends.assembly)
+    added, covariance = shown.smooth.trend_parameters
+    found = of_see_through[0] + of_see_through[1] @ added, of_see_through[1] @ covariance @ of_see_through[1].T
+    return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=with_posterior(trends.assembly, *found))
 
 
 def _without_display(

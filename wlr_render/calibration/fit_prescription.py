@@ -5,7 +5,8 @@ of the headset: never the exact device, whose parts stand elsewhere and whose su
 prescription does not explain is left to the fit of the model.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,9 +20,11 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES, assembled
 from wlr_render.optics.compile_polynomials import CompiledMap, compile_display, compile_see_through
-from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.device import Device, EyeOptics
+from wlr_render.optics.device_writer import device_content
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
+from wlr_render.toml_files import toml_text
 
 Prescription = EyeOptics
 """The optics of one eye as drawn; other modules of calibration take it from here."""
@@ -126,6 +129,23 @@ def see_through_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> T
     return _trend(
         assembly, compile_see_through(assembly.prescription, assembly.values, plane, box, assembly.wavelength_um)
     )
+
+
+def with_posterior(assembly: FittedAssembly, mean: FloatArray, covariance: FloatArray) -> FittedAssembly:
+    """Assembly errors that a fit of models found: mean (12,) and covariance (12, 12) of the trends' parameters."""
+    scaled = covariance * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
+    return replace(assembly, values=ASSEMBLY_SIZES * mean, covariance=scaled)
+
+
+def prescription_report(assembly: FittedAssembly, device: str, eye: str) -> dict[str, Any]:
+    """The assembly errors with their sigmas, and the corrected prescription as the text of a device file."""
+    sigma = np.sqrt(np.diag(assembly.covariance))
+    found = zip(ASSEMBLY_NAMES, assembly.values, sigma, strict=True)
+    corrected = Device(device, "prescription with assembly errors fitted to captures", {eye: assembly.optics})
+    return {
+        "assembly_errors": {name: {"value": float(value), "sigma": float(error)} for name, value, error in found},
+        "device_file": toml_text(device_content(corrected)),
+    }
 
 
 def _trend(assembly: FittedAssembly, compiled: CompiledMap) -> Trend:

@@ -183,7 +183,7 @@ class Readings:
     def free(self) -> BoolArray:
         """(terms,) constant and slopes in pixel or direction: their prior size is one unit. None beside a trend."""
         at_place = self.orders[:, self.is_place].any(axis=1)
-        return ~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None)
+        return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
 
     def select(self, rows: BoolArray) -> "Readings":
         """Some of the readings; captures keep their indices, and the box is that of all."""
