@@ -27,6 +27,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _NEGLIGIBLE = 1e-7  # what the readings say of an unknown, over what its prior says
+_ROUNDED_AWAY = 1e-3  # of the sum of squares that the noise leads to expect: what exact readings may miss
 _ENOUGH = 0.02  # a step that gains less log evidence (natural units) ends the search
 _FIRST_STEP = 0.3  # of the search, in logarithms
 
@@ -230,8 +231,9 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     quadratic = sums.square * per_noise**2 - float(np.sum(half_pull**2)) - float(half_rest @ half_rest)
     determined = unit.size - float(variance.sum()) + len(side_unit) - float(side_variance.sum())
     square = quadratic - float(np.sum(unit**2)) - float(side_unit @ side_unit)
-    if square < 0.0:
+    if square < -_ROUNDED_AWAY * sums.count:
         raise np.linalg.LinAlgError("rounding leaves nothing of the sum of squares")
+    square = max(square, 0.0)
     log_determinant = 2.0 * float(len(pull) * np.log(np.diag(lower)).sum() + np.log(np.diag(side_lower)).sum())
     minus_two = log_determinant + quadratic + sums.count * (2.0 * log_noise + _LOG_2PI) - 2.0 * sums.log_weight
     slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
