@@ -156,11 +156,13 @@ class Outcome:
     Attributes:
         errors: by measure.
         found: of the bench; None without a fit.
+        readings: number of measured directions.
         seconds: process time of the fit.
     """
 
     errors: Mapping[str, Summary]
     found: FoundBench | None = None
+    readings: int = 0
     seconds: float = field(default=0.0, compare=False)
 
     def rms(self, measure: str) -> float:
@@ -232,7 +234,7 @@ class DisplayTrial(Trial):
         """Fit and evaluate."""
         rng = self.rng(seed)
         fitted, seconds = _timed(fit_display, _measured(self, simulate_display, rng), self)
-        return Outcome(self.errors(fitted.mapping, rng, seed), FoundBench.of(fitted), seconds)
+        return Outcome(self.errors(fitted.mapping, rng, seed), FoundBench.of(fitted), len(fitted.captures), seconds)
 
     def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
         """Errors of a fitted model."""
@@ -262,7 +264,7 @@ class SeeThroughTrial(Trial):
             Measure.MISS: summary(1e3 * error.forward_miss_m),
             Measure.PREDICTED: summary(fitted.mapping.sigma(seen.point, seen.viewpoint)),
         }
-        return Outcome(errors, FoundBench.of(fitted), seconds)
+        return Outcome(errors, FoundBench.of(fitted), len(fitted.captures), seconds)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,56 @@
+"""Accuracy of fitted models over random draws, beside the figures wanted and what the models predict."""
+
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+from benchmarks.accuracy.measurements import display, see_through, stage, stuck, time
+from wlr_render.files import write_text
+from wlr_render.jobs.evaluate.study import Experiment, StudyOptions, run_study
+from wlr_render.jobs.options import OnlyWith, ProgressArgument, Range, described
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+from wlr_render.report.save import markdown
+
+PartName = Literal["display", "see-through", "stage", "time", "stuck"]
+
+
+@dataclass(frozen=True)
+class AccuracyOptions(StudyOptions):
+    """Options of `accuracy`."""
+
+    _: KW_ONLY
+    part: Annotated[
+        tuple[PartName, ...], described("Measurements to make, one or more (default: all).", flag=True, many=True)
+    ] = get_args(PartName)
+    draws: Annotated[int, described("Random draws of each figure."), Range(at_least=1, at_most=1000)] = 10
+    stuck: Annotated[
+        int,
+        described("Random draws among which fits in a wrong maximum are counted."),
+        Range(at_least=1, at_most=10_000),
+        OnlyWith("part", ("stuck",)),
+    ] = 100
+    record: Annotated[Path | None, described("Folder in which accuracy.md is kept, too.")] = None
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/accuracy")
+
+
+def run(options: AccuracyOptions = AccuracyOptions(), *, progress: ProgressArgument = SILENT) -> Report:
+    """Measure; writes accuracy.html, .md and .json.
+
+    Raises:
+        BadInputError: see `run_study`.
+    """
+    # Figures of further kinds of models (grey box, prescription) are a measurement of their own each.
+    measurements: dict[PartName, Experiment] = {
+        "display": display,
+        "see-through": see_through,
+        "stage": stage,
+        "time": time,
+        "stuck": partial(stuck, draws=options.stuck),
+    }
+    chosen = {str(part): measurements[part] for part in options.part}
+    report = run_study("Accuracy of fits", options, chosen, "accuracy", progress, options.draws)
+    if options.record is not None:
+        write_text(options.record / "accuracy.md", markdown(report, options.record))
+    return report
