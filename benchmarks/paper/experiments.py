@@ -13,15 +13,15 @@ from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.evaluate.study import Findings, Lines, Study, box_text, error_curves, trial_at
 from wlr_render.jobs.evaluate.trials import DisplayTrial, EvaluatedEye, Measure, Outcome, display_observations
 from wlr_render.mappings import DisplayMapping
+from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.report.blocks import Cell, Plot, ReportTable
 
 KINDS = ("planar", "volumetric")
 DENSE = {"planar": 121, "volumetric": 125}
-FIELD_VIEWPOINTS = {"planar": 25, "volumetric": 84}
 DEGREE, VIEWPOINTS = 5, 25
-"""Of the planar model where an experiment varies something else."""
+"""Limit of the total degree, and camera positions, where an experiment varies something else."""
 SMALL_BOX_MM, LARGE_BOX_MM = (6.0, 4.0, 4.0), (14.0, 10.0, 12.0)
 BACK_M = 0.010
 """How far viewpoints are moved back along their own rays."""
@@ -43,7 +43,7 @@ class DepthMeasure(StrEnum):
 class DepthTrial(DisplayTrial):
     """A trial of the display model that is also evaluated along its rays."""
 
-    def errors(self, model: DisplayMapping, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
+    def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
         """Errors of a fitted model, in the eye box and along rays."""
         seen = display_observations(self.at, seed)
         back = moved_back(seen, BACK_M)
@@ -79,7 +79,7 @@ def self_inconsistency_arcmin(
 
 
 def dense(degrees: Sequence[int], study: Study) -> Findings:
-    """Planar and volumetric sampling at equal degree, with more captures than either model needs."""
+    """Planar and volumetric sampling at equal total degree, with dense captures."""
     rows: list[list[Cell]] = []
     for eye, degree in product(study.eyes, degrees):
         pair = [_dense(study, eye, kind, degree) for kind in KINDS]
@@ -123,7 +123,8 @@ def _dense(study: Study, eye: EvaluatedEye, kind: str, degree: int) -> Outcome:
 
 
 def _p95(outcome: Outcome) -> float:
-    return outcome.errors[DepthMeasure.ALONG_RAY].p95 if outcome.errors else float("nan")
+    recorded = outcome.errors.get(DepthMeasure.ALONG_RAY)
+    return float("nan") if recorded is None else recorded.p95
 
 
 def _per_kind(column: str) -> list[str]:
@@ -157,17 +158,11 @@ def eye_box(study: Study) -> Findings:
 
 def field(study: Study) -> Findings:
     """Error over the nominal field and over the whole panel."""
-    rows = [
-        [
-            str(eye),
-            *(
-                study.display(replace(eye, whole_panel=whole), kind, DEGREE, count).rms(Measure.FORWARD)
-                for whole in (False, True)
-                for kind, count in FIELD_VIEWPOINTS.items()
-            ),
-        ]
-        for eye in study.eyes
-    ]
+    rows: list[list[Cell]] = []
+    for eye in study.eyes:
+        trials = product((replace(eye, whole_panel=whole) for whole in (False, True)), KINDS)
+        outcomes = [study.display(at, kind, DEGREE, VIEWPOINTS) for at, kind in trials]
+        rows.append([str(eye), *(outcome.rms(Measure.FORWARD) for outcome in outcomes)])
     columns = ["eye", *_per_kind("nominal field, {} (arcmin)"), *_per_kind("whole panel, {} (arcmin)")]
-    counts = " and ".join(f"{count} {kind}" for kind, count in FIELD_VIEWPOINTS.items())
-    return Findings((ReportTable(f"Size of the field: forward rms, N={DEGREE}, {counts} viewpoints", columns, rows),))
+    title = f"Size of the field: forward rms, N={DEGREE}, {VIEWPOINTS} viewpoints"
+    return Findings((ReportTable(title, columns, rows),))

@@ -17,7 +17,7 @@ class PaperOptions(StudyOptions):
     """Options of `paper`."""
 
     _: KW_ONLY
-    degrees: Annotated[tuple[int, ...], described("Polynomial degrees of both display models.", many=True), Degree] = (
+    degrees: Annotated[tuple[int, ...], described("Total degrees of both display models.", many=True), Degree] = (
         3,
         4,
         5,
