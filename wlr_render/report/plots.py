@@ -77,6 +77,7 @@ def heat_map(
     limits: tuple[float, float] | None = None,
     log: bool = False,
     axes: tuple[str, str] = ("u (px)", "v (px)"),
+    cell: float = 1.0,
     caption: str = "",
 ) -> Plot:
     """Values of an image (height, width), NaN where there are none, as coloured cells; row 0 is at the top.
@@ -88,6 +89,7 @@ def heat_map(
         limits: values of the first and the last colour; None for the range of the values.
         log: logarithmic colours.
         axes: titles of columns and rows.
+        cell: side of a pixel of the image, in the unit of the axes.
         caption: what it shows.
     """
     height, width = values.shape
@@ -103,8 +105,8 @@ def heat_map(
             colours["colorbar"] |= {"tickvals": decades, "ticktext": [f"{10.0**decade:g}" for decade in decades]}
     trace = {
         "type": "heatmap",
-        "x": block * (np.arange(cells.shape[1]) + 0.5),
-        "y": block * (np.arange(cells.shape[0]) + 0.5),
+        "x": cell * block * (np.arange(cells.shape[1]) + 0.5),
+        "y": cell * block * (np.arange(cells.shape[0]) + 0.5),
         "z": _rounded(shown),
         "customdata": _rounded(cells),
         "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra></extra>",

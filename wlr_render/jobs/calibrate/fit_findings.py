@@ -1,0 +1,346 @@
+"""What a fit found of the bench, how sure it is of itself, and what to do: sentences, tables, maps and plots."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.calibration.fit_eye import EyeFit, KindComparison
+from wlr_render.calibration.fit_report import FitReport, ModelFit
+from wlr_render.calibration.smooth_fit import LARGEST_SHIFT_M, LARGEST_TURN_RAD
+from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
+from wlr_render.mappings import Status
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Block, Cell, Plot, ReportTable
+from wlr_render.report.plots import arrow_map, bars, heat_map
+
+AS_EXPECTED = 0.75, 1.33
+"""Held-out error over the expected one that confirms the evidence; the expectation is of some ten bands of positions."""
+AS_STATED = 1.5
+"""Noise found over the stated one, or the reverse, from which a report warns."""
+WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
+"""Parts of the predicted error that one more row of positions takes away: to be advised, and to be warned of."""
+_NEAR_BOUND = 0.9
+_CELLS = 48  # of a map, across the panel
+_CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Display or see-through of a fitted eye."""
+
+    name: str
+    fit: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
+
+    @property
+    def report(self) -> FitReport:
+        return self.fit.report
+
+    @property
+    def title(self) -> str:
+        return self.name.capitalize()
+
+
+def _sides(fit: EyeFit) -> tuple[_Side, _Side]:
+    return _Side("display", fit.display), _Side("see-through", fit.see_through)
+
+
+def fit_sentence(fit: EyeFit) -> str:
+    """Predicted error of both models, and what the fits found of noise and stage, in one sentence."""
+    parts = []
+    for side in _sides(fit):
+        report = side.report
+        found = [f"noise {_digits(report.noise_arcmin, 3)}' found"]
+        if report.stated_noise_arcmin is not None:
+            found[0] += f", {report.stated_noise_arcmin:.3g}' stated"
+        if report.repeatability_um > 0:
+            found.append(
+                f"positions repeat to {_digits(report.repeatability_um)} um, turns to {_digits(report.wobble_urad)} urad"
+            )
+        parts.append(f"{side.name} {_digits(report.predicted_arcmin)}' predicted rms ({'; '.join(found)})")
+    return f"{fit.mappings.eye.capitalize()} eye: {'; '.join(parts)}."
+
+
+def fit_warnings(fit: EyeFit, display_names: Sequence[str] = ()) -> list[str]:
+    """What is not as the captures state, and what limits the models.
+
+    Args:
+        fit: the models.
+        display_names: names of the display's camera positions; empty to number them.
+    """
+    return [warning for side in _sides(fit) for warning in _warnings(side, display_names)]
+
+
+def _warnings(side: _Side, display_names: Sequence[str]) -> list[str]:
+    report, found = side.report, []
+    names = _capture_names(side.fit.captures, display_names)
+    for each in report.moved:
+        found.append(
+            f"{side.title}: the camera of {names[each.capture]} stood {_digits(1e6 * each.shift_m)} um and "
+            f"{_digits(1e6 * each.turn_rad)} microradians from where it is stated, {each.times:.0f} times the others: "
+            "correct its entry, or leave it out."
+        )
+    stated = report.stated_noise_arcmin
+    beside = "" if stated is None else f"({_digits(report.noise_arcmin, 3)}' beside {stated:.3g}')"
+    if stated is not None and report.noise_arcmin > AS_STATED * stated:
+        found.append(
+            f"{side.title}: the noise found is {report.noise_arcmin / stated:.1f} times the stated one {beside}: the "
+            "stated sigma is too small, or the readings have errors that are no noise (lens, decoding, target)."
+        )
+    if stated is not None and report.noise_arcmin < stated / AS_STATED:
+        found.append(
+            f"{side.title}: the stated noise is {stated / report.noise_arcmin:.1f} times the one found {beside}: state "
+            "less."
+        )
+    for value, most, quantity, unit in (
+        (report.repeatability_um, 1e6 * LARGEST_SHIFT_M, "repeatability of positions", "um"),
+        (report.wobble_urad, 1e6 * LARGEST_TURN_RAD, "wobble", "microradians"),
+    ):
+        if value > _NEAR_BOUND * most:
+            found.append(
+                f"{side.title}: the {quantity} found is at its bound, {most:g} {unit}, which no stage has: check "
+                "viewpoints, units and axes of the captures."
+            )
+    if (gain := _gain(report)) > FEW_POSITIONS:
+        found.append(
+            f"{side.title}: too few camera positions dominate the predicted error; one more row of them would lower it "
+            f"by {100 * gain:.0f} %."
+        )
+    return found
+
+
+def fit_advice(fit: EyeFit) -> list[str]:
+    """The row of camera positions to add, where it would pay."""
+    steps = []
+    for side in _sides(fit):
+        report = side.report
+        if report.one_more is not None and _gain(report) > WORTH_A_ROW:
+            now, then = _digits(report.predicted_arcmin), _digits(report.one_more.predicted_arcmin)
+            steps.append(
+                f"{side.title}: add {report.one_more.positions}; the predicted error falls from {now}' to {then}'."
+            )
+    return steps
+
+
+def _gain(report: FitReport) -> float:
+    """Part of the predicted error that one more row of positions takes away."""
+    if report.one_more is None or report.predicted_arcmin == 0:
+        return 0.0
+    return 1.0 - report.one_more.predicted_arcmin / report.predicted_arcmin
+
+
+def fit_blocks(comparison: KindComparison, captures: EyeCaptures, display_names: Sequence[str] = ()) -> list[Block]:
+    """Tables, maps of the predicted error and plots of the residuals.
+
+    Args:
+        comparison: the models of one or more kinds; the best is shown.
+        captures: what they were fitted to.
+        display_names: names of the display's camera positions; empty to number them.
+    """
+    fit = comparison.chosen
+    tables = [_fit_table(fit), _size_table(fit), _held_out_table(fit), _one_more_table(fit)]
+    if len(comparison.fits) > 1:
+        tables.insert(0, _kinds_table(comparison))
+    maps = _predicted_maps(fit.display.mapping)
+    return [*(table for table in tables if table.rows), *maps, *_residual_plots(fit, captures, display_names)]
+
+
+def _fit_table(fit: EyeFit) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for name, report in _reports(fit):
+        residual, moving = report.residual_arcmin, report.repeatability_um > 0
+        motion: list[Cell] = [report.repeatability_um, report.wobble_urad] if moving else [None, None]
+        noise = [report.noise_arcmin, report.stated_noise_arcmin]
+        rows.append([name, report.kind, report.predicted_arcmin, residual.rms, residual.p95, *noise, *motion])
+    columns = ["mapping", "model", "predicted rms error (arcmin)", "residual rms (arcmin)", "residual p95 (arcmin)"]
+    columns += ["noise found (arcmin)", "noise stated (arcmin)", "repeatability (um)", "wobble (urad)"]
+    notes = (
+        "Predicted error: what the fit expects of itself over the eye box. Residuals contain the noise.",
+        "Noise, repeatability of the camera's positions and wobble of its turns: standard deviations per axis, as found.",
+    )
+    return ReportTable("Fit", columns, rows, notes)
+
+
+def _size_table(fit: EyeFit) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for name, report in _reports(fit):
+        size: list[Cell] = [report.orders, report.coefficients, f"{report.determined:.0f}"]
+        counts: list[Cell] = [report.viewpoints, report.samples, report.outliers, len(report.moved), report.unsolved]
+        rows.append([name, *size, *counts, report.contraction, f"{report.log_evidence:.1f}"])
+    columns = ["mapping", "highest orders", "coefficients", "determined", "viewpoints", "samples", "outliers"]
+    columns += ["captures that moved", "unsolved", "contraction", "log evidence"]
+    notes = (
+        "Determined: how many coefficients the captures determine; the smoothness of the optics holds the others.",
+        "Contraction: below 1, every query has one solution. Log evidence is natural; of models of the same captures, "
+        "the one with the largest is the most probable.",
+    )
+    return ReportTable("Sizes", columns, rows, notes)
+
+
+def _held_out_table(fit: EyeFit) -> ReportTable:
+    rows: list[list[Cell]] = []
+    notes = []
+    for name, report in _reports(fit):
+        for each in report.held_out:
+            ratio = each.rms_arcmin / each.expected_arcmin
+            rows.append([name, each.left_out, each.captures, each.rms_arcmin, each.expected_arcmin, ratio])
+        if report.held_out_arcmin is not None:
+            notes.append(held_out_verdict(name, *report.held_out_arcmin))
+    columns = ["mapping", "left out", "captures", "error found, rms (arcmin)", "error expected (arcmin)", "ratio"]
+    notes.append("Each row and column of camera positions was left out and predicted from the others, noise included.")
+    return ReportTable("Held-out camera positions", columns, rows, notes)
+
+
+def held_out_verdict(name: str, found: float, expected: float) -> str:
+    """Whether held-out positions confirm what a fit says of itself, in one sentence."""
+    low, high = AS_EXPECTED
+    said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}', {_digits(expected)}' expected"
+    if found < low * expected:
+        return f"{said}: better than the evidence says, so that predicted errors are on the safe side."
+    if found > high * expected:
+        return f"{said}: worse than the evidence says; the captures have errors that the fit does not know of."
+    return f"{said}: they confirm the evidence."
+
+
+def _one_more_table(fit: EyeFit) -> ReportTable:
+    rows: list[list[Cell]] = [
+        [name, report.one_more.positions, report.predicted_arcmin, report.one_more.predicted_arcmin]
+        for name, report in _reports(fit)
+        if report.one_more is not None
+    ]
+    columns = ["mapping", "positions to add", "predicted rms error now (arcmin)", "with them (arcmin)"]
+    return ReportTable("What one more row of positions would bring", columns, rows)
+
+
+def _kinds_table(comparison: KindComparison) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for kind, fit in comparison.fits.items():
+        predicted = [report.predicted_arcmin for _, report in _reports(fit)]
+        held_out = [report.held_out_arcmin for _, report in _reports(fit)]
+        noise = [report.noise_arcmin for _, report in _reports(fit)]
+        mark = "saved" if kind == comparison.best else ""
+        odds = f"{comparison.log10_odds(kind):.1f}"
+        rows.append([kind, mark, odds, *predicted, *(each[0] if each else None for each in held_out), *noise])
+    columns = ["model", "", "log10 odds against planar", "display predicted (arcmin)", "see-through predicted (arcmin)"]
+    columns += ["display held-out (arcmin)", "see-through held-out (arcmin)"]
+    columns += ["display noise found (arcmin)", "see-through noise found (arcmin)"]
+    return ReportTable("What the prescription gains", columns, rows, (comparison.sentence,))
+
+
+def _predicted_maps(display: FittedDisplay) -> list[Plot]:
+    """Predicted error over the panel, from the eye box's centre and from its worst corner."""
+    width, height = display.panel.size_px
+    cell = width / _CELLS
+    u, v = ((np.arange(int(np.ceil(size / cell - 1e-9))) + 0.5) * cell for size in (width, height))
+    pixel = np.stack(np.meshgrid(np.minimum(u, width), np.minimum(v, height)), axis=-1)
+    centre = _predicted(display, pixel, display.eye_box.centre)
+    corner = max(
+        (_predicted(display, pixel, viewpoint) for viewpoint in display.eye_box.at(_CORNERS)),
+        key=lambda sigma: float(np.nansum(sigma**2)),
+    )
+    known = np.concatenate([centre, corner])
+    known = known[np.isfinite(known)]
+    limits = (0.0, float(np.quantile(known, 0.98))) if known.size else None
+    caption = "Standard error of a pixel's direction that the fit expects of itself; blank outside the fit."
+    return [
+        heat_map(
+            f"Predicted error of the display at the eye box's {place}",
+            sigma,
+            "arcmin",
+            limits=limits,
+            cell=cell,
+            caption=caption,
+        )
+        for place, sigma in (("centre", centre), ("worst corner", corner))
+    ]
+
+
+def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    status = display.view_dir_of_pixel(pixel, viewpoint).status
+    return np.where(status == Status.OK, display.sigma(pixel, viewpoint), np.nan)
+
+
+def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
+    """Residual of each camera position (and target pose), and maps of the residuals."""
+    display, see_through = captures.display, captures.see_through
+    assert see_through is not None
+    seen = fit.mappings.display.view_dir_of_pixel(display.pixel, display.viewpoint).value
+    residual = _residuals(display, seen)
+    names = np.array([_position_name(each, display_names) for each in display.capture])
+    maps = {"display": {name: (display.pixel[names == name], residual[names == name]) for name in np.unique(names)}}
+    seen = fit.mappings.see_through.view_dir_of_real_point(see_through.point, see_through.viewpoint).value
+    residual = _residuals(see_through, seen)
+    field = np.rad2deg(np.arctan(see_through.tangents))
+    rows = zip(see_through.target_pose, see_through.capture, strict=True)
+    names = np.array([_visit_name(capture, pose) for pose, capture in rows])
+    maps["see-through"] = {name: (field[names == name], residual[names == name]) for name in np.unique(names)}
+    plots = []
+    for side, groups in maps.items():
+        rms = [float(np.sqrt(np.nanmean(np.sum(arrow**2, axis=1)))) for _, arrow in groups.values()]
+        caption = (
+            "A photograph, or set of photographs, that stands out was taken at a position other than its entry states."
+        )
+        plots.append(
+            bars(
+                f"Residual of the {side}, by camera position",
+                list(groups),
+                {side: rms},
+                "rms (arcmin)",
+                caption=caption,
+            )
+        )
+    plots.append(
+        arrow_map(
+            "Residual map of the display",
+            maps["display"],
+            "arcmin",
+            ("u (px)", "v (px)"),
+            y_down=True,
+            caption="Direction measured minus modelled, over the panel.",
+        )
+    )
+    plots.append(
+        arrow_map(
+            "Residual map of the see-through",
+            maps["see-through"],
+            "arcmin",
+            ("to the right (degrees)", "up (degrees)"),
+            caption="Direction measured minus modelled, over the field of view.",
+        )
+    )
+    return plots
+
+
+def _residuals(captures: DisplayCaptures | SeeThroughCaptures, modelled: FloatArray) -> FloatArray:
+    """(n, 2) right and up, arcminutes: as long as the angle, whatever a tangent is worth so far off the axis."""
+    apart = captures.tangents - tangents_of_dir(modelled)
+    size = arcmin_between(captures.view_dir, modelled)
+    return np.asarray(apart * (size / np.maximum(np.linalg.norm(apart, axis=1), 1e-12))[:, None])
+
+
+def _capture_names(captures: DisplayCaptures | SeeThroughCaptures, display_names: Sequence[str]) -> list[str]:
+    """Names of what shares a motion of the camera, in the order of `MovedCapture.capture`."""
+    if isinstance(captures, DisplayCaptures):
+        return [_position_name(int(each), display_names) for each in np.unique(captures.capture)]
+    visits = np.unique(np.stack([captures.capture, captures.target_pose], axis=1), axis=0)
+    return [_visit_name(int(capture), int(pose)) for capture, pose in visits]
+
+
+def _position_name(capture: int, display_names: Sequence[str]) -> str:
+    return display_names[capture] if display_names else f"position {capture:02d}"
+
+
+def _visit_name(capture: int, pose: int) -> str:
+    return f"target {pose}, position {capture:02d}"
+
+
+def _reports(fit: EyeFit) -> tuple[tuple[str, FitReport], ...]:
+    return tuple((side.name, side.report) for side in _sides(fit))
+
+
+def _digits(value: float, count: int = 2) -> str:
+    """A number with so many significant digits, e.g. 250, 9.1 or 1.00, and no exponent from 0.0001 on."""
+    rounded = float(f"{value:.{count}g}")
+    return f"{rounded:#.{count}g}".rstrip(".") if 1e-4 <= abs(rounded) < 10.0**count else f"{rounded:g}"
