@@ -24,7 +24,7 @@ from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.jobs.calibrate.simulate import truth_errors
+from wlr_render.jobs.calibrate.simulate import TruthTests
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable
@@ -50,8 +50,7 @@ class SessionTruth:
 def compare_with_truth(bench: PhotoBench, found: SessionCalibration, seed: int) -> SessionTruth:
     """Make the exact calibration that belongs to one from photographs."""
     captures = _exact_captures(bench, found, np.random.default_rng([seed, 3]))
-    fit = found.fit
-    return SessionTruth(bench, found, fit_eye(captures, "planar", fit.display.degree, fit.see_through.degree))
+    return SessionTruth(bench, found, fit_eye(captures, "planar"))
 
 
 def truth_tables(compared: SessionTruth, seed: int) -> tuple[ReportTable, ReportTable]:
@@ -96,16 +95,16 @@ def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
 
 
 def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> ReportTable:
-    measured = truth_errors(compared.found.fit.mappings, truth, seed)
-    ideal = truth_errors(compared.ideal.mappings, truth, seed)
+    tests = TruthTests.of(truth, seed)
+    measured, ideal = tests.errors(compared.found.fit.mappings), tests.errors(compared.ideal.mappings)
     rows: list[list[Cell]] = [
         [name, from_photographs.rms, from_numbers.rms, from_photographs.rms / from_numbers.rms, from_photographs.median]
         for (name, from_photographs), (_, from_numbers) in zip(measured.items(), ideal.items(), strict=True)
     ]
     fit = compared.found.fit
     title = (
-        f"Models from photographs beside models from exact correspondences with the same noise, display N="
-        f"{fit.display.degree}, see-through N={fit.see_through.degree}, {fit.display.viewpoints} places"
+        "Models from photographs beside models from exact correspondences with the same noise, "
+        f"{fit.display.report.viewpoints} places"
     )
     columns = ["error", "from photographs, rms", "from exact numbers, rms", "ratio", "from photographs, median"]
     return ReportTable(title, columns, rows)

@@ -10,7 +10,7 @@ from wlr_render.calibration.board_poses import BoardPoses, BoardView, poses_of
 from wlr_render.calibration.camera_calibration import CameraCalibration, calibrate_camera
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.calibration.check import refuse_contradictions
-from wlr_render.calibration.fit_eye import EyeFit
+from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.photograph_captures import (
     Headset,
     PanelView,
@@ -64,7 +64,7 @@ class SessionCalibration:
         eyeball, tracking: the cameras.
         station: everything in the device frame.
         captures: what the fit takes.
-        fit: the models.
+        kinds: the models, of one kind or of several that were compared.
     """
 
     session: PhotoSession
@@ -73,7 +73,12 @@ class SessionCalibration:
     tracking: Lens
     station: Station
     captures: EyeCaptures
-    fit: EyeFit
+    kinds: KindComparison
+
+    @property
+    def fit(self) -> EyeFit:
+        """The best of the models."""
+        return self.kinds.chosen
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -88,7 +93,7 @@ class SessionCalibration:
 
 
 def calibrate_session(
-    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], EyeFit]
+    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], KindComparison]
 ) -> SessionCalibration:
     """Calibrate cameras and station, and fit models to the captures.
 
@@ -112,7 +117,7 @@ def calibrate_session(
 
 
 def _calibrated(
-    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], EyeFit]
+    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], KindComparison]
 ) -> SessionCalibration:
     bare, tracked = reading.seen(session.bare), reading.seen(session.tracking)
     eyeball = _lens(session, session.eyeball_camera, "eyeball_camera", bare, reading)

@@ -7,7 +7,8 @@ from typing import Annotated
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, fit_blocks, fit_sentence, save_models
+from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, save_models
+from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -34,7 +35,8 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
     """Fit the models of one eye; writes model.json and the report into `options.out`.
 
     Raises:
-        BadInputError: captures or bench cannot be read, lack see-through captures, or do not determine the models.
+        BadInputError: captures, bench or prescription cannot be read, or the captures lack see-through captures or do
+            not determine the models.
     """
     progress.say("fitting the models")
     if options.captures.is_dir():
@@ -45,15 +47,17 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
         )
     else:
         captures = load_captures(options.captures)
-    fit = options.fit.fit(captures)
+    comparison = options.fit.fit(captures)
+    fit = comparison.chosen
     folder = output_folder(options.out)
     model, notes = save_models(folder, [fit])
     report = Report(
         f"Calibration of {fit.device}, {fit.mappings.eye} eye",
-        verdict=fit_sentence(fit),
-        warnings=notes,
-        blocks=fit_blocks(fit, captures),
-        inputs=[path for path in (options.captures, options.bench) if path is not None],
+        verdict=fit_sentences(comparison),
+        advice=fit_advice(fit),
+        warnings=[*fit_warnings(fit), *notes],
+        blocks=fit_blocks(comparison, captures),
+        inputs=[path for path in (options.captures, options.bench) if path is not None] + options.fit.inputs,
         files=[model],
         record={"options": options, "device": fit.device, "fits": {fit.mappings.eye: fit.model().report}},
     )

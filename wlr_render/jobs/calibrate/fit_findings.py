@@ -47,6 +47,12 @@ def _sides(fit: EyeFit) -> tuple[_Side, _Side]:
     return _Side("display", fit.display), _Side("see-through", fit.see_through)
 
 
+def fit_sentences(comparison: KindComparison) -> str:
+    """`fit_sentence` of the best kind, and what a prescription gained."""
+    gained = [comparison.sentence] if len(comparison.fits) > 1 else []
+    return " ".join([fit_sentence(comparison.chosen), *gained])
+
+
 def fit_sentence(fit: EyeFit) -> str:
     """Predicted error of both models, and what the fits found of noise and stage, in one sentence."""
     parts = []

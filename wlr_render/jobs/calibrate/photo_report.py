@@ -6,19 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.calibration.calibrate_session import Lens, SessionCalibration
-from wlr_render.calibration.fit_report import FitReport
 from wlr_render.calibration.poses import Pose
-from wlr_render.calibration.regression import FOLDS
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import write_figure
 from wlr_render.geometry.lens_camera import LENS_PARAMETERS
-from wlr_render.jobs.calibrate.fit import fit_blocks, fit_sentence
+from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
-from wlr_render.numerics.polynomial import term_count
-from wlr_render.report.blocks import Block, Cell, Picture, Plot, ReportTable, Section, cell_text
+from wlr_render.report.blocks import Block, Cell, Picture, Plot, ReportTable, Section
 from wlr_render.report.plots import bars
 
-_LIMITED_BY_MODEL = 3.0  # times the noise: a larger held-out error is the model's
 _ACROSS = 6  # small pictures side by side
 
 
@@ -27,23 +23,27 @@ def headline(found: SessionCalibration) -> str:
     off = sum(not check.ok for check in found.station.checks)
     checks = f"{off} check(s) of the station failed" if off else "every check of the station passed"
     return (
-        f"{fit_sentence(found.fit)} {len(found.reading.boards)} photographs of the board and "
+        f"{fit_sentences(found.kinds)} {len(found.reading.boards)} photographs of the board and "
         f"{len(found.reading.panels)} sets of the panel were read, {len(found.all_excluded)} excluded; {checks}."
     )
 
 
 def advice(found: SessionCalibration) -> list[str]:
-    """What to do next: about faults and failed checks, then about the degrees."""
+    """What to do next: about faults and failed checks, then about camera positions to add."""
     steps = ["Correct the entries of session.toml that are excluded, or take the photographs again."] * bool(
         found.faults
     )
     steps += [f"{check.step}: {check.sentence}" for check in found.station.checks if not check.ok]
-    return [*steps, *(f"{row[0]}: {row[3]}." for row in _choice_table(found).rows if row[3] != "-")]
+    return [*steps, *fit_advice(found.fit)]
+
+
+def set_names(found: SessionCalibration) -> list[str]:
+    """Names of the panel's photographed sets, by number of the display's capture."""
+    return [found.session.name_of(each.folder) for each, _ in found.reading.decoded(found.session.display)]
 
 
 def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     """Tables, pictures (written into `folder`) and plots, in the order of the procedure."""
-    sets = [found.session.name_of(each.folder) for each, _ in found.reading.decoded(found.session.display)]
     read = [_read_table(found), _excluded_table(found), _decoded_table(found)]
     return [
         Section("What was read"),
@@ -58,8 +58,7 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
         *_pose_plots(found),
         _checks_table(found),
         Section("The models"),
-        *fit_blocks(found.fit, found.captures, sets),
-        _choice_table(found),
+        *fit_blocks(found.kinds, found.captures, set_names(found)),
     ]
 
 
@@ -182,49 +181,6 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
     ]
     columns = ["check", "step", "quantity", "value", "limit", "what it says"]
     return ReportTable("Checks of the station", columns, rows, tuple(found.station.unchecked))
-
-
-def _choice_table(found: SessionCalibration) -> ReportTable:
-    see_through = found.captures.see_through
-    assert see_through is not None
-    rows: list[list[Cell]] = [
-        [name, report.degree, _why(report), _what_would_help(report, np.sqrt(2.0) * float(np.median(sigma)))]
-        for name, report, sigma in (
-            ("display", found.fit.display, found.captures.display.sigma_arcmin),
-            ("see-through", found.fit.see_through, see_through.sigma_arcmin),
-        )
-    ]
-    return ReportTable("Why these degrees", ["mapping", "N", "because", "what would help"], rows)
-
-
-def _why(report: FitReport) -> str:
-    tried = {entry.degree: entry for entry in report.held_out_arcmin}
-    if len(tried) < 2 or report.degree not in tried:
-        return "no other was tried"
-    chosen, best = tried[report.degree], min(tried.values(), key=lambda entry: entry.rms)
-    beyond = [entry for entry in tried.values() if entry.degree > report.degree]
-    if chosen is best:
-        worse = f"; N={beyond[0].degree} does worse ({cell_text(beyond[0].rms)}')" if beyond else ""
-        return f"it predicts held-out camera positions best ({cell_text(chosen.rms)}'){worse}"
-    return (
-        f"it predicts held-out camera positions to {cell_text(chosen.rms)}', as well as the best, N={best.degree}, "
-        f"within its error ({cell_text(best.rms)}' +- {best.standard_error:.2g}')"
-    )
-
-
-def _what_would_help(report: FitReport, noise_arcmin: float) -> str:
-    """Whether the model or the noise limits the error, and how many camera positions a better model needs."""
-    held_out = report.held_out_at_degree()
-    if report.kind != "planar" or held_out is None or held_out.rms < _LIMITED_BY_MODEL * noise_arcmin:
-        return "-"
-    needed = term_count(2, report.degree + 1)
-    places = int(np.ceil(needed * FOLDS / (FOLDS - 1))) + 1  # so that enough are left when some are held out
-    if report.viewpoints >= places:
-        return f"noise is {cell_text(noise_arcmin)}', so the model limits the error: add camera positions"
-    return (
-        f"noise is {cell_text(noise_arcmin)}', so the model's degree limits the error: N={report.degree + 1} needs "
-        f"{places} camera positions or more, here are {report.viewpoints}"
-    )
 
 
 def _draw_coverage(path: Path, found: SessionCalibration) -> Path:

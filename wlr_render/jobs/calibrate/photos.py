@@ -9,7 +9,8 @@ from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.files import output_folder
 from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, save_models
-from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks
+from wlr_render.jobs.calibrate.fit_findings import fit_warnings
+from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks, set_names
 from wlr_render.jobs.options import Options, ProgressArgument, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -58,9 +59,9 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
         f"Calibration of {session.device}, {session.eye} eye",
         verdict=headline(found),
         advice=advice(found),
-        warnings=notes,
+        warnings=[*fit_warnings(found.fit, set_names(found)), *notes],
         blocks=blocks,
-        inputs=[options.session],
+        inputs=[options.session, *options.fit.inputs],
         files=[model, folder / f"captures-{session.eye}.npz", folder / f"station-{session.eye}.json"],
         faults=found.faults,
         record={"options": options, "device": session.device, "eye": session.eye, "fit": found.fit.model().report},
