@@ -17,7 +17,7 @@ from wlr_render.report.blocks import Block, Cell, Plot, ReportTable
 from wlr_render.report.plots import arrow_map, bars, heat_map
 
 AS_EXPECTED = 0.75, 1.33
-"""Held-out error over the expected one that confirms the evidence; the expectation is of some ten bands of positions."""
+"""Held-out error over the expected one between which it confirms the evidence."""
 AS_STATED = 1.5
 """Noise found over the stated one, or the reverse, from which a report warns."""
 WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
@@ -62,9 +62,8 @@ def fit_sentence(fit: EyeFit) -> str:
         if report.stated_noise_arcmin is not None:
             found[0] += f", {report.stated_noise_arcmin:.3g}' stated"
         if report.repeatability_um > 0:
-            found.append(
-                f"positions repeat to {_digits(report.repeatability_um)} um, turns to {_digits(report.wobble_urad)} urad"
-            )
+            shift, turn = _digits(report.repeatability_um), _digits(report.wobble_urad)
+            found.append(f"positions repeat to {shift} um, turns to {turn} urad")
         parts.append(f"{side.name} {_digits(report.predicted_arcmin)}' predicted rms ({'; '.join(found)})")
     return f"{fit.mappings.eye.capitalize()} eye: {'; '.join(parts)}."
 
@@ -164,7 +163,7 @@ def _fit_table(fit: EyeFit) -> ReportTable:
     columns += ["noise found (arcmin)", "noise stated (arcmin)", "repeatability (um)", "wobble (urad)"]
     notes = (
         "Predicted error: what the fit expects of itself over the eye box. Residuals contain the noise.",
-        "Noise, repeatability of the camera's positions and wobble of its turns: standard deviations per axis, as found.",
+        "Noise, repeatability of the camera's positions and wobble of its turns are standard deviations per axis.",
     )
     return ReportTable("Fit", columns, rows, notes)
 
@@ -172,13 +171,13 @@ def _fit_table(fit: EyeFit) -> ReportTable:
 def _size_table(fit: EyeFit) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, report in _reports(fit):
-        size: list[Cell] = [report.orders, report.coefficients, f"{report.determined:.0f}"]
+        size: list[Cell] = [report.orders, f"{report.determined:.0f} of {report.coefficients}"]
         counts: list[Cell] = [report.viewpoints, report.samples, report.outliers, len(report.moved), report.unsolved]
         rows.append([name, *size, *counts, report.contraction, f"{report.log_evidence:.1f}"])
-    columns = ["mapping", "highest orders", "coefficients", "determined", "viewpoints", "samples", "outliers"]
+    columns = ["mapping", "highest orders", "coefficients determined", "viewpoints", "samples", "outliers"]
     columns += ["captures that moved", "unsolved", "contraction", "log evidence"]
     notes = (
-        "Determined: how many coefficients the captures determine; the smoothness of the optics holds the others.",
+        "Coefficients that the captures determine; the smoothness of the optics holds the others.",
         "Contraction: below 1, every query has one solution. Log evidence is natural; of models of the same captures, "
         "the one with the largest is the most probable.",
     )

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.captures.capture_file import save_captures
 from wlr_render.calibration.fit_eye import EyeFit
+from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
