@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +16,11 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.transforms import rigid
 from wlr_render.jobs.calibrate.captures import CalibrateCapturesOptions, calibrate_captures
 from wlr_render.jobs.calibrate.fit import FitOptions
+from wlr_render.jobs.calibrate.fit_findings import held_out_verdict
 from wlr_render.jobs.calibrate.simulate import CalibrateSimulateOptions, calibrate_simulate, simulate_captures
 from wlr_render.mappings import FieldOfView
 from wlr_render.models.model_file import load_eye_model, load_eye_models
-from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
@@ -37,13 +39,19 @@ def calibrated(tmp_path_factory):
     return folder, calibrate_simulate(replace(SMALL, noise_px=0.1, out=folder))
 
 
-def truth_errors(report):
-    return {row[0]: row[1] for row in report.tables[-1].rows}
+def truth_errors(report, column="rms"):
+    table = report.tables[-1]
+    return {row[0]: row[table.columns.index(column)] for row in table.rows}
+
+
+def table(report, title):
+    (found,) = [each for each in report.tables if each.title == title]
+    return [dict(zip(found.columns, row, strict=True)) for row in found.rows]
 
 
 def residual(report):
     """Of the display, rms in arcminutes."""
-    return dict(zip(report.tables[0].columns, report.tables[0].rows[0], strict=True))["residual rms (arcmin)"]
+    return table(report, "Fit")[0]["residual rms (arcmin)"]
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
@@ -113,7 +121,7 @@ def test_the_page_draws_its_plots(calibrated, tmp_path):
     folder, report = calibrated
     page = open_page(folder / "report.html", tmp_path)
     assert page.console == []
-    assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 4
+    assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 6
 
 
 def test_a_calibrated_eye_is_near_the_truth(calibrated):
@@ -126,7 +134,9 @@ def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated):
     report = calibrated[1]
     field, panel = ({row[0]: row[1] for row in table.rows} for table in report.tables[-2:])
     field, panel = (each["direction of a pixel (arcmin)"] for each in (field, panel))
-    assert f"rms: {field:.3g}' in the nominal field, {panel:.3g}' over the whole panel." in report.verdict
+    assert re.search(
+        rf"rms: {field:.3g}' in the nominal field \(.*' predicted\), {panel:.3g}' over the whole panel", report.verdict
+    )
     assert field < 0.9 * panel
 
 
@@ -140,24 +150,136 @@ def test_captures_fit_to_the_model_that_they_were_simulated_for(calibrated, tmp_
     folder, report = calibrated
     options = CalibrateCapturesOptions(folder / "captures-right.npz", fit=SMALL_FIT, out=tmp_path)
     again = calibrate_captures(options)
-    assert again.tables[0].rows == report.tables[0].rows
+    assert table(again, "Fit") == table(report, "Fit")
     assert (tmp_path / "model.json").read_text() == (folder / "model.json").read_text()
 
 
-def test_degrees_are_chosen_by_held_out_positions(calibrated, tmp_path):
+def test_predicted_errors_stand_beside_the_true_ones(calibrated):
+    report = calibrated[1]
+    for name in ("direction of a pixel (arcmin)", "direction of a real point (arcmin)"):
+        assert truth_errors(report, "predicted rms")[name] == pytest.approx(truth_errors(report)[name], rel=0.6)
+
+
+def test_the_sentence_tells_what_the_fit_found(calibrated):
+    report = calibrated[1]
+    display, see_through = table(report, "Fit")
+    for found, name in ((display, "display"), (see_through, "see-through")):
+        assert found["mapping"] == name
+        assert found["noise stated (arcmin)"] == 0.1
+        assert found["noise found (arcmin)"] == pytest.approx(0.1, rel=0.1)
+    assert re.match(
+        r"Right eye: display 0\.\d+' predicted rms \(noise 0\.\d\d\d' found, 0\.1' stated; ", report.verdict
+    )
+    assert "see-through 0.0" in report.verdict
+
+
+def test_held_out_rows_and_columns_stand_beside_what_is_expected(calibrated):
+    rows = table(calibrated[1], "Held-out camera positions")
+    assert {row["mapping"] for row in rows} == {"display", "see-through"}
+    assert {"row 1 of 3", "column 3 of 3"} <= {row["left out"] for row in rows}
+    (held_out,) = [each for each in calibrated[1].tables if each.title == "Held-out camera positions"]
+    assert any(note.startswith("Display: held-out positions are predicted to") for note in held_out.notes)
+
+
+@pytest.mark.parametrize(
+    ("found", "expected", "verdict"),
+    [(1.0, 1.0, "confirm the evidence"), (2.0, 1.0, "worse than the evidence says"), (0.5, 1.0, "on the safe side")],
+)
+def test_the_verdict_on_held_out_positions(found, expected, verdict):
+    assert verdict in held_out_verdict("display", found, expected)
+
+
+def test_few_positions_are_fitted_and_the_report_says_what_to_add(tmp_path):
+    report = calibrate_simulate(replace(SMALL, viewpoints=3, noise_px=0.1, out=tmp_path))
+    (display, _) = table(report, "What one more row of positions would bring")
+    now, then = display["predicted rms error now (arcmin)"], display["with them (arcmin)"]
+    assert then < 0.8 * now
+    assert any(f"Display: add {display['positions to add']}" in step for step in report.advice)
+
+
+def test_maps_of_the_predicted_error_cover_the_panel(calibrated):
+    maps = [block for block in calibrated[1].blocks if isinstance(block, Plot) and "Predicted error" in block.title]
+    centre, corner = maps
+    assert "centre" in centre.title
+    assert "worst corner" in corner.title
+    width, height = load_device("birdbath28").eyes["right"].panel.panel.size_px
+    values = []
+    for (trace,) in (centre.data, corner.data):
+        assert 0.97 * width < max(trace["x"]) < width
+        assert 0.95 * height < max(trace["y"]) < height
+        values.append(np.array(trace["z"], dtype=float))
+        assert np.mean(np.isfinite(values[-1])) > 0.5
+    assert np.nanmean(values[1]) > np.nanmean(values[0])
+
+
+def spoiled(calibrated, tmp_path, spoil):
+    """Report of a fit to the calibrated captures whose display was spoiled."""
+    captures = load_captures(calibrated[0] / "captures-right.npz")
+    path = save_captures(tmp_path / "spoiled.npz", replace(captures, display=spoil(captures.display)))
+    return calibrate_captures(CalibrateCapturesOptions(path, fit=SMALL_FIT, out=tmp_path / "out"))
+
+
+def test_a_capture_that_moved_is_named(calibrated, tmp_path):
+    def moved(display):
+        shift = np.where(display.capture[:, None] == 5, [0.0, 4e-4, 0.0], 0.0)
+        return replace(display, viewpoint=display.viewpoint + shift)
+
+    assert calibrated[1].warnings == []
+    (warning,) = spoiled(calibrated, tmp_path, moved).warnings
+    assert warning.startswith("Display: the camera of position 05 stood ")
+    assert "correct its entry, or leave it out." in warning
+
+
+@pytest.mark.parametrize(
+    ("factor", "sentence"),
+    [
+        (0.25, r"Display: the noise found is (3\.9|4\.\d) times the stated one \(0\.1\d*' beside 0\.025'\)"),
+        (4.0, r"Display: the stated noise is (3\.9|4\.\d) times the one found \(0\.\d+' beside 0\.4'\): state less"),
+    ],
+)
+def test_noise_that_is_not_the_stated_one_is_told_with_its_factor(calibrated, tmp_path, factor, sentence):
+    def stated(display):
+        return replace(display, sigma_arcmin=factor * display.sigma_arcmin)
+
+    (warning,) = spoiled(calibrated, tmp_path, stated).warnings
+    assert re.match(sentence, warning)
+
+
+def test_a_repeatability_at_its_bound_is_no_stages(calibrated, tmp_path):
+    def scattered(display):
+        off = np.random.default_rng(0).normal(0.0, 4e-3, (12, 3))
+        return replace(display, viewpoint=display.viewpoint + off[display.capture])
+
+    warnings = spoiled(calibrated, tmp_path, scattered).warnings
+    assert any("repeatability of positions found is at its bound, 1000 um" in warning for warning in warnings)
+
+
+def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(calibrated, tmp_path):
     folder, _ = calibrated
-    options = CalibrateCapturesOptions(folder / "captures-right.npz", fit=FitOptions(kind="static"), out=tmp_path)
-    chosen = calibrate_captures(options)
-    held_out = chosen.tables[1]
-    for mapping in ("display", "see-through"):
-        assert [row[-1] for row in held_out.rows if row[0] == mapping].count("chosen") == 1
-    assert "Held-out error by degree" in [block.title for block in chosen.blocks]
+    fit = replace(SMALL_FIT, prescription="birdbath28")
+    again = calibrate_captures(CalibrateCapturesOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
+    kinds = {row["model"]: row for row in table(again, "What the prescription gains")}
+    assert kinds.keys() == {"planar", "grey-box", "prescription"}
+    (saved,) = [kind for kind, row in kinds.items() if row[""] == "saved"]
+    assert saved in ("grey-box", "prescription")
+    assert table(again, "Fit")[0]["model"] == saved
+    assert kinds["planar"]["log10 odds against planar"] == "0.0"
+    assert float(kinds[saved]["log10 odds against planar"]) > 2.0
+    assert kinds[saved]["display predicted (arcmin)"] < kinds["planar"]["display predicted (arcmin)"]
+    assert "prescription" in again.verdict
+    assert any(path.name == "birdbath28.toml" for path in again.inputs)
+    viewpoint, pixel = NORTHSTAR.eyes["right"].eye_box.centre, np.array([900.0, 500.0])
+    assert load_eye_model(tmp_path / "model.json").mappings.display.sigma(pixel, viewpoint) > 0
 
 
-def test_too_few_viewpoints_say_how_many_are_missing(tmp_path):
-    with pytest.raises(BadInputError, match="at least 21 viewpoints"):
-        calibrate_simulate(replace(SMALL, fit=FitOptions(degree=5, see_through_degree=3), out=tmp_path / "out"))
-    assert not (tmp_path / "out").exists()
+def test_a_prescription_without_the_eye_is_refused(calibrated, tmp_path):
+    folder, _ = calibrated
+    one_eyed = tmp_path / "left.toml"
+    text = device_path("birdbath28").read_text()
+    one_eyed.write_text(text.replace('side = "right"', 'side = "left"', 1))
+    fit = FitOptions(kind="prescription", prescription=str(one_eyed))
+    with pytest.raises(BadInputError, match="has no right eye, of which the captures are"):
+        calibrate_captures(CalibrateCapturesOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -166,6 +288,9 @@ def test_too_few_viewpoints_say_how_many_are_missing(tmp_path):
         (["--noise-px", "-1"], "--noise-px is -1.0; it must be a finite number of 0 or more."),
         (["--degree", "13"], "--degree is 13; it must be between 1 and 12."),
         (["--kind", "cubic"], "Invalid value"),
+        (["--kind", "grey-box"], "--kind grey-box needs --prescription DEVICE"),
+        (["--kind", "static", "--prescription", "northstar"], "--prescription is not used by a static model"),
+        (["--prescription", "nothing"], "nothing"),
         (["--bench", "bench.toml"], "Unknown option"),
     ],
 )
