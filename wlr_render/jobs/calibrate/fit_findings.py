@@ -49,8 +49,7 @@ def _sides(fit: EyeFit) -> tuple[_Side, _Side]:
 
 def fit_sentences(comparison: KindComparison) -> str:
     """`fit_sentence` of the best kind, and what a prescription gained."""
-    gained = [comparison.sentence] if len(comparison.fits) > 1 else []
-    return " ".join([fit_sentence(comparison.chosen), *gained])
+    return f"{fit_sentence(comparison.chosen)} {comparison.sentence}".rstrip()
 
 
 def fit_sentence(fit: EyeFit) -> str:
