@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 
 from benchmarks.accuracy import wanted
+from benchmarks.accuracy.prescribed_trial import SEE_THROUGH_PREDICTED, PrescribedTrial
 from wlr_render.jobs.evaluate.study import FOUND_COLUMNS, Findings, Study, found_cells, pooled, trial_at
 from wlr_render.jobs.evaluate.trials import DisplayTrial, EvaluatedEye, Measure, Outcome, SeeThroughTrial
 from wlr_render.report.blocks import Cell, ReportTable
@@ -16,6 +17,7 @@ NOISES_ARCMIN = (wanted.EXACT, wanted.FINE, wanted.COARSE)
 STAGES_UM_URAD = ((0.0, 0.0), (10.0, 30.0), (30.0, 100.0))
 STAGE_NOISE_ARCMIN = 0.25
 STUCK_DEVICE, STUCK_STAGE = "northstar", STAGES_UM_URAD[-1]
+_KINDS = ("planar", "prescription", "grey-box")
 _ERROR_COLUMNS = ("rms (arcmin)", "standard error", "wanted", "predicted (arcmin)", "predicted / true")
 
 
@@ -65,6 +67,22 @@ def stage(study: Study) -> Findings:
     low, high = wanted.PREDICTED_OVER_TRUE
     title = f"Errors of the stage: {POSITIONS} camera positions, {STAGE_NOISE_ARCMIN:g}' camera noise, {_draws(study)}"
     return Findings((ReportTable(title, columns, rows, (f"Wanted: predicted / true of {low:g} to {high:g}.",)),))
+
+
+def prescribed(study: Study) -> Findings:
+    """Models that know the prescription of a headset that differs from it, beside one that does not."""
+    rows: list[list[Cell]] = []
+    for eye, (positions, noise, shape, goal), kind in product(study.eyes, wanted.GREY_BOX, _KINDS):
+        errors = {"camera_noise_arcmin": noise, "shape": shape}
+        draws = study.repeated(trial_at(PrescribedTrial, eye, kind, None, positions, **errors))
+        limit = goal if kind == "grey-box" else None
+        see_through = [pooled(draws, measure) for measure in (Measure.REAL_POINT, SEE_THROUGH_PREDICTED)]
+        where: list[Cell] = [str(eye), positions, noise, 100.0 * shape, kind]
+        rows.append([*where, *_errors(draws, Measure.FORWARD, limit), *see_through])
+    columns = ["eye", "camera positions", "camera noise (arcmin)", "error of the shape (%)", "model", *_ERROR_COLUMNS]
+    columns += ["see-through rms (arcmin)", "see-through predicted (arcmin)"]
+    title = f"Headsets that differ from their prescription: 0.2 degrees, 0.3 mm and a wrong shape, {_draws(study)}"
+    return Findings((ReportTable(title, columns, rows),))
 
 
 def time(study: Study) -> Findings:

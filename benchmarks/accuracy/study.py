@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from benchmarks.accuracy.measurements import display, see_through, stage, stuck, time
+from benchmarks.accuracy.measurements import display, prescribed, see_through, stage, stuck, time
 from wlr_render.files import write_text
 from wlr_render.jobs.evaluate.study import Experiment, StudyOptions, run_study
 from wlr_render.jobs.options import OnlyWith, ProgressArgument, Range, described
@@ -13,7 +13,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import markdown
 
-PartName = Literal["display", "see-through", "stage", "time", "stuck"]
+PartName = Literal["display", "see-through", "stage", "prescribed", "time", "stuck"]
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ def run(options: AccuracyOptions = AccuracyOptions(), *, progress: ProgressArgum
     Raises:
         BadInputError: see `run_study`.
     """
-    # Figures of further kinds of models (grey box, prescription) are a measurement of their own each.
     measurements: dict[PartName, Experiment] = {
         "display": display,
         "see-through": see_through,
         "stage": stage,
+        "prescribed": prescribed,
         "time": time,
         "stuck": partial(stuck, draws=options.stuck),
     }

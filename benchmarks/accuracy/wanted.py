@@ -23,6 +23,14 @@ SEE_THROUGH = {
     "birdbath28": {EXACT: 0.0005, COARSE: 0.06},
 }
 """Direction of a real point in the nominal field, 25 camera positions."""
+GREY_BOX = (
+    (25, COARSE, 0.002, 0.08),
+    (9, COARSE, 0.002, 0.11),
+    (5, COARSE, 0.002, 0.15),
+    (5, FINE, 0.002, 0.04),
+    (25, COARSE, 0.0, 0.05),
+)
+"""Camera positions, noise, relative error of the shape, and the direction of a pixel in the nominal field."""
 PREDICTED_OVER_TRUE = (0.8, 1.25)
 FIT_SECONDS = {25: 3.0, 190: 10.0}
 """Time of a display fit on one core by number of camera positions: 13,000 and 100,000 readings."""
