@@ -66,6 +66,22 @@ class FitOptions(Options):
         """The device file of the prescription, if any."""
         return [] if self.prescription is None else [device_path(self.prescription)]
 
+    def prescription_of(self, eye: str) -> EyeOptics | None:
+        """The prescription of an eye, if one is named; long jobs read it first.
+
+        Raises:
+            BadInputError: it cannot be read, or has no such eye.
+        """
+        if self.prescription is None:
+            return None
+        device = load_device(self.prescription)
+        if eye not in device.eyes:
+            raise BadInputError(
+                f"{flag_of(type(self), 'prescription')} {self.prescription}: has no {eye} eye, of which the captures "
+                "are; name the headset that was measured."
+            )
+        return device.eyes[eye]
+
     def fit(self, captures: EyeCaptures) -> KindComparison:
         """Fit the models of one eye: of one kind, or of all that a prescription allows.
 
@@ -73,22 +89,13 @@ class FitOptions(Options):
             BadInputError: the captures do not determine a model, or the prescription has no such eye or does not fit.
         """
         limits = self.degree, self.see_through_degree
-        if self.prescription is None:
+        prescription = self.prescription_of(captures.display.eye)
+        if prescription is None:
             kind = self.kind or "planar"
             return KindComparison({kind: fit_eye(captures, kind, *limits)}, kind)
-        prescription = _prescription(self.prescription, captures.display.eye)
         if self.kind is None:
             return fit_kinds(captures, prescription, *limits)
         return KindComparison({self.kind: fit_eye(captures, self.kind, *limits, prescription=prescription)}, self.kind)
-
-
-def _prescription(name: str, eye: str) -> EyeOptics:
-    device = load_device(name)
-    if eye not in device.eyes:
-        raise BadInputError(
-            f"--prescription {name}: has no {eye} eye, of which the captures are; choose the headset that was measured."
-        )
-    return device.eyes[eye]
 
 
 DEFAULT_FIT = FitOptions()

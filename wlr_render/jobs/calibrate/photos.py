@@ -44,6 +44,7 @@ def calibrate_photos(options: CalibratePhotosOptions, *, progress: ProgressArgum
 def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
     """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz."""
     session = load_photo_session(options.session)
+    options.fit.prescription_of(session.eye)  # a faulty one is refused before anything is read
     folder = output_folder(options.out)
     reading = read_session(session, folder / READ, options.workers, progress)
     progress.say("calibrating cameras and station, fitting the models")

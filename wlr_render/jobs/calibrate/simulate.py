@@ -65,6 +65,8 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
     """
     device = load_device(options.device)
     truths = {eye: replace(traced_eye(device, eye), name=device.name) for eye in eyes_of(options.eye)}
+    for eye in truths:
+        options.fit.prescription_of(eye)
     blocks: list[Block] = []
     captures, fits, sentences = {}, [], []
     for eye, truth in progress(truths.items(), len(truths), "eyes"):
