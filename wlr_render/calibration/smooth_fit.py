@@ -24,8 +24,12 @@ NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading: exact data would send it to zero, where rounding decides."""
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 """Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
+USUAL_SHIFT_M, USUAL_TURN_RAD = 2e-6, 1e-5
+"""Repeatability of good motorised stages; where positions are many, the readings overrule it."""
+_STAGES_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 _CHUNK = 4_096  # readings whose design is held at once
-_FLAT = 1e-6  # of the box: no extent
+_FLAT = 1e-6  # metres: no extent
+_UNKNOWN_EXTENT_M = 0.01  # of places, where all captures have the same: an eye box
 _BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 _SHIFT, _TURN = slice(0, 3), slice(3, 6)
 _LEAST_MOTION = 1e-9  # metres, radians
@@ -207,14 +211,17 @@ class Readings:
         return np.asarray(np.einsum(equation, self.multiplier, value))
 
 
+def _flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
+    """Variables (variables,) of the place along which inputs (n, variables) have no extent."""
+    return np.asarray(is_place & (np.ptp(inputs, axis=0) <= _FLAT * np.where(is_place, 1.0, np.inf)))
+
+
 def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
-    """Box of a fit to inputs (n, variables); a place without extent along an axis gets the extent of the others."""
-    box = Box.around(inputs)
-    size = box.high - box.low
-    flat = np.ptp(inputs, axis=0) <= _FLAT * size
-    known = is_place & ~flat
-    if known.any():
-        wide = np.where(is_place & flat, size[known].max(), size)
+    """Box of a fit to inputs (n, variables); a place without extent along an axis gets that of the others."""
+    box, flat = Box.around(inputs), _flat_places(inputs, is_place)
+    if flat.any():
+        known = is_place & ~flat
+        wide = float((box.high - box.low)[known].max()) if known.any() else _UNKNOWN_EXTENT_M
         centre = 0.5 * (box.low + box.high)
         box = Box(np.where(flat, centre - 0.5 * wide, box.low), np.where(flat, centre + 0.5 * wide, box.high))
     margin = _BOX_MARGIN * (box.high - box.low)
@@ -454,12 +461,15 @@ class UndeterminedError(BadInputError):
 def _prior(readings: Readings, moving: bool) -> Prior:
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     sizes = [f"size {block}" for block in range(blocks)]
-    slopes = [f"{'mu' if place else 'lambda'} {axis}" for axis, place in enumerate(readings.is_place)]
+    smooth_as = _smooth_as(readings)
+    axes = sorted(set(smooth_as))
+    slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
     names = (*sizes, *slopes, "noise", *(("shift", "turn") if moving else ()))
     features = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
         features[block, ~free, block] = 1.0
-        features[block, ~free, blocks : blocks + len(slopes)] = -orders[~free]
+        for axis, other in enumerate(smooth_as):
+            features[block, ~free, blocks + axes.index(other)] -= orders[~free, axis]
     flat = features.reshape(-1, len(names))
     none = np.zeros((0, len(names)))
     parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
@@ -470,9 +480,13 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(np.log(_noise_floor(readings)), 12.0)]
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
+    expected = np.tile([0.0, np.inf], (len(names), 1))
+    if moving:
+        expected[-2:] = [[np.log(usual), _STAGES_DIFFER] for usual in (USUAL_SHIFT_M, USUAL_TURN_RAD)]
     return Prior(
         names,
         np.array(bounds),
+        expected,
         shared,
         np.zeros(len(shared)),
         mixed,
@@ -480,6 +494,17 @@ def _prior(readings: Readings, moving: bool) -> Prior:
         own,
         np.zeros(len(own)),
     )
+
+
+def _smooth_as(readings: Readings) -> list[int]:
+    """Each variable's own slope of the prior, but where the captures have no extent along it, that of another.
+
+    Readings at one place cannot tell how fast the optics change beside it; they would call them constant.
+    """
+    flat = _flat_places(readings.inputs, readings.is_place)
+    known = np.flatnonzero(readings.is_place & ~flat)
+    other = int(known[0]) if known.size else int(np.flatnonzero(~readings.is_place)[0])
+    return [other if flat[axis] else axis for axis in range(len(flat))]
 
 
 def _noise_floor(readings: Readings) -> float:
@@ -519,7 +544,7 @@ def _motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str
     def evidence(start: dict[str, float]) -> float:
         try:
             hyper = np.array([start[name] for name in prior.names])
-            return posterior(sums, prior, hyper).log_evidence
+            return posterior(sums, prior, hyper).log_evidence - prior.surprise(hyper)[0]
         except np.linalg.LinAlgError:
             return -np.inf
 
@@ -615,8 +640,13 @@ def _spread(readings: Readings, found: Posterior) -> Spread:
     """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings."""
     orders, box, blocks = readings.orders, readings.box, readings.blocks
     outputs = blocks * (1 if readings.mixed else 2)
-    rows = np.random.default_rng(0).permutation(len(readings))[:_SAMPLES]
-    sample = basis(readings.inputs[rows], orders, box)
+    rng = np.random.default_rng(0)
+    rows = rng.permutation(len(readings))[:_SAMPLES]
+    inputs = readings.inputs[rows]
+    # Half of them elsewhere in the box: what the readings do not know counts, too.
+    elsewhere = rng.uniform(box.low, box.high, inputs.shape)
+    inputs = np.where(readings.is_place & (np.arange(len(rows)) % 2 == 0)[:, None], elsewhere, inputs)
+    sample = basis(inputs, orders, box)
     weight = readings.metric[rows]
     if readings.mixed:
         shared = 0
@@ -647,7 +677,7 @@ def _spread(readings: Readings, found: Posterior) -> Spread:
             side = side.plus(Polynomial(trend.by_parameter.orders, box, padded.reshape(len(padded), -1)))
         joint_orders = side.orders
         joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ _lower_root(found.side_covariance)
-        sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(readings.inputs[rows])
+        sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(inputs)
         sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
         keep = _principal(sampled[:, shared:], float(np.sum((design @ apart_root) ** 2)) * 2.0)

@@ -124,6 +124,7 @@ class Prior:
     Attributes:
         names: of the hyperparameters; one is "noise", the logarithm of the noise.
         bounds: (hyperparameters, 2) lowest and highest.
+        expected: (hyperparameters, 2) mean and standard deviation of what is known of them; infinite where nothing is.
         features: (columns, hyperparameters), offset: (columns,) of the coefficients x, the same for each output.
         mixed_features: (mixed, hyperparameters), mixed_offset: (mixed,) of z.
         own_features: (own, hyperparameters), own_offset: (own,) or (groups, own) of b.
@@ -131,6 +132,7 @@ class Prior:
 
     names: tuple[str, ...]
     bounds: FloatArray
+    expected: FloatArray
     features: FloatArray
     offset: FloatArray
     mixed_features: FloatArray
@@ -142,6 +144,11 @@ class Prior:
     def noise(self) -> int:
         """Index of the noise among the hyperparameters."""
         return self.names.index("noise")
+
+    def surprise(self, hyper: FloatArray) -> tuple[float, FloatArray]:
+        """Half the squared distance of hyperparameters from what is expected, and its slope."""
+        off = (hyper - self.expected[:, 0]) / self.expected[:, 1]
+        return 0.5 * float(off @ off), off / self.expected[:, 1]
 
     def side(self, groups: int) -> tuple[FloatArray, FloatArray]:
         """Features (side, hyperparameters) and offset (side,) of the side unknowns."""
@@ -298,7 +305,7 @@ def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatA
 
 
 def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) -> Posterior:
-    """The posterior of greatest evidence, searched from several starts.
+    """The posterior of greatest evidence, weighed with what is expected of the hyperparameters, from several starts.
 
     Args:
         sums: over the readings.
@@ -309,15 +316,19 @@ def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) ->
         np.linalg.LinAlgError: the evidence cannot be computed at any start.
     """
     found: list[Posterior] = []
+    least = np.inf
 
     def cost(hyper: FloatArray) -> tuple[float, FloatArray]:
+        nonlocal least
         try:
             at = posterior(sums, prior, hyper)
         except np.linalg.LinAlgError:
             return 1e12, np.zeros_like(hyper)
-        if not found or at.log_evidence > found[0].log_evidence:
-            found[:] = [at]
-        return -at.log_evidence, -at.slope
+        surprise, slope = prior.surprise(hyper)
+        value = surprise - at.log_evidence
+        if value < least:
+            least, found[:] = value, [at]
+        return value, slope - at.slope
 
     for start in starts:
         first = np.clip([start[name] for name in prior.names], *prior.bounds.T)
