@@ -66,7 +66,6 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 METHODS = ("naive", "static", "raster + warp", "ray traced")
 CAMERA_POSITIONS = 49
 CAMERA_NOISE_ARCMIN = 0.25
-DISPLAY_DEGREE, SEE_THROUGH_DEGREE = 6, 3
 HEAD_POSE = np.eye(4)
 _GRID = (48, 54)
 """Pixels of each frame, across and down, at which the misalignment is taken."""
@@ -164,9 +163,9 @@ def _painters(
     truth: EyeMappings, renderer: RayRenderer, raster_backend: RasterBackend, seed: int
 ) -> dict[str, Painter]:
     captures = simulated_captures(truth, seed)
-    planar = fit_eye(captures, "planar", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
-    static = fit_eye(captures, "static", DISPLAY_DEGREE, SEE_THROUGH_DEGREE).mappings
-    flat, _ = fit_display(captures.display, "static", 1)
+    planar = fit_eye(captures, "planar").mappings
+    static = fit_eye(captures, "static").mappings
+    flat = fit_display(captures.display, "static", 1).mapping
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
     return {
         "naive": TracedPainter(naive, renderer),

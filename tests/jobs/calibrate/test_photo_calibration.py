@@ -75,13 +75,13 @@ def test_captures_agree_with_the_devices_exact_mappings(found, bench):
     assert np.median(arcmin_between(seen.value, see_through.view_dir)) < allowed
 
 
-def test_a_display_that_is_of_degree_1_is_found_to_be_so_and_fits_to_the_noise(found):
+def test_a_flat_image_is_fitted_to_the_noise(found):
     fit = found.fit
-    assert (fit.display.degree, fit.see_through.degree) == (1, 1)
     # The camera's pixel is nearly 6 arcminutes; a tenth of it is what averages over a window of pixels can leave.
     pixel = arcmin_between(*found.eyeball.camera.dir_of_pixel(np.array([[200.0, 160.0], [201.0, 160.0]])))
-    assert fit.display.residual_arcmin.rms < 0.1 * pixel
-    assert fit.see_through.residual_arcmin.rms < 0.1 * pixel
+    for report in (fit.display.report, fit.see_through.report):
+        assert report.residual_arcmin.rms < 0.1 * pixel
+        assert report.predicted_arcmin < report.residual_arcmin.rms
 
 
 def test_what_is_written_can_be_read_back_and_used(found, photo_session):
@@ -114,7 +114,7 @@ def test_residuals_of_each_photograph_are_plotted(found, photo_session):
     plots = {each.title: each for each in report_of(found, photo_session.options).blocks if isinstance(each, Plot)}
     (bars,) = plots["Residual of the display, by camera position"].data
     assert bars["x"] == [f"display/0{number}" for number in range(4)]
-    overall = found.fit.display.residual_arcmin.rms
+    overall = found.fit.display.report.residual_arcmin.rms
     assert np.sqrt(np.mean(np.square(bars["y"]))) == pytest.approx(overall, rel=0.05)
     sigma = found.station.pose_at(found.station.stage.reference).sigma_mm
     plotted = [trace["y"][0] for trace in plots["Uncertainty of positions"].data]
@@ -126,7 +126,7 @@ def test_the_page_draws_its_plots(found, photo_session, tmp_path):
     report = report_of(found, photo_session.options)
     page = open_page(photo_session.out / "report.html", tmp_path)
     assert page.console == []
-    assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 7
+    assert page.plots == sum(isinstance(block, Plot) for block in report.blocks) == 8
 
 
 # What is read again.
@@ -144,7 +144,7 @@ def test_a_photograph_that_changed_is_read_again_and_no_other(found, photo_sessi
     photo_session.repaint("see_through/pose0_02.png", np.copy)
     again = photo_session.calibrate()
     assert again.reading.kept == ALL - 1
-    one, other = (each.fit.see_through.residual_arcmin.rms for each in (found, again))
+    one, other = (each.fit.see_through.report.residual_arcmin.rms for each in (found, again))
     assert one == pytest.approx(other, rel=1e-6)
 
 
@@ -171,7 +171,9 @@ def test_processes_find_what_one_finds(photo_session, monkeypatch, found):
         os.remove(photo_session.out / "read" / f"{name}.npz")
     again = calibrated(replace(photo_session.options, workers=1))
     assert again.reading.kept == ALL - 2
-    assert again.fit.display.residual_arcmin.rms == pytest.approx(found.fit.display.residual_arcmin.rms, rel=1e-6)
+    assert again.fit.display.report.residual_arcmin.rms == pytest.approx(
+        found.fit.display.report.residual_arcmin.rms, rel=1e-6
+    )
 
 
 def test_calibration_knows_nothing_of_how_photographs_were_made(photo_session, found):
@@ -179,5 +181,7 @@ def test_calibration_knows_nothing_of_how_photographs_were_made(photo_session, f
     (photo_session.folder / "simulation.toml").unlink()
     (photo_session.folder / "device.toml").unlink()
     again = photo_session.calibrate()
-    assert again.fit.display.residual_arcmin.rms == pytest.approx(found.fit.display.residual_arcmin.rms, rel=1e-6)
+    assert again.fit.display.report.residual_arcmin.rms == pytest.approx(
+        found.fit.display.report.residual_arcmin.rms, rel=1e-6
+    )
     assert read_toml(photo_session.folder / "session.toml").keys()[:4] == ["format", "version", "unit", "frame"]

@@ -166,7 +166,8 @@ def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, c
     assert reasons[SEEN].startswith("there is no such photograph")
     assert reasons[SET].startswith("photograph 0 ('white')")
     (fits,) = [table["rows"] for table in tables if table["title"] == "Fit"]
-    assert [fit["viewpoints"] for fit in fits] == [3, 4]
+    (sizes,) = [table["rows"] for table in tables if table["title"] == "Sizes"]
+    assert [size["viewpoints"] for size in sizes] == [3, 4]
     assert all(fit["residual rms (arcmin)"] < 0.5 for fit in fits)
     assert all((photo_session.out / name).is_file() for name in RESULTS)
 
@@ -294,24 +295,13 @@ def only_pose_0(content):
         content[name] = [item for item in content[name] if item["target_pose"] == 0]
 
 
-def three_places_less(content):
-    content["display"] = content["display"][:2]
+def test_one_target_depth_is_refused_with_what_is_missing(photo_session):
+    photo_session.edit(only_pose_0)
+    assert "it needs a second target depth" in photo_session.refusal()
 
 
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        (only_pose_0, "it needs a second target depth"),
-        (three_places_less, "degree 1 needs at least 3 viewpoints and there are 2: 1 more"),
-    ],
-)
-def test_too_few_places_are_refused_with_what_is_missing(photo_session, change, complaint):
-    photo_session.edit(change)
-    assert complaint in photo_session.refusal()
-
-
-def test_one_viewpoint_too_few_for_the_degree_asked_for(photo_session, capsys):
-    photo_session.edit(lambda content: content["display"].append(content["display"][3] | {"stage_mm": [1.0, 1.0, 0.0]}))
-    status, _, err = command_line(photo_session, capsys, "--degree", "2")
-    assert status == 2
-    assert "degree 2 needs at least 6 viewpoints and there are 5: 1 more, or a lower degree" in err[0]
+def test_two_camera_positions_are_fitted_and_the_report_says_what_one_more_row_brings(photo_session, capsys):
+    photo_session.edit(lambda content: content.update(display=content["display"][:2]))
+    status, out, _ = command_line(photo_session, capsys)
+    assert status == 0
+    assert "What one more row of positions would bring" in out
