@@ -255,6 +255,10 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     assert fit_warnings(fit) == fit_advice(fit) == []
     side = "0.12' predicted rms (noise 0.250' found, 0.25' stated; positions repeat to 9.0 um, turns to 25 urad)"
     assert fit_sentence(fit) == f"Right eye: display {side}; see-through {side}."
+    still = with_report(linear, repeatability_um=1e-3, wobble_urad=1e-3)
+    assert "display 0.12' predicted rms (noise 0.250' found, 0.25' stated; positions and turns repeat exactly);" in (
+        fit_sentence(still)
+    )
     exact = with_report(linear, stated_noise_arcmin=None, repeatability_um=0.0)
     assert "display 0.12' predicted rms (noise 0.250' found);" in fit_sentence(exact)
 

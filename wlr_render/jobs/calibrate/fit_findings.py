@@ -23,6 +23,7 @@ AS_STATED = 1.5
 WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
 """Parts of the predicted error that one more row of positions takes away: to be advised, and to be warned of."""
 _NEAR_BOUND = 0.9
+_NO_MOTION = 0.05  # um, microradians
 _CELLS = 48  # of a map, across the panel
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -60,9 +61,11 @@ def fit_sentence(fit: EyeFit) -> str:
         found = [f"noise {_digits(report.noise_arcmin, 3)}' found"]
         if report.stated_noise_arcmin is not None:
             found[0] += f", {report.stated_noise_arcmin:.3g}' stated"
-        if report.repeatability_um > 0:
+        if max(report.repeatability_um, report.wobble_urad) > _NO_MOTION:
             shift, turn = _digits(report.repeatability_um), _digits(report.wobble_urad)
             found.append(f"positions repeat to {shift} um, turns to {turn} urad")
+        elif report.repeatability_um > 0:
+            found.append("positions and turns repeat exactly")
         parts.append(f"{side.name} {_digits(report.predicted_arcmin)}' predicted rms ({'; '.join(found)})")
     return f"{fit.mappings.eye.capitalize()} eye: {'; '.join(parts)}."
 
