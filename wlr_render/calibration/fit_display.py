@@ -76,7 +76,8 @@ def fit_display(
         smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights)
     except UndeterminedError as error:
         raise BadInputError(f"the captures do not determine a {kind} display model: {_lacking(used, kind)}.") from error
-    smooth.require_agreement(f"the display captures of {captures.device}", used.sigma_arcmin)
+    if degree is None:  # a limit may be why no polynomial follows
+        smooth.require_agreement(f"the display captures of {captures.device}", used.sigma_arcmin)
     used_limits = smooth.readings.limits
     readings_of = partial(readings_within, limits=used_limits)
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
@@ -199,9 +200,16 @@ def _points(captures: DisplayCaptures, _: BasePlane, point: Polynomial, spread: 
 
 @dataclass(frozen=True)
 class _Kind:
-    """How a kind of model is fitted: its readings, its model, and whether it has places, a trend, one position."""
+    """How a kind of model is fitted.
 
-    readings: Callable[[DisplayCaptures, BasePlane, Limits, Trend | None], Readings]
+    Attributes:
+        readings: (captures, plane, limits, trend) -> readings.
+        model: (captures, plane, polynomial, spread) -> model.
+        places: whether it depends on the place. nominal: whether it is fitted at one camera position only.
+        needs_trend: whether it has a trend. nothing_but_trend: and nothing else.
+    """
+
+    readings: Callable[..., Readings]
     model: Callable[[DisplayCaptures, BasePlane, Polynomial, Spread], FittedDisplay]
     places: bool = True
     nominal: bool = False

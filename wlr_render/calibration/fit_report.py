@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -136,7 +136,7 @@ class ModelFit(Generic[AnyModel]):
         mapping: the model, with its covariance.
         captures: what it was fitted to.
         smooth: the fit of its polynomial.
-        readings_of: captures -> readings, with which it was made.
+        readings_of: (captures) -> readings, with which it was made.
         orders: limits of the orders in words.
         contraction: see `FitReport`.
     """
@@ -145,7 +145,7 @@ class ModelFit(Generic[AnyModel]):
     mapping: AnyModel
     captures: DisplayCaptures | SeeThroughCaptures
     smooth: SmoothFit
-    readings_of: Callable[[DisplayCaptures | SeeThroughCaptures], Readings]
+    readings_of: Callable[..., Readings]
     orders: str
     contraction: float
 
@@ -243,14 +243,14 @@ class ModelFit(Generic[AnyModel]):
             sure = [np.nanmean(self.mapping.sigma(subject, place[None]) ** 2) for place in places]
             worst = places[int(np.argmax(sure))]
             spread = self.smooth.spread_with(self.readings_of(self._with_positions(worst)))
-            predicted = self.predicted_arcmin(replace(self.mapping, spread=spread))
+            predicted = self.predicted_arcmin(self.mapping.with_spread(spread))
             name = f"a {noun} of {count} camera positions at {'xy'[axis]} = {1e3 * worst[0, axis]:+.1f} mm"
             tried.append(OneMore(name, predicted))
         return min(tried, key=lambda each: each.predicted_arcmin)
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
         """The captures and further ones from viewpoints (m, 3), each of which sees what the nearest camera saw."""
-        captures = self.captures
+        captures: Any = self.captures  # of either kind, and stays of its kind
         parts = [captures]
         last = int(captures.capture.max())
         names, first = np.unique(captures.capture, return_index=True)
@@ -262,7 +262,8 @@ class ModelFit(Generic[AnyModel]):
             known = seen.usable & (seen.value[:, 2] < 0)
             copy = select(replace(copy, capture=np.full(len(copy), last + 1 + number)), known)
             parts.append(replace(copy, view_dir=seen.value[known]))
-        return concatenate(parts)
+        whole: DisplayCaptures | SeeThroughCaptures = concatenate(parts)
+        return whole
 
 
 def _bands(coordinate: FloatArray, capture: IntArray) -> IntArray:

@@ -88,7 +88,8 @@ def fit_see_through(
             f"{refusal}: the real points lie in one line of sight or at one depth; spread them over the field, and "
             "photograph the target nearer and farther."
         ) from error
-    smooth.require_agreement(f"the see-through captures of {captures.device}", used.sigma_arcmin)
+    if degree is None:  # a limit may be why no polynomial follows
+        smooth.require_agreement(f"the see-through captures of {captures.device}", used.sigma_arcmin)
     used_limits = smooth.readings.limits
     readings_of = partial(readings_within, limits=used_limits)
     mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
@@ -186,9 +187,16 @@ def _static(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spr
 
 @dataclass(frozen=True)
 class _Kind:
-    """How a kind of model is fitted: its readings, its model, and whether it has places, a trend, one position."""
+    """How a kind of model is fitted.
 
-    readings: Callable[[SeeThroughCaptures, BasePlane, Limits, Trend | None], Readings]
+    Attributes:
+        readings: (captures, plane, limits, trend) -> readings.
+        model: (captures, plane, polynomial, spread) -> model.
+        places: whether it depends on the place. nominal: whether it is fitted at one camera position only.
+        needs_trend: whether it has a trend. nothing_but_trend: and nothing else.
+    """
+
+    readings: Callable[..., Readings]
     model: Callable[[SeeThroughCaptures, BasePlane, Polynomial, Spread], FittedSeeThrough]
     places: bool = True
     nominal: bool = False

@@ -143,9 +143,8 @@ class BundleDisplay(FittedDisplay):
         inputs = joined(subject, viewpoint[:, :2] + depth[:, None] * tangents)
         _, jacobian = self.forward.with_jacobian(inputs, axes=(2, 3))
         # p~ moves with the tangents: t = f(pixel, p~(t)).
-        return Sensitivity(
-            inputs, np.linalg.inv(np.eye(2) - jacobian @ self.base_plane.carry_by_tangents(depth, tangents))
-        )
+        along = np.eye(2) - jacobian @ self.base_plane.carry_by_tangents(depth, tangents)
+        return Sensitivity(inputs, np.asarray(np.linalg.inv(along)))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ The formulas take and return tangents; only this module converts them from and t
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -165,6 +165,12 @@ class FittedModel(ABC):
     def contraction(self) -> float:
         """How strongly the model's solve contracts over the eye box, see `models.contraction`; 0 for closed forms."""
         return 0.0
+
+    def with_spread(self, spread: Spread) -> Self:
+        """The same model with another covariance."""
+        model: Any = self  # a dataclass, as every subclass is
+        changed: Self = replace(model, spread=spread)
+        return changed
 
     @abstractmethod
     def _forward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:

@@ -249,7 +249,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
     mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]
     by_side = np.zeros_like(sums.side_cross)
-    by_side[np.ix_(range(len(pull)), side_used, used)] = -follow * scale[used] / side_scale[side_used][:, None]
+    by_side[np.ix_(np.ones(len(pull), bool), side_used, used)] = -follow * scale[used] / side_scale[side_used][:, None]
     return Posterior(
         hyper=dict(zip(prior.names, map(float, hyper), strict=True)),
         log_evidence=-0.5 * minus_two,
