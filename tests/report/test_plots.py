@@ -38,6 +38,14 @@ def test_grouped_curves_share_colours_by_group_and_dashes_by_kind():
     assert ax["dash"] == bx["dash"] != ay["dash"]
 
 
+def test_predicted_values_are_dashed_in_the_colour_of_their_curve():
+    lines = {"a": ([1, 2], [3.0, 4.0]), "b": ([1, 2], [5.0, 6.0])}
+    a, b, a_predicted, b_predicted = curves("E", lines, ("N", "rms"), predicted={"a": ([1], [7]), "b": ([1], [8])}).data
+    assert a["line"]["color"] == a_predicted["line"]["color"] != b["line"]["color"]
+    assert ("dash" in a["line"], a_predicted["line"]["dash"]) == (False, "dash")
+    assert (b_predicted["name"], list(b_predicted["y"])) == ("b, predicted", [8])
+
+
 def test_blocks_at_the_border_have_the_remaining_pixels():
     np.testing.assert_array_equal(block_maxima(np.arange(15.0).reshape(3, 5), 2), [[6, 8, 9], [11, 13, 14]])
 
