@@ -98,7 +98,7 @@ def test_errors_of_position_are_those_given(tmp_path):
 
 def test_the_eye_box_is_that_of_the_device_unless_another_is_given(tmp_path):
     small = changed_device(tmp_path, "northstar", ("[10.0, 8.0, 6.0]", "[6.0, 4.0, 4.0]"))
-    few = {**FEW, "out": tmp_path, "workers": 1, "stage_error_mm": 0.0}
+    few = {"experiment": ("camera-positions",), "degrees": (3,), "counts": (12,), "out": tmp_path, "workers": 1}
     own = evaluate(EvaluateOptions((small,), eye="both", **few))
     overridden = evaluate(EvaluateOptions(("northstar",), box=(6.0, 4.0, 4.0), **few))
     shipped = evaluate(EvaluateOptions(("northstar",), **few))
@@ -107,7 +107,7 @@ def test_the_eye_box_is_that_of_the_device_unless_another_is_given(tmp_path):
         ["northstar (right)", "6 x 4 x 4 mm"],
     ]
     of_own, of_override, of_shipped = (report.tables[1].rows[-1][3] for report in (own, overridden, shipped))
-    assert of_own == pytest.approx(of_override, rel=0.3)
+    assert of_own == of_override
     assert of_own < 0.9 * of_shipped
 
 
@@ -138,7 +138,7 @@ def test_the_inverse_of_the_forward_model_beats_a_backward_polynomial():
 
 def test_no_number_of_camera_positions_is_refused_and_more_of_them_are_better():
     for kind in ("planar", "volumetric"):
-        trials = [display("birdbath28", kind, None, count, camera_noise_arcmin=0.25) for count in (5, 16, 36)]
+        trials = [display("birdbath28", kind, 4, count, camera_noise_arcmin=0.25) for count in (2, 8, 30)]
         outcomes = [trial.run(SEED) for trial in trials]
         for measure in (Measure.FORWARD, Measure.PREDICTED):
             rms = [each.rms(measure) for each in outcomes]
