@@ -259,7 +259,7 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     assert "display 0.12' predicted rms (noise 0.250' found, 0.25' stated; positions and turns repeat exactly);" in (
         fit_sentence(still)
     )
-    exact = with_report(linear, stated_noise_arcmin=None, repeatability_um=0.0)
+    exact = with_report(linear, stated_noise_arcmin=None, repeatability_um=0.0, wobble_urad=0.0)
     assert "display 0.12' predicted rms (noise 0.250' found);" in fit_sentence(exact)
 
 
