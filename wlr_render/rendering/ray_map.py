@@ -232,7 +232,8 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
 
     Returns:
         (n,) error at infinity plus error of the offset at the nearest depth, over the size of a pixel there;
-        NaN where the exact solve has no answer.
+        NaN where the exact solve has no answer, and where it is extrapolated, if it is not so everywhere: models bend
+        at the border of their fit, which would cost many nodes for values of little worth.
     """
     count, panel = plan.node_count, plan.panel
     axes = plan.device_from_camera
@@ -240,13 +241,14 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
     down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
     interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
-    exact, right, lower = (
-        solve_pixels(mappings, axes, pixel + step, viewpoint).slope_offset for step in ([0, 0], [-1, 0], [0, -1])
-    )
+    solved = [solve_pixels(mappings, axes, pixel + step, viewpoint) for step in ([0, 0], [-1, 0], [0, -1])]
+    exact, right, lower = (each.slope_offset for each in solved)
     pixel_size = np.minimum(
         np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
     )
     error = interpolated - exact
+    if (inside := solved[0].status == Status.OK).any():
+        error[~inside] = np.nan
     return np.asarray(
         (np.linalg.norm(error[:, :2], axis=1) + np.linalg.norm(error[:, 2:], axis=1) / NEAREST_M) / pixel_size
     )
