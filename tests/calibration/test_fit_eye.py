@@ -170,3 +170,14 @@ def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables
     predicted = of_display @ of_see_through.T
     assert np.sum(together * predicted) / np.sum(predicted**2) == pytest.approx(1.0, abs=0.35)
     assert np.corrcoef(together.ravel(), predicted.ravel())[0, 1] > 0.6
+
+
+def test_display_and_see_through_are_of_one_stage():
+    """Five positions alone cannot tell motions of 17 um from a shape that is wrong; see-through knows them."""
+    truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(2), shape=0.002)
+    fit = fit_eye(
+        captured(truth, 5, 0.25, seed=102, grid=(25, 21)), "grey-box", prescription=prescription("birdbath28")
+    )
+    assert fit.display.smooth.stage == pytest.approx(fit.see_through.smooth.stage)
+    assert fit.display.smooth.shift_m < 3e-6
+    assert rms(display_errors(fit, truth)[0]) < 0.05

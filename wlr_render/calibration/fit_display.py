@@ -12,6 +12,7 @@ from wlr_render.calibration.smooth_fit import (
     TREND_ALONE,
     Limits,
     Readings,
+    Stage,
     Trend,
     UndeterminedError,
     angular_metric,
@@ -44,6 +45,7 @@ def fit_display(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
+    stage: Stage | None = None,
 ) -> ModelFit[FittedDisplay]:
     """Fit a display model to captures of the panel by maximum evidence.
 
@@ -56,6 +58,7 @@ def fit_display(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_fit.fit`.
+        stage: repeatability and wobble; None to find them.
 
     Raises:
         BadInputError: an unknown kind, captures that determine nothing or contradict each other, or a model that may
@@ -73,7 +76,7 @@ def fit_display(
         limits = (TREND_ALONE,)
     readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
     try:
-        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights)
+        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
     except UndeterminedError as error:
         raise BadInputError(f"the captures do not determine a {kind} display model: {_lacking(used, kind)}.") from error
     if degree is None:  # a limit may be why no polynomial follows

@@ -1,7 +1,8 @@
 """Fit both mappings of one eye."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -19,7 +20,7 @@ from wlr_render.calibration.fit_prescription import (
     with_posterior,
 )
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.smooth_fit import Trend
+from wlr_render.calibration.smooth_fit import Stage, Trend
 from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -33,6 +34,9 @@ KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
 
 _SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes with a see-through that is as simple
 _COMPARED = ("prescription", "planar", "grey-box")  # the simpler ones first
+_STILL = (1e-6, 3e-6)  # metres and radians that no reading shows
+_ALIKE = 2.0  # ratio of repeatabilities that may be of one stage
+_OTHER_STAGE = 20.0  # log10 odds from which display and see-through were not captured by one stage
 _WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one
 
 
@@ -231,18 +235,57 @@ def fit_with_trends(
     Raises:
         BadInputError: as `fit_display` and `fit_see_through`.
     """
-    shown = display_fit.fit_display(captures.display, kind, degrees[0], trends.planes[0], trends.display, weights[0])
+    shown, seen = _one_stage(partial(_both, captures, kind, trends, degrees, weights))
     mean, covariance = shown.smooth.trend_parameters
     root = np.asarray(np.linalg.cholesky(covariance), np.float64)
-    seen = see_through_fit.fit_see_through(
-        _see_through_of(captures), kind, degrees[1], trends.planes[1], trends.see_through.about(mean, root), weights[1]
-    )
     log_evidence = _log_evidence(shown) + _log_evidence(seen)
     of_see_through = _without_display(mean, root, *seen.smooth.trend_parameters)
     shown = display_fit.with_trend(shown, trends.display.about(*of_see_through))
     added, covariance = shown.smooth.trend_parameters
     found = of_see_through[0] + of_see_through[1] @ added, of_see_through[1] @ covariance @ of_see_through[1].T
     return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=with_posterior(trends.assembly, *found))
+
+
+_Both = tuple[ModelFit[FittedDisplay], ModelFit[FittedSeeThrough]]
+
+
+def _both(
+    captures: EyeCaptures,
+    kind: str,
+    trends: EyeTrends,
+    degrees: tuple[int | None, int | None],
+    weights: tuple[FloatArray | None, FloatArray | None],
+    stage: Stage | None,
+) -> _Both:
+    """Display, and see-through with what the display says of the assembly errors as prior."""
+    shown = display_fit.fit_display(
+        captures.display, kind, degrees[0], trends.planes[0], trends.display, weights[0], stage
+    )
+    mean, covariance = shown.smooth.trend_parameters
+    trend = trends.see_through.about(mean, np.asarray(np.linalg.cholesky(covariance), np.float64))
+    seen = see_through_fit.fit_see_through(
+        _see_through_of(captures), kind, degrees[1], trends.planes[1], trend, weights[1], stage
+    )
+    return shown, seen
+
+
+def _one_stage(fit: Callable[[Stage | None], _Both]) -> _Both:
+    """Fit with the same repeatability and wobble for both, unless they are of different stages by all evidence.
+
+    From few positions, motions of the captures can imitate what the optics change from place to place; the other
+    captures of the same stage know better.
+    """
+
+    def evidence(both: _Both) -> float:
+        return _log_evidence(both[0]) + _log_evidence(both[1])
+
+    free = fit(None)
+    stages = [each.smooth.stage for each in free]
+    larger, smaller = (np.maximum([f(pair) for pair in zip(*stages, strict=True)], _STILL) for f in (max, min))
+    if np.all(larger < _ALIKE * smaller):
+        return free
+    shared = max((fit(stage) for stage in stages), key=evidence)
+    return free if evidence(free) - evidence(shared) > _OTHER_STAGE * np.log(10.0) else shared
 
 
 def _without_display(

@@ -12,6 +12,7 @@ from wlr_render.calibration.smooth_fit import (
     TREND_ALONE,
     Limits,
     Readings,
+    Stage,
     Trend,
     UndeterminedError,
     angular_metric,
@@ -41,6 +42,7 @@ def fit_see_through(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
+    stage: Stage | None = None,
 ) -> ModelFit[FittedSeeThrough]:
     """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
 
@@ -52,6 +54,7 @@ def fit_see_through(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_fit.fit`.
+        stage: repeatability and wobble; None to find them.
 
     Raises:
         BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
@@ -82,7 +85,7 @@ def fit_see_through(
             "farther."
         )
     try:
-        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights)
+        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
     except UndeterminedError as error:
         raise BadInputError(
             f"{refusal}: the real points lie in one line of sight or at one depth; spread them over the field, and "

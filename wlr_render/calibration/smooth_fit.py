@@ -35,6 +35,7 @@ _SHIFT, _TURN = slice(0, 3), slice(3, 6)
 _LEAST_MOTION = 1e-9  # metres, radians
 _SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
+_SMOOTH_BESIDE_TREND = (2.5, 1.5)  # by place, by pixel: slopes of what a trend leaves, which may be too little to tell
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _SATURATED = 0.75  # share of the coefficients that the readings determine above which wider limits are tried
@@ -45,6 +46,10 @@ _STANDS_OUT, _SURE = 8.0, 6.0  # a capture's motion over the others' median, and
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
 _SAMPLES = 500  # readings at which that is judged
+
+
+Stage = tuple[float, float]
+"""Repeatability in metres and wobble in radians, standard deviations per axis."""
 
 
 def angular_metric(tangents: FloatArray) -> FloatArray:
@@ -299,6 +304,11 @@ class SmoothFit:
             )
 
     @property
+    def stage(self) -> Stage:
+        """As found."""
+        return self.shift_m, self.turn_rad
+
+    @property
     def outputs(self) -> int:
         """Of the polynomial."""
         return int(self.polynomial.coefficients.shape[1])
@@ -357,7 +367,10 @@ class SmoothFit:
 
 
 def fit_within(
-    readings_of: Callable[[Limits], Readings], limits: Sequence[Limits], weights: FloatArray | None = None
+    readings_of: Callable[[Limits], Readings],
+    limits: Sequence[Limits],
+    weights: FloatArray | None = None,
+    stage: Stage | None = None,
 ) -> SmoothFit:
     """Fit within the first limits of the orders that leave most coefficients to the prior, or within the last.
 
@@ -366,16 +379,19 @@ def fit_within(
     Raises:
         BadInputError: as `fit`.
     """
-    smooth = fit(readings_of(limits[0]), weights=weights)
+    smooth = fit(readings_of(limits[0]), None, weights, stage)
     for wider in limits[1:]:
         if smooth.posterior.determined < _SATURATED * len(smooth.readings.orders) * smooth.outputs:
             break
-        smooth = fit(readings_of(wider), smooth.posterior.hyper, weights)
+        smooth = fit(readings_of(wider), smooth.posterior.hyper, weights, stage)
     return smooth
 
 
 def fit(
-    readings: Readings, start_at: Mapping[str, float] | None = None, weights: FloatArray | None = None
+    readings: Readings,
+    start_at: Mapping[str, float] | None = None,
+    weights: FloatArray | None = None,
+    stage: Stage | None = None,
 ) -> SmoothFit:
     """Fit by maximum evidence.
 
@@ -384,6 +400,7 @@ def fit(
         start_at: hyperparameters of a fit to the same readings, to start from; None searches from several starts.
         weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
             with the same readings and weights.
+        stage: repeatability and wobble; None to find them.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
@@ -405,6 +422,8 @@ def fit(
     moved: tuple[MovedCapture, ...] = ()
     if readings.motion is not None and np.any(readings.sigma > 0):
         prior = _prior(readings, moving=True)
+        if stage is not None:
+            prior.bounds[-2:] = np.log(np.maximum(stage, _LEAST_MOTION))[:, None]
         hyper = dict(found.hyper)
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
@@ -481,6 +500,10 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
     expected = np.tile([0.0, np.inf], (len(names), 1))
+    if readings.trend is not None:
+        by_place = np.array([readings.is_place[axis] for axis in axes])
+        expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_SMOOTH_BESIDE_TREND)
+        expected[blocks : blocks + len(slopes), 1] = 1.0
     if moving:
         expected[-2:] = [[np.log(usual), _STAGES_DIFFER] for usual in (USUAL_SHIFT_M, USUAL_TURN_RAD)]
     return Prior(
@@ -527,7 +550,7 @@ def _starts(readings: Readings, prior: Prior, start: Polynomial, kept: FloatArra
         size = float(np.log(left / np.median(readings.weight)))
         starts = [(_NO_SIZE, 0.7, 0.7, left)]
         if len(readings.orders):
-            starts += [(size, 0.7, 0.7, 0.3 * left), (size, 1.2, 1.5, 0.03 * left), (size - 3.0, 0.7, 0.7, left)]
+            starts += [(size, 0.7, 0.7, 0.3 * left), (size, 1.3, 2.5, left), (size - 3.0, 0.7, 0.7, left)]
     return [_start_hyper(prior, *values) for values in starts]
 
 
@@ -543,7 +566,7 @@ def _motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str
 
     def evidence(start: dict[str, float]) -> float:
         try:
-            hyper = np.array([start[name] for name in prior.names])
+            hyper = np.clip([start[name] for name in prior.names], *prior.bounds.T)
             return posterior(sums, prior, hyper).log_evidence - prior.surprise(hyper)[0]
         except np.linalg.LinAlgError:
             return -np.inf
