@@ -16,7 +16,7 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 @pytest.fixture(scope="module", params=["freeform40", "northstar"])
 def captures(request):
     truth = traced_eye(load_device(request.param), "right")
-    setup = CaptureSetup(truth, 0.1, grid=(12, 10))
+    setup = CaptureSetup(truth, 0.1, grid=(10, 8))
     places = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
     rng = np.random.default_rng(1)
     return simulate_display(setup, places, rng), simulate_see_through(setup, places, rng)
@@ -67,14 +67,3 @@ def test_where_all_disagree_few_or_none_are_named(captures):
     rng = np.random.default_rng(2)
     shift = rng.normal(0, 0.005, (25, 3))[display.capture]
     assert len(display_outliers(moved_by(display, slice(None), shift))) <= 5
-
-
-def test_fits_to_the_others_are_neither_cross_validated_nor_reported(captures, monkeypatch):
-    def refused(*_):
-        raise AssertionError("a report is built and thrown away")
-
-    monkeypatch.setattr("wlr_render.calibration.regression._held_out", refused)
-    monkeypatch.setattr("wlr_render.calibration.fit_report.Residuals.of", refused)
-    display, see_through = captures
-    assert display_outliers(display) == []
-    assert see_through_outliers(see_through, photographs(see_through)) == []

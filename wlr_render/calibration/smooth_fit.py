@@ -18,7 +18,7 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.models.spread import Spread
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
-from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders, total_degree
 
 NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading: exact data would send it to zero, where rounding decides."""
@@ -42,7 +42,16 @@ _SATURATED = 0.75  # share of the coefficients that the readings determine above
 _MOTION_ROUNDS = 3
 _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
-_STANDS_OUT, _SURE = 8.0, 6.0  # a capture's motion over the others' median, and over its own sigma
+_SMOOTH_ORDER = 3  # of the place: motions that vary with it no faster are no motions
+_SUSPICIOUS, _SURE = 4.0, 6.0  # a capture's motion over what it is uncertain by, the others' size included
+_NEAR_WORST = 0.8  # of the most suspicious one's: what is less so may be its doing
+_LARGER, _STANDS_OUT = 2.0, 8.0  # a capture's motion over the median one: of a suspect, and of one that moved
+_DOUBTFUL = 0.5  # of the largest score
+_ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # nothing stands out that is less than so many times these
+_ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
+_BAD_STAGE_M, _BAD_STAGE_RAD = 1e-4, 3e-4  # repeatability per axis
+_MOST = 0.25  # of the captures may stand out
+_FEW_ORDERS = 4  # in all, of the fit that finds captures far off
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
 _SAMPLES = 500  # readings at which that is judged
@@ -241,12 +250,16 @@ class MovedCapture:
         capture: its index among the readings.
         shift_m, turn_rad: length of its shift, and its turn.
         times: how many times the median of the captures'.
+        arcmin: mean error of its readings, predicted by the other captures.
+        score: its motion over what it is uncertain by, the others' motions included.
     """
 
     capture: int
     shift_m: float
     turn_rad: float
     times: float
+    arcmin: float
+    score: float
 
 
 @dataclass(frozen=True)
@@ -258,7 +271,7 @@ class SmoothFit:
         posterior: of coefficients, motions and hyperparameters.
         readings: what was fitted.
         kept: (n,) weights of the readings, from 1 down to 0 for outliers.
-        moved: captures that stand out.
+        moved: captures that stand out; they are left out.
     """
 
     polynomial: Polynomial
@@ -269,6 +282,11 @@ class SmoothFit:
     _prior: Prior
     _columns: FloatArray | None
     _start: Polynomial
+
+    @property
+    def captures(self) -> int:
+        """Number of captures."""
+        return len(np.unique(self.readings.capture))
 
     @property
     def noise(self) -> float:
@@ -405,40 +423,168 @@ def fit(
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
     """
-    start = _free_part(readings)
-    kept, found_weights = np.ones(len(readings)) if weights is None else weights, weights is None
-    prior = _prior(readings, moving=False)
-    starts = [dict(start_at)] if start_at is not None else _starts(readings, prior, start, kept)
-    for _ in range(_ROUNDS):
-        found = maximise(_sums(readings, start, None, kept), prior, starts)
-        polynomial = _polynomial(readings, start, found)
-        if not found_weights:
+    search = _Search(readings, _free_part(readings), start_at, weights, stage)
+    smooth = search.without(())
+    if smooth._columns is None:
+        return smooth
+    if weights is not None:
+        gone = np.setdiff1d(readings.capture, readings.capture[weights > 0])
+        smooth = replace(smooth, moved=tuple(MovedCapture(int(name), 0.0, 0.0, 0.0, 0.0, 0.0) for name in gone))
+        return replace(smooth, moved=tuple(_standing_out(smooth)[1].values()))
+    if not _standing_out(smooth)[0]:
+        return smooth
+    # Few orders cannot follow a capture that is far off; many find those that are less so.
+    few = readings.orders.sum(axis=1) <= _FEW_ORDERS
+    suspects: dict[int, MovedCapture] = {}
+    if readings.trend is None:
+        coarse = _Search(replace(readings, orders=readings.orders[few]), search.start, None, None, stage)
+        suspects = _suspects(coarse, {})
+        suspects = {name: each for name, each in suspects.items() if each.times > _STANDS_OUT and each.score > _SURE}
+    suspects = _suspects(search, suspects)
+    moved = [each for each in suspects.values() if each.times > _STANDS_OUT and each.score > _SURE]
+    moved.sort(key=lambda each: -each.score)
+    if not moved:
+        return smooth
+    smooth = search.without(tuple(moved))
+    # Without so many the rest judge badly: the least suspicious come back unless they stand out again.
+    while moved[-1].score < _DOUBTFUL * moved[0].score:
+        trial = search.without(tuple(moved[:-1]))
+        if moved[-1].capture in _standing_out(trial)[0]:
             break
-        weights = _weights(readings, polynomial)
-        if np.allclose(weights, kept, atol=0.05):
-            break
-        kept, starts = weights, [dict(found.hyper)]
-    columns: FloatArray | None = None
-    moved: tuple[MovedCapture, ...] = ()
-    if readings.motion is not None and np.any(readings.sigma > 0):
+        smooth = trial
+        moved.pop()
+    return smooth
+
+
+def _suspects(search: "_Search", suspects: dict[int, MovedCapture]) -> dict[int, MovedCapture]:
+    """More captures that stand out beside some, and all of them judged by the rest.
+
+    One that stands out makes others seem to: the worst go first.
+    """
+    while True:
+        smooth = search.without(tuple(suspects.values()))
+        others, suspects = _standing_out(smooth)
+        if not others or len(suspects) + len(others) > _MOST * smooth.captures:
+            return suspects
+        suspects |= others
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Fits to the same readings without some of the captures; see `fit`."""
+
+    readings: Readings
+    start: Polynomial
+    start_at: Mapping[str, float] | None
+    weights: FloatArray | None
+    stage: Stage | None
+
+    def without(self, moved: tuple[MovedCapture, ...]) -> SmoothFit:
+        """Fit to all captures but those that moved."""
+        readings, start = self.readings, self.start
+        stays = ~np.isin(readings.capture, [each.capture for each in moved])
+        kept = stays * (np.ones(len(readings)) if self.weights is None else self.weights)
+        prior = _prior(readings, moving=False)
+        starts = [dict(self.start_at)] if self.start_at is not None else _starts(readings, prior, start, kept)
+        moves = readings.motion is not None and bool(np.any(readings.sigma > 0))
+        columns: FloatArray | None = None
+        for _ in range(_ROUNDS):
+            found = maximise(_sums(readings, start, None, kept), prior, starts)
+            polynomial = _polynomial(readings, start, found)
+            columns = _motion(readings, polynomial) if moves else None
+            if self.weights is not None:
+                break
+            weights = _weights(readings, polynomial, columns, kept) * stays
+            if np.allclose(weights, kept, atol=0.05):
+                break
+            kept, starts = weights, [dict(found.hyper)]
+        if columns is None:
+            return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
         prior = _prior(readings, moving=True)
-        if stage is not None:
-            prior.bounds[-2:] = np.log(np.maximum(stage, _LEAST_MOTION))[:, None]
-        hyper = dict(found.hyper)
+        if self.stage is not None:
+            prior.bounds[-2:] = np.log(np.maximum(self.stage, _LEAST_MOTION))[:, None]
+        rough, hyper = _rough(readings, kept), dict(found.hyper)
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
             columns = _motion(readings, polynomial)
             sums = _sums(readings, start, columns, kept)
             if round_ == 0:
-                hyper = _motion_start(sums, prior, hyper)
-                found = posterior(sums, prior, np.array(list(hyper.values())))
+                hyper = _motion_start(sums.combined(rough), prior, hyper)
             else:
-                found = maximise(sums, prior, [hyper])
-                if round_ == 1 and (moved := _moved(found)):
-                    prior = replace(prior, own_offset=_widened(found, moved))
-                    found = maximise(sums, prior, [_motion_start(sums, prior, hyper)])
-            hyper, polynomial = dict(found.hyper), _polynomial(readings, start, found)
-    return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
+                hyper = dict(maximise(sums.combined(rough), prior, [hyper]).hyper)
+            found = posterior(sums, prior, np.array(list(hyper.values())))
+            polynomial = _polynomial(readings, start, found)
+        return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
+
+
+def _rough(readings: Readings, kept: FloatArray) -> FloatArray:
+    """Orthonormal combinations (captures, k) of the captures' motions without those that vary smoothly with the place.
+
+    Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
+    for motions of the camera, of any size.
+    """
+    captures = int(readings.capture.max()) + 1
+    used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
+    place = readings.inputs[:, readings.is_place]
+    count = np.maximum(np.bincount(readings.capture, minlength=captures), 1)
+    middle = np.stack([np.bincount(readings.capture, axis, captures) / count for axis in place.T], axis=-1)[used]
+    orders = [total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER + 1)]
+    smooth = [order for order in orders if 2 * len(order) <= len(used)]
+    rough = np.zeros((captures, 0))
+    if smooth:
+        left, size, _ = np.linalg.svd(basis(middle, smooth[-1], Box.around(middle)))
+        rank = int(np.sum(size > 1e-6 * size[0]))
+        rough = np.zeros((captures, len(used) - rank))
+        rough[used] = left[:, rank:]
+    return rough
+
+
+def _standing_out(smooth: SmoothFit) -> tuple[dict[int, MovedCapture], dict[int, MovedCapture]]:
+    """Captures that stand out by their motion, and those left out before, measured by the rest; by their indices."""
+    readings, out = smooth.readings, [each.capture for each in smooth.moved]
+    kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
+    offset = np.zeros((int(readings.capture.max()) + 1, 6))
+    hyper = smooth.posterior.hyper
+    offset[out, _SHIFT], offset[out, _TURN] = (np.log(_ANY_MOTION) - hyper[name] for name in ("shift", "turn"))
+    columns = _motion(readings, smooth.polynomial)
+    found = posterior(
+        _sums(readings, smooth._start, columns, kept),
+        replace(smooth._prior, own_offset=offset),
+        np.array(list(hyper.values())),
+    )
+    variance = np.diag(found.side_covariance)[-found.own_mean.size :].reshape(found.own_mean.shape)
+    size = np.exp(offset + smooth._prior.own_features @ list(hyper.values()))
+    # What the readings say of each motion before its own prior: a common prior draws the largest to the others.
+    alone = 1.0 / np.maximum(1.0 / variance - 1.0 / size**2, 1e-9 / size**2)
+    motion = found.own_mean * alone / variance
+    times, score = np.zeros(len(motion)), np.zeros(len(motion))
+    for part, least, name in ((_SHIFT, _ORDINARY_SHIFT_M, "shift"), (_TURN, _ORDINARY_TURN_RAD, "turn")):
+        usual = max(float(np.exp(hyper[name])), least)
+        this_score = np.linalg.norm(motion[:, part] / np.sqrt(alone[:, part] + usual**2), axis=1)
+        length = np.linalg.norm(found.own_mean[:, part], axis=1)
+        this_times = length / max(float(np.median(length)), least)
+        larger = this_score > score
+        score, times = np.where(larger, this_score, score), np.where(larger, this_times, times)
+    shift, turn = (np.linalg.norm(found.own_mean[:, part], axis=1) for part in (_SHIFT, _TURN))
+    off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
+    found_of = {
+        int(name): MovedCapture(
+            int(name),
+            float(shift[name]),
+            float(turn[name]),
+            float(times[name]),
+            float(np.linalg.norm(off[readings.capture == name].mean(axis=0))),
+            float(score[name]),
+        )
+        for name in np.unique(readings.capture)
+    }
+    before = {name: found_of.pop(name) for name in out}
+    # No stage is so bad: where all seem to have moved, a few have.
+    bad_stage = smooth.shift_m > _BAD_STAGE_M or smooth.turn_rad > _BAD_STAGE_RAD
+    larger = {name: each for name, each in found_of.items() if bad_stage or each.times > _LARGER}
+    worst = max((each.score for each in larger.values()), default=0.0)
+    enough = max(_SUSPICIOUS / (2.0 if bad_stage else 1.0), _NEAR_WORST * worst)
+    return {name: each for name, each in larger.items() if each.score >= enough}, before
 
 
 def _design(readings: Readings, rows: slice, phi: FloatArray) -> FloatArray:
@@ -496,7 +642,8 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     own = np.zeros((6 if moving else 0, len(names)))
     if moving:
         own[_SHIFT, -2] = own[_TURN, -1] = 1.0
-    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(np.log(_noise_floor(readings)), 12.0)]
+    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes)
+    bounds += [(np.log(_noise_floor(readings)), 12.0)]
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
     expected = np.tile([0.0, np.inf], (len(names), 1))
@@ -627,36 +774,28 @@ def _motion(readings: Readings, polynomial: Polynomial) -> FloatArray:
     return readings.motion(readings.slopes(polynomial))
 
 
-def _weights(readings: Readings, polynomial: Polynomial) -> FloatArray:
-    """1 for readings near the model, falling to 0 for those far off; Hampel's descending function."""
-    off = np.linalg.norm(readings.observed - readings.values(polynomial), axis=1) * readings.weight
-    size = float(np.median(off)) / _MAD_OF_RAYLEIGH
-    off = off / max(size, _noise_floor(readings))
-    fall = _GROSS / np.maximum(off, _GROSS) * np.clip((_LOST - off) / (_LOST - _GROSS), 0.0, 1.0)
-    return np.asarray(np.sqrt(np.where(off <= _GROSS, 1.0, fall)))
+def _weights(readings: Readings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
+    """1 for readings near the model, falling to 0 for those far off; Hampel's descending function.
+
+    Where cameras may have moved, a reading is judged beside the others of its capture.
+    """
+    off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
+    if columns is not None:
+        columns = columns * readings.weight[:, None, None]
+        for rows in _by_capture(readings.capture):
+            design = (columns[rows] * kept[rows, None, None]).reshape(-1, 6)
+            size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+            motion = np.linalg.lstsq(design / size, (off[rows] * kept[rows, None]).ravel(), rcond=1e-6)[0] / size
+            off[rows] -= columns[rows] @ motion
+    far = np.linalg.norm(off, axis=1)
+    far = far / max(float(np.median(far[kept > 0])) / _MAD_OF_RAYLEIGH, _noise_floor(readings))
+    fall = _GROSS / np.maximum(far, _GROSS) * np.clip((_LOST - far) / (_LOST - _GROSS), 0.0, 1.0)
+    return np.asarray(np.sqrt(np.where(far <= _GROSS, 1.0, fall)))
 
 
-def _moved(found: Posterior) -> tuple[MovedCapture, ...]:
-    sigma = np.sqrt(np.diag(found.side_covariance)[-found.own_mean.size :].reshape(found.own_mean.shape))
-    times = np.zeros(len(found.own_mean))
-    for part in (_SHIFT, _TURN):
-        length = np.linalg.norm(found.own_mean[:, part], axis=1)
-        sure = (np.abs(found.own_mean[:, part]) > _SURE * sigma[:, part]).any(axis=1)
-        ratio = length / max(float(np.median(length)), _LEAST_MOTION)
-        times = np.maximum(times, np.where(sure & (ratio > _STANDS_OUT), ratio, 0.0))
-    shift, turn = (np.linalg.norm(found.own_mean[:, part], axis=1) for part in (_SHIFT, _TURN))
-    return tuple(
-        MovedCapture(int(name), float(shift[name]), float(turn[name]), float(times[name]))
-        for name in np.flatnonzero(times)
-    )
-
-
-def _widened(found: Posterior, moved: tuple[MovedCapture, ...]) -> FloatArray:
-    """Offsets (captures, 6) of the prior: wide for those that moved, so that they do not spoil the others' size."""
-    offset = np.zeros_like(found.own_mean)
-    for each in moved:
-        offset[each.capture] = np.log(10.0 * each.times)
-    return offset
+def _by_capture(capture: IntArray) -> list[IntArray]:
+    order = np.argsort(capture, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(capture[order])) + 1)
 
 
 def _spread(readings: Readings, found: Posterior) -> Spread:

@@ -108,6 +108,20 @@ class Sums:
         for output, cross in enumerate(self.side_cross):
             cross[which] += columns[:, output].T @ design
 
+    def combined(self, groups: FloatArray) -> "Sums":
+        """Sums for unknowns of other groups (groups, k): b_g = sum over k of `groups`[g, k] times their unknowns."""
+        reduced = Sums(len(self.gram), len(self.moment), self.mixed, groups.shape[1], self.own)
+        reduced.count, reduced.square, reduced.log_weight = self.count, self.square, self.log_weight
+        reduced.gram, reduced.moment = self.gram, self.moment
+        own = np.kron(groups, np.eye(self.own))
+        to = np.zeros((len(self.side_moment), len(reduced.side_moment)))
+        to[: self.mixed, : self.mixed] = np.eye(self.mixed)
+        to[self.mixed :, self.mixed :] = own
+        reduced.side_gram = to.T @ self.side_gram @ to
+        reduced.side_moment = to.T @ self.side_moment
+        reduced.side_cross = np.stack([to.T @ cross for cross in self.side_cross])
+        return reduced
+
     def __sub__(self, other: "Sums") -> "Sums":
         """Sums without the readings of other sums."""
         rest = Sums(self.gram.shape[0], len(self.moment), self.mixed, self.groups, self.own)

@@ -282,7 +282,7 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     ("changes", "warning"),
     [
         (
-            {"moved": (MovedCapture(5, 3.5e-4, 2e-4, 30.2),)},
+            {"moved": (MovedCapture(5, 3.5e-4, 2e-4, 30.2, 5.0, 20.0),)},
             "Display: the camera of set 5 stood 350 um and 200 microradians from where it is stated, 30 times the "
             "others: correct its entry, or leave it out.",
         ),
