@@ -35,7 +35,7 @@ _SHIFT, _TURN = slice(0, 3), slice(3, 6)
 _LEAST_MOTION = 1e-9  # metres, radians
 _SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
-_SMOOTH_BESIDE_TREND = (2.5, 1.5)  # by place, by pixel: slopes of what a trend leaves, which may be too little to tell
+_USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings that tell little; give or take one
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _SATURATED = 0.75  # share of the coefficients that the readings determine above which wider limits are tried
@@ -647,10 +647,9 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
     expected = np.tile([0.0, np.inf], (len(names), 1))
-    if readings.trend is not None:
-        by_place = np.array([readings.is_place[axis] for axis in axes])
-        expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_SMOOTH_BESIDE_TREND)
-        expected[blocks : blocks + len(slopes), 1] = 1.0
+    by_place = np.array([readings.is_place[axis] for axis in axes])
+    expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_USUAL_SLOPES)
+    expected[blocks : blocks + len(slopes), 1] = 1.0
     if moving:
         expected[-2:] = [[np.log(usual), _STAGES_DIFFER] for usual in (USUAL_SHIFT_M, USUAL_TURN_RAD)]
     return Prior(

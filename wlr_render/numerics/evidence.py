@@ -28,8 +28,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _NEGLIGIBLE = 1e-7  # what the readings say of an unknown, over what its prior says
 _ROUNDED_AWAY = 1e-3  # of the sum of squares that the noise leads to expect: what exact readings may miss
-_ENOUGH = 0.02  # a step that gains less log evidence (natural units) ends the search
-_FIRST_STEP = 0.3  # of the search, in logarithms
+_ROUGHLY, _ENOUGH = 0.05, 0.002  # a step that gains less log evidence (natural units) ends a search, and the last one
+_FIRST_STEP = 0.3  # of a search
 
 
 class Sums:
@@ -179,6 +179,7 @@ class Posterior:
         hyper: by name, logarithms.
         log_evidence: natural logarithm of the probability density of the readings.
         slope: (hyperparameters,) of `log_evidence`.
+        curvature: (hyperparameters,) roughly its negative second derivatives, for unknowns that stay as they are.
         mean: (outputs, columns) of x.
         mixed_mean: (mixed,) of z. own_mean: (groups, own) of b.
         side_covariance: (side, side) of z and b.
@@ -191,6 +192,7 @@ class Posterior:
     hyper: Mapping[str, float]
     log_evidence: float
     slope: FloatArray
+    curvature: FloatArray
     mean: FloatArray
     mixed_mean: FloatArray
     own_mean: FloatArray
@@ -260,6 +262,9 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
     slope = slope + (side_unit**2 + side_variance - 1.0) @ side_features[side_used]
     slope[prior.noise] += square + determined - sums.count
+    curvature = 2.0 * (1.0 - variance).sum(axis=0) @ prior.features[used] ** 2
+    curvature = curvature + 2.0 * (1.0 - side_variance) @ side_features[side_used] ** 2
+    curvature[prior.noise] += 2.0 * sums.count
     mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
     mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]
     by_side = np.zeros_like(sums.side_cross)
@@ -268,6 +273,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
         hyper=dict(zip(prior.names, map(float, hyper), strict=True)),
         log_evidence=-0.5 * minus_two,
         slope=slope,
+        curvature=curvature,
         mean=mean,
         mixed_mean=side_mean[: sums.mixed],
         own_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.own),
@@ -344,24 +350,25 @@ def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) ->
             least, found[:] = value, [at]
         return value, slope - at.slope
 
-    for start in starts:
-        first = np.clip([start[name] for name in prior.names], *prior.bounds.T)
+    def search(first: FloatArray, unit: FloatArray, enough: float) -> None:
+        """Search in the given units of the hyperparameters, until a step gains less than `enough`."""
+
+        def scaled(inner: FloatArray) -> tuple[float, FloatArray]:
+            value, slope = cost(inner / unit)
+            return value / weight, slope / unit / weight
+
         value, slope = cost(first)
-        # The first step follows the slope as it is, so the cost is scaled to make it a small one.
-        unit = max(float(np.abs(slope).max()), 1.0) / _FIRST_STEP
-
-        def scaled(hyper: FloatArray, unit: float = unit) -> tuple[float, FloatArray]:
-            value, slope = cost(hyper)
-            return value / unit, slope / unit
-
+        weight = max(float(np.abs(slope / unit).max()) / _FIRST_STEP, 1.0)
+        options = {"ftol": enough / max(abs(value), weight), "gtol": enough / weight, "maxiter": 100}
         minimize(
-            scaled,
-            first,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=prior.bounds,
-            options={"ftol": _ENOUGH / max(abs(value), unit), "gtol": _ENOUGH / unit, "maxiter": 100},
+            scaled, first * unit, jac=True, method="L-BFGS-B", bounds=prior.bounds * unit[:, None], options=options
         )
+
+    for start in starts:
+        search(np.clip([start[name] for name in prior.names], *prior.bounds.T), np.ones(len(prior.names)), _ROUGHLY)
     if not found:
         raise np.linalg.LinAlgError("the evidence cannot be computed at any start")
+    # In units of how sure the readings are of each hyperparameter, all are equally easy to find.
+    last = np.array(list(found[0].hyper.values()))
+    search(last, np.sqrt(np.maximum(found[0].curvature, 1.0)), _ENOUGH)
     return found[0]
