@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.regression import Fitted, Regression, angular_metric, fit
+from wlr_render.calibration.smooth_fit import Limits, Readings, SmoothFit, angular_metric, fit
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised
@@ -29,6 +29,8 @@ from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 IGNORED, POINT, BUNDLE = "viewpoint ignored", "one 3-D point per pixel", "bundle of rays"
 
+_LIMITS = Limits(12, 0, 12)
+_FOLDS = 8
 _CELLS = 16  # per axis of the panel: what is held out together, and where the noise is judged
 _ROWS_PER_CELL = 12  # twice the terms of the quadratic that judges the noise
 
@@ -39,13 +41,14 @@ class ModelEvidence:
 
     Attributes:
         name: of the account.
-        polynomials: how many it fits; `degree` is theirs, chosen by held-out cells of the panel.
+        polynomials: how many it fits.
+        log_evidence: natural logarithm; the account with the largest is most probable.
         held_out_arcmin, standard_error: rms of the angle in held-out cells, and its uncertainty.
     """
 
     name: str
     polynomials: int
-    degree: int
+    log_evidence: float
     held_out_arcmin: float
     standard_error: float
 
@@ -173,16 +176,27 @@ class _Survey:
         crossing = BasePlane(float(centre[2])).carry(self.captures.viewpoint, self.tangents) - centre[:2]
         return np.concatenate([direction, -crossing[:, :, None]], axis=2)
 
-    def fit(self, name: str, rows: NDArray[np.bool_], degree: int | None = None) -> Fitted:
-        tangents, multiplier = self.tangents[rows], self.multiplier(name)[rows]
-        metric, weight = angular_metric(tangents), np.ones(len(tangents))
-        pixel, cell = self.captures.pixel[rows], self.cell[rows]
-        return fit(Regression(pixel, tangents[:, :, None], multiplier, metric, weight, cell), degree)
+    def fit(self, name: str, rows: NDArray[np.bool_]) -> SmoothFit:
+        tangents = self.tangents[rows]
+        return fit(
+            Readings(
+                inputs=self.captures.pixel[rows],
+                is_place=np.zeros(2, dtype=bool),
+                observed=tangents,
+                multiplier=self.multiplier(name)[rows],
+                metric=angular_metric(tangents),
+                sigma=np.ones(len(tangents)),
+                capture=self.cell[rows],
+                motion=None,
+                orders=_LIMITS.orders(2, 0),
+                limits=_LIMITS,
+            )
+        )
 
     def evidence(self) -> EyeEvidence:
         everything = np.ones(len(self.cell), dtype=bool)
         fits = {name: self.fit(name, everything) for name in (IGNORED, POINT, BUNDLE)}
-        models = tuple(_judged(name, fitted, self.multiplier(name).shape[2]) for name, fitted in fits.items())
+        models = tuple(self.judged(name, fitted) for name, fitted in fits.items())
         misclosure, dioptre = _crossing(fits[BUNDLE], self.centres, self.viewpoint)
         return EyeEvidence(
             eye=self.captures.eye,
@@ -192,7 +206,7 @@ class _Survey:
             models=models,
             cell=self.kept,
             misclosure_arcmin=misclosure,
-            misclosure_sigma_arcmin=self.misclosure_sigma_arcmin(fits[BUNDLE].degree),
+            misclosure_sigma_arcmin=self.misclosure_sigma_arcmin(),
             image_dioptre=dioptre,
             rest_arcmin=self.rest_arcmin(fits[BUNDLE]),
         )
@@ -210,16 +224,23 @@ class _Survey:
                 freedom += len(rest) - term_count(2, 2)
         return float(np.sqrt(sum_of_squares / freedom))
 
-    def misclosure_sigma_arcmin(self, degree: int) -> float:
+    def misclosure_sigma_arcmin(self) -> float:
         odd = (self.cell % _CELLS + self.cell // _CELLS) % 2 == 1
-        first, second = (
-            _crossing(self.fit(BUNDLE, half, degree), self.centres, self.viewpoint)[0] for half in (odd, ~odd)
-        )
+        first, second = (_crossing(self.fit(BUNDLE, half), self.centres, self.viewpoint)[0] for half in (odd, ~odd))
         return 0.5 * rms(first - second)
 
-    def rest_arcmin(self, bundle: Fitted) -> FloatArray:
+    def judged(self, name: str, fitted: SmoothFit) -> ModelEvidence:
+        # Scattered cells: a whole column at the panel's edge would be extrapolated.
+        scattered = np.random.default_rng(0).permutation(len(self.kept)) % _FOLDS
+        fold = scattered[np.searchsorted(self.kept, self.cell)]
+        squares = np.array([fitted.left_out(fold == number)[0] ** 2 for number in range(_FOLDS)])
+        rms = float(np.sqrt(np.average(squares, weights=np.bincount(fold))))
+        error = float(np.std(squares, ddof=1) / np.sqrt(_FOLDS) / (2.0 * rms))
+        return ModelEvidence(name, self.multiplier(name).shape[2], fitted.posterior.log_evidence, rms, error)
+
+    def rest_arcmin(self, bundle: SmoothFit) -> FloatArray:
         """(2, cells, 2) mean of measured minus bundle, per viewpoint."""
-        mean, difference = np.split(bundle.polynomial(self.captures.pixel), 2, axis=1)
+        mean, difference = _mean_and_difference(bundle, self.captures.pixel)
         fitted = mean + (self.second - 0.5)[:, None] * difference
         rest = (self.tangents - fitted) * angular_metric(self.tangents)[:, None]
         return np.stack(
@@ -230,15 +251,15 @@ class _Survey:
         )
 
 
-def _judged(name: str, fitted: Fitted, polynomials: int) -> ModelEvidence:
-    degree = fitted.degree
-    held_out = next(entry for entry in fitted.held_out if entry.degree == degree)
-    return ModelEvidence(name, polynomials, degree, held_out.rms, held_out.standard_error)
-
-
-def _crossing(bundle: Fitted, pixel: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Misclosure in arcminutes, right-handed about the baseline, and inverse distance along the first ray, (n,)."""
+def _mean_and_difference(bundle: SmoothFit, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) tangents: their mean over both viewpoints, and by how much the second one's differ from the first's."""
     mean, difference = np.split(bundle.polynomial(pixel), 2, axis=1)
+    return mean, difference
+
+
+def _crossing(bundle: SmoothFit, pixel: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Misclosure in arcminutes, right-handed about the baseline, and inverse distance along the first ray, (n,)."""
+    mean, difference = _mean_and_difference(bundle, pixel)
     first, second = dir_of_tangents(mean - 0.5 * difference), dir_of_tangents(mean + 0.5 * difference)
     baseline = viewpoint[1] - viewpoint[0]
     plane = normalised(np.cross(baseline, first))

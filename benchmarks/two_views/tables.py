@@ -20,7 +20,7 @@ def _model_table(eyes: Sequence[EyeEvidence]) -> ReportTable:
             eye.eye,
             model.name,
             model.polynomials,
-            model.degree,
+            model.log_evidence,
             model.held_out_arcmin,
             model.standard_error,
             model.held_out_arcmin / eye.noise_arcmin,
@@ -28,7 +28,7 @@ def _model_table(eyes: Sequence[EyeEvidence]) -> ReportTable:
         for eye in eyes
         for model in eye.models
     ]
-    columns = ["eye", "model", "polynomials", "degree", "held out (arcmin)", "+-", "over noise"]
+    columns = ["eye", "model", "polynomials", "log evidence", "held out (arcmin)", "+-", "over noise"]
     noise = "; ".join(
         f"{eye.eye}: {eye.rows} rows, viewpoints {eye.baseline_m * 1e3:.1f} mm apart, noise {eye.noise_arcmin:.2f}'"
         for eye in eyes

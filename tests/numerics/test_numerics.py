@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev as numpy_chebyshev
 
-from wlr_render.numerics import chebyshev, least_squares, newton, polynomial
+from wlr_render.numerics import chebyshev, newton, polynomial
 
 
 def random_polynomial(rng, variables, degree, outputs=2):
@@ -156,29 +156,6 @@ def test_inputs_that_are_not_finite_have_no_value():
     value = model(inputs)
     assert np.isnan(value[5]).all()
     np.testing.assert_allclose(np.delete(value, 5, axis=0), np.delete(expected, 5, axis=0), atol=1e-12)
-
-
-def test_least_squares_recovers_coefficients():
-    rng = np.random.default_rng(3)
-    model = random_polynomial(rng, 2, 3)
-    points = rng.uniform(model.box.low, model.box.high, (200, 2))
-    design = polynomial.basis(points, model.orders, model.box)
-    observed = model(points)
-    np.testing.assert_allclose(least_squares.solve(design, observed).coefficients, model.coefficients, atol=1e-9)
-    observed[0] += 100.0
-    solution = least_squares.solve(design, observed)
-    assert np.abs(solution.coefficients - model.coefficients).max() > 0.1
-    np.testing.assert_allclose(design.T @ solution.residual, 0, atol=1e-9)
-
-
-def test_five_levels_do_not_carry_degree_five():
-    levels = np.linspace(-1, 1, 5)
-    points = np.stack(np.meshgrid(levels, levels, np.linspace(-1, 1, 9)), -1).reshape(-1, 3)
-    box = polynomial.Box.around(points)
-    least_squares.solve(polynomial.basis(points, polynomial.total_degree(3, 4), box), points)
-    with pytest.raises(least_squares.RankDeficientError) as caught:
-        least_squares.solve(polynomial.basis(points, polynomial.total_degree(3, 5), box), points)
-    assert caught.value.rank == caught.value.columns - 2
 
 
 def circle_and_line(angle):

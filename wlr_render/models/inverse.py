@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.least_squares import solve
 from wlr_render.numerics.newton import Residual, Root, solve_2x2
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
@@ -148,4 +147,4 @@ def backward_start_of(forward: Polynomial) -> Polynomial:
     inputs = np.concatenate([sample[:, 2:], forward(sample)], axis=1)
     box = Box.around(inputs)
     orders = total_degree(2 + places, _START_DEGREE)
-    return Polynomial(orders, box, solve(basis(inputs, orders, box), sample[:, :2]).coefficients)
+    return Polynomial(orders, box, np.linalg.lstsq(basis(inputs, orders, box), sample[:, :2], rcond=None)[0])

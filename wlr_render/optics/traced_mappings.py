@@ -15,7 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.mappings import EyeMappings, Panel, QueryResult, Status, StatusArray
-from wlr_render.numerics import least_squares, newton
+from wlr_render.numerics import newton
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.optics.device import Device, EyeOptics
@@ -57,11 +57,11 @@ def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
     box = Box(np.r_[0.0, 0.0, eye_box.centre - half], np.r_[panel.size_px, eye_box.centre + half])
     targets = np.broadcast_to(tangents, pixel.shape)[kept]
     orders = total_degree(5, _DEGREE)
-    try:
-        solution = least_squares.solve(basis(inputs, orders, box), targets)
-    except least_squares.RankDeficientError as error:
-        raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.") from error
-    return Polynomial(orders, box, solution.coefficients)
+    design = basis(inputs, orders, box)
+    coefficients, _, rank, _ = np.linalg.lstsq(design, targets, rcond=1e-9)
+    if rank < design.shape[1]:
+        raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.")
+    return Polynomial(orders, box, coefficients)
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
