@@ -38,7 +38,8 @@ def rms_arcmin(mapping, height=0.0):
 
 @pytest.mark.parametrize("height", [0.0, 0.003, -0.002])
 def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
-    mapping, report = fit_display(display_captures(positions_in_plane(12), height=height), "planar", 2, PLANE)
+    found = fit_display(display_captures(positions_in_plane(12), height=height), "planar", 2, PLANE)
+    mapping, report = found.mapping, found.report
     for query_height in (0.0, 0.004):
         viewpoint, view_dir = unseen_viewpoints(query_height)
         seen = mapping.view_dir_of_pixel(UNSEEN, viewpoint)
@@ -53,7 +54,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
 
 def test_base_plane_may_be_chosen():
     base_plane = dataclasses.replace(PLANE, z=PLANE.z + 0.001)
-    mapping, _ = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane)
+    mapping = fit_display(display_captures(positions_in_plane(30)), "planar", 5, base_plane).mapping
     assert mapping.base_plane == base_plane
     assert rms_arcmin(mapping) < 0.01
 
@@ -61,7 +62,7 @@ def test_base_plane_may_be_chosen():
 def test_base_plane_is_that_of_the_camera_positions():
     captures = display_captures(positions_in_plane(30))
     moved = EyeBox(EYE_BOX.centre + [0.0, 0.0, 0.001], EYE_BOX.size)
-    mapping, _ = fit_display(dataclasses.replace(captures, eye_box=moved), "planar", 2)
+    mapping = fit_display(dataclasses.replace(captures, eye_box=moved), "planar", 2).mapping
     assert mapping.base_plane == PLANE
 
 
@@ -82,7 +83,7 @@ def test_a_model_that_may_have_two_solutions_is_refused_with_the_remedy():
     with pytest.raises(BadInputError, match=sentence):
         fit_display(captures, "planar", 2)
     shallow = EyeBox(EYE_BOX.centre, EYE_BOX.size * [1.0, 1.0, 0.1])
-    _, report = fit_display(dataclasses.replace(captures, eye_box=shallow), "planar", 2)
+    report = fit_display(dataclasses.replace(captures, eye_box=shallow), "planar", 2).report
     assert 0.3 < report.contraction < 1.0
 
 
@@ -101,7 +102,8 @@ def test_point_per_pixel_recovers_an_image_that_crosses_infinity():
     captures = dataclasses.replace(
         display_captures(position[:, :2]), viewpoint=viewpoint, view_dir=seen(pixel, viewpoint)
     )
-    mapping, report = fit_display(captures, "point-per-pixel", 1)
+    found = fit_display(captures, "point-per-pixel", 1)
+    mapping, report = found.mapping, found.report
     elsewhere = EYE_BOX.at(np.random.default_rng(4).uniform(-1, 1, (40, 3)))
     truth = seen(UNSEEN, elsewhere)
     np.testing.assert_allclose(mapping.view_dir_of_pixel(UNSEEN, elsewhere).value, truth, atol=1e-12)
@@ -120,7 +122,7 @@ def test_volumetric_fit_recovers_directions_polynomial_in_all_three_coordinates(
     captures = dataclasses.replace(
         captures, viewpoint=viewpoint, view_dir=dir_of_tangents(tangents(captures.pixel, viewpoint))
     )
-    mapping, _ = fit_display(captures, "volumetric", 2)
+    mapping = fit_display(captures, "volumetric", 2).mapping
     elsewhere = np.random.default_rng(4).uniform(position.min(axis=0), position.max(axis=0), (40, 3))
     view_dir = dir_of_tangents(tangents(UNSEEN, elsewhere))
     np.testing.assert_allclose(mapping.view_dir_of_pixel(UNSEEN, elsewhere).value, view_dir, atol=1e-12)
@@ -130,7 +132,8 @@ def test_volumetric_fit_recovers_directions_polynomial_in_all_three_coordinates(
 def test_static_fit_is_the_view_from_the_camera_nearest_the_centre():
     nearest = EYE_BOX.centre[:2] + [1e-4, -1e-4]
     captures = display_captures(np.vstack([positions_in_plane(5), nearest]))
-    mapping, report = fit_display(captures, "static", 1)
+    found = fit_display(captures, "static", 1)
+    mapping, report = found.mapping, found.report
     assert report.viewpoints == 1
     truth = dir_of_tangents(tangents_of(UNSEEN, np.broadcast_to(nearest, (40, 2))))
     for viewpoint in EYE_BOX.at(np.array([[0, 0, 0], [1, -1, 1]])):
@@ -168,7 +171,7 @@ def test_unknown_kind_is_refused():
 
 
 def test_held_out_choice_finds_the_devices_own_degree_under_noise():
-    _, report = fit_display(display_captures(positions_in_plane(25), sigma_arcmin=2.0, seed=5))
+    report = fit_display(display_captures(positions_in_plane(25), sigma_arcmin=2.0, seed=5)).report
     assert report.degree == 2
     by_degree = {entry.degree: entry.rms for entry in report.held_out_arcmin}
     assert set(by_degree) == {1, 2, 3, 4, 5}  # a fold leaves 22 positions: enough for the 21 of degree 5, not for 28
@@ -180,7 +183,7 @@ def test_held_out_choice_finds_the_devices_own_degree_under_noise():
 
 
 def test_held_out_error_is_missing_where_no_position_can_be_spared():
-    _, report = fit_display(display_captures(positions_in_plane(6)), "planar", 2)
+    report = fit_display(display_captures(positions_in_plane(6)), "planar", 2).report
     assert report.held_out_arcmin == ()
     assert report.held_out_at_degree() is None
 
@@ -188,9 +191,9 @@ def test_held_out_error_is_missing_where_no_position_can_be_spared():
 def test_weights_follow_sigma():
     good = display_captures(positions_in_plane(10), sigma_arcmin=0.1, seed=1)
     poor = display_captures(positions_in_plane(10), sigma_arcmin=20.0, seed=2)
-    weighted, _ = fit_display(concatenate([good, poor]), "planar", 2)
+    weighted = fit_display(concatenate([good, poor]), "planar", 2).mapping
     both = concatenate([good, poor])
-    unweighted, _ = fit_display(dataclasses.replace(both, sigma_arcmin=1.0), "planar", 2)
+    unweighted = fit_display(dataclasses.replace(both, sigma_arcmin=1.0), "planar", 2).mapping
     assert rms_arcmin(weighted) < 0.1
     assert rms_arcmin(unweighted) > 10 * rms_arcmin(weighted)
 

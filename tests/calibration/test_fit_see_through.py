@@ -31,7 +31,8 @@ def straight(base, tangents):
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
 @pytest.mark.parametrize("height", [0.0, 0.004])
 def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt, height):
-    mapping, report = fit_see_through(see_through_captures(positions_in_plane(12), tilt=tilt), "planar", 2)
+    found = fit_see_through(see_through_captures(positions_in_plane(12), tilt=tilt), "planar", 2)
+    mapping, report = found.mapping, found.report
     for depth in (0.3, 1.0, 10.0):
         point, viewpoint, view_dir = truth_at(depth, height)
         seen = mapping.view_dir_of_real_point(point, viewpoint)
@@ -46,7 +47,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt, heigh
 def test_any_number_of_target_poses_goes_into_one_fit():
     captures = see_through_captures(positions_in_plane(12), depths=(0.4, 0.7, 1.5, 3.0))
     shuffled = select(captures, RNG.permutation(len(captures))[: len(captures) // 2])
-    mapping, _ = fit_see_through(shuffled, "planar", 2)
+    mapping = fit_see_through(shuffled, "planar", 2).mapping
     point, viewpoint, view_dir = truth_at(0.5, 0.0)
     np.testing.assert_allclose(mapping.view_dir_of_real_point(point, viewpoint).value, view_dir, atol=1e-10)
 
@@ -60,7 +61,7 @@ def test_no_optics_is_no_deviation(kind):
     captures = type(captures)(
         "none", "left", EYE_BOX, viewpoint, view_dir, captures.point, captures.capture, captures.target_pose, 0.0
     )
-    mapping, _ = fit_see_through(captures, kind, 1)
+    mapping = fit_see_through(captures, kind, 1).mapping
     polynomials = [mapping.deviation] if kind == "planar" else [mapping.forward]
     for polynomial in polynomials:
         np.testing.assert_allclose(polynomial.coefficients, 0.0, atol=1e-15)
@@ -71,7 +72,7 @@ def test_volumetric_fit_comes_close_to_a_device_that_is_polynomial_on_a_plane():
     captures = concatenate(
         [raised(see_through_captures(positions), height) for height in (-0.003, -0.001, 0.001, 0.003)]
     )
-    mapping, _ = fit_see_through(captures, "volumetric", 3)
+    mapping = fit_see_through(captures, "volumetric", 3).mapping
     point, viewpoint, view_dir = truth_at(1.0, 0.002)
     seen = mapping.view_dir_of_real_point(point, viewpoint).value
     assert arcmin_between(seen, view_dir).max() < 0.02
@@ -98,7 +99,8 @@ def raised(captures, height):
 
 def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one():
     captures = see_through_captures(np.vstack([positions_in_plane(5), EYE_BOX.centre[:2]]))
-    mapping, report = fit_see_through(captures, "static", 2)
+    found = fit_see_through(captures, "static", 2)
+    mapping, report = found.mapping, found.report
     assert report.viewpoints == 1
     a, b = bend_of(np.broadcast_to(EYE_BOX.centre[:2], (40, 2)), TANGENTS)
     for viewpoint in EYE_BOX.at(np.array([[0.0, 0, 0], [1, 1, -1]])):
@@ -141,8 +143,9 @@ def test_a_fit_on_a_tilted_base_plane_recovers_a_lens():
 
     captures = see_through_captures(positions_in_plane(40), bend=bend)
     tilted = BasePlane(PLANE.z - 0.2 * EYE_BOX.centre[0], (0.2, -0.3))
-    upright, _ = fit_see_through(captures, "planar", 2)
-    mapping, report = fit_see_through(captures, "planar", 3, tilted)
+    upright = fit_see_through(captures, "planar", 2).mapping
+    found = fit_see_through(captures, "planar", 3, tilted)
+    mapping, report = found.mapping, found.report
     assert mapping.base_plane == tilted
     assert report.residual_arcmin.maximum < 1e-6
     viewpoint = EYE_BOX.at(np.random.default_rng(2).uniform(-1, 1, (40, 3)))
@@ -161,11 +164,12 @@ def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
 
 def test_held_out_choice_takes_few_terms_under_noise():
     noisy = see_through_captures(positions_in_plane(25), sigma_arcmin=1.0, seed=2)
-    _, report = fit_see_through(noisy)
+    report = fit_see_through(noisy).report
     assert report.degree == 2
-    exact, straight_report = fit_see_through(
+    found = fit_see_through(
         see_through_captures(positions_in_plane(25), bend=straight, sigma_arcmin=1.0)
     )
+    exact, straight_report = found.mapping, found.report
     assert straight_report.degree == 1
     assert np.abs(exact.deviation.coefficients).max() < 1e-3
 
@@ -185,8 +189,8 @@ def test_precise_captures_outweigh_imprecise_ones(kind):
     point, viewpoint, _ = truth_at(1.0, 0.0)
 
     def error_arcmin(captures):
-        mapping, _ = fit_see_through(captures, kind, 2)
-        alone, _ = fit_see_through(precise, kind, 2)
+        mapping = fit_see_through(captures, kind, 2).mapping
+        alone = fit_see_through(precise, kind, 2).mapping
         seen = [each.view_dir_of_real_point(point, viewpoint).value for each in (mapping, alone)]
         return arcmin_between(*seen).max()
 

@@ -147,4 +147,5 @@ def backward_start_of(forward: Polynomial) -> Polynomial:
     inputs = np.concatenate([sample[:, 2:], forward(sample)], axis=1)
     box = Box.around(inputs)
     orders = total_degree(2 + places, _START_DEGREE)
-    return Polynomial(orders, box, np.linalg.lstsq(basis(inputs, orders, box), sample[:, :2], rcond=None)[0])
+    coefficients = np.linalg.lstsq(basis(inputs, orders, box), sample[:, :2], rcond=None)[0]
+    return Polynomial(orders, box, np.asarray(coefficients, np.float64))
