@@ -49,7 +49,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_from_any_distance(height):
     assert report.residual_arcmin.maximum < 1e-7
     assert report.residual_px.maximum < 1e-8
     assert report.unsolved == 0
-    assert report.coefficients == {"forward": 30}
+    assert report.coefficients == 30
 
 
 def test_base_plane_may_be_chosen():
@@ -141,28 +141,28 @@ def test_static_fit_is_the_view_from_the_camera_nearest_the_centre():
         np.testing.assert_allclose(mapping.pixel_of_view_dir(truth, viewpoint).value, UNSEEN, atol=1e-9)
 
 
-def on_a_conic(count):
-    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
-    return EYE_BOX.centre[:2] + 0.004 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
 @pytest.mark.parametrize(
-    ("kind", "degree", "positions", "sentence"),
+    ("kind", "count", "sentence"),
     [
-        ("planar", 4, positions_in_plane(9), r"degree 4 needs at least 15 viewpoints and there are 9: 6 more"),
-        ("planar", 5, grid_in_plane(5, 6), r"at least 6 levels of x among the viewpoints and there are 5: 1 more"),
-        ("planar", 2, on_a_conic(11), r"the 11 viewpoints lie on one curve of degree 2"),
-        ("planar", None, positions_in_plane(2), r"degree 1 needs at least 3 viewpoints and there are 2: 1 more"),
-        ("volumetric", 3, positions_in_plane(8), r"at least 20 viewpoints and there are 8: 12 more"),
-        ("volumetric", 2, positions_in_plane(12), r"at least 3 levels of z among the viewpoints and there are 1: 2"),
-        ("point-per-pixel", 2, positions_in_plane(1), r"at least 2 viewpoints and there is 1: 1 more"),
-        ("static", 9, positions_in_plane(3), r"at least 55 panel pixels|at least 10 levels of u"),
-        ("static", 7, positions_in_plane(3), r"at least 8 levels of v among the panel pixels and there are 7: 1 more"),
+        (
+            "point-per-pixel",
+            1,
+            "a point in space needs two camera positions at least and there is 1: add one",
+        ),
+        ("planar", 12, "panel pixels that were decoded lie on one line: decode pixels all over the panel"),
     ],
 )
-def test_a_design_that_does_not_determine_the_model_is_refused_with_what_is_missing(kind, degree, positions, sentence):
+def test_what_nothing_determines_is_refused_with_what_would_help(kind, count, sentence):
+    line = np.linspace([100, 100], [900, 700], 30)
     with pytest.raises(BadInputError, match=sentence):
-        fit_display(display_captures(positions), kind, degree)
+        fit_display(display_captures(positions_in_plane(count), line if kind == "planar" else None), kind)
+
+
+def test_few_positions_are_not_refused_but_leave_the_model_unsure():
+    few, many = (fit_display(display_captures(grid_in_plane(n, n), sigma_arcmin=1.0, seed=3)).report for n in (2, 5))
+    assert few.predicted_arcmin > 2 * many.predicted_arcmin
+    assert few.one_more.predicted_arcmin < 0.9 * few.predicted_arcmin
+    assert few.one_more.positions.startswith(("a row of 3 camera positions", "a column of 3 camera positions"))
 
 
 def test_unknown_kind_is_refused():
@@ -170,22 +170,27 @@ def test_unknown_kind_is_refused():
         fit_display(display_captures(positions_in_plane(3)), "planr", 1)
 
 
-def test_held_out_choice_finds_the_devices_own_degree_under_noise():
-    report = fit_display(display_captures(positions_in_plane(25), sigma_arcmin=2.0, seed=5)).report
-    assert report.degree == 2
-    by_degree = {entry.degree: entry.rms for entry in report.held_out_arcmin}
-    assert set(by_degree) == {1, 2, 3, 4, 5}  # a fold leaves 22 positions: enough for the 21 of degree 5, not for 28
-    assert by_degree[1] > 5 * by_degree[2]
-    assert by_degree[4] > by_degree[2]
+def test_held_out_rows_and_columns_are_missed_by_noise_as_the_fit_expects():
+    report = fit_display(display_captures(grid_in_plane(5, 5), sigma_arcmin=2.0, seed=5)).report
+    assert [each.left_out for each in report.held_out] == [
+        f"{noun} {number} of 5" for noun in ("column", "row") for number in range(1, 6)
+    ]
+    found, expected = report.held_out_arcmin
+    assert found == pytest.approx(expected, rel=0.1)
     # A residual vector has two components of sigma each.
-    assert by_degree[2] == pytest.approx(2.0 * np.sqrt(2.0), rel=0.1)
-    assert report.held_out_at_degree() == report.held_out_arcmin[1]
+    assert found == pytest.approx(2.0 * np.sqrt(2.0), rel=0.1)
+    assert report.noise_arcmin == pytest.approx(2.0, rel=0.03)
 
 
-def test_held_out_error_is_missing_where_no_position_can_be_spared():
-    report = fit_display(display_captures(positions_in_plane(6)), "planar", 2).report
-    assert report.held_out_arcmin == ()
-    assert report.held_out_at_degree() is None
+def test_one_position_has_nothing_to_hold_out():
+    report = fit_display(display_captures(positions_in_plane(6)), "static").report
+    assert (report.held_out, report.held_out_arcmin, report.one_more) == ((), None, None)
+
+
+def test_a_degree_limits_the_orders():
+    found = fit_display(display_captures(positions_in_plane(12), sigma_arcmin=1.0), "planar", 2)
+    assert found.mapping.forward.orders.sum(axis=1).max() == 2
+    assert found.report.orders == "total 2"
 
 
 def test_weights_follow_sigma():
@@ -195,7 +200,7 @@ def test_weights_follow_sigma():
     both = concatenate([good, poor])
     unweighted = fit_display(dataclasses.replace(both, sigma_arcmin=1.0), "planar", 2).mapping
     assert rms_arcmin(weighted) < 0.1
-    assert rms_arcmin(unweighted) > 10 * rms_arcmin(weighted)
+    assert rms_arcmin(unweighted) > 5 * rms_arcmin(weighted)
 
 
 def test_error_shrinks_with_the_root_of_the_number_of_samples():
@@ -203,6 +208,6 @@ def test_error_shrinks_with_the_root_of_the_number_of_samples():
 
     def error(pixels):
         captures = [display_captures(positions_in_plane(12), pixels, sigma_arcmin=3.0, seed=s) for s in range(8)]
-        return np.sqrt(np.mean([rms_arcmin(fit_display(c, "planar", 2)[0]) ** 2 for c in captures]))
+        return np.sqrt(np.mean([rms_arcmin(fit_display(c, "planar", 2).mapping) ** 2 for c in captures]))
 
     assert error(few) / error(many) == pytest.approx(4.0, rel=0.3)

@@ -5,6 +5,7 @@ import pytest
 from toy_device import EYE_BOX, PLANE, bend_of, places_among, positions_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.calibration.smooth_fit import NOISE_FLOOR_ARCMIN
 from wlr_render.captures.correspondences import concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
@@ -40,7 +41,7 @@ def test_planar_fit_recovers_a_device_of_its_own_kind_at_every_depth(tilt, heigh
         np.testing.assert_allclose(seen.value, view_dir, atol=1e-10)
         ray = mapping.real_ray_of_view_dir(view_dir, viewpoint).value
         assert distance_to_point(ray, point).max() < 1e-9
-    assert report.residual_arcmin.maximum < 1e-7
+    assert report.residual_arcmin.maximum < 1e-3 * NOISE_FLOOR_ARCMIN
     assert report.residual_px is None
 
 
@@ -111,27 +112,15 @@ def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one()
 
 
 @pytest.mark.parametrize(
-    ("kind", "degree", "captures", "sentence"),
+    ("kind", "depths", "sentence"),
     [
-        ("planar", 3, see_through_captures(positions_in_plane(7)), r"at least 10 viewpoints and there are 7: 3 more"),
-        (
-            "planar",
-            2,
-            see_through_captures(positions_in_plane(12), depths=(0.7,)),
-            r"needs a second target depth and there are 1 target pose",
-        ),
-        (
-            "static",
-            2,
-            see_through_captures(positions_in_plane(4), depths=(0.7, 0.7)),
-            r"needs a second target depth and there are 2 target pose",
-        ),
-        ("volumetric", 1, see_through_captures(positions_in_plane(9)), r"at least 2 levels of z"),
+        ("planar", (0.7,), "it needs a second target depth and there are 1 target pose"),
+        ("static", (0.7, 0.7), "or at one depth; spread them over the field, and photograph the target nearer"),
     ],
 )
-def test_a_design_that_does_not_determine_the_model_is_refused_with_what_is_missing(kind, degree, captures, sentence):
+def test_targets_at_one_depth_are_refused_with_the_remedy(kind, depths, sentence):
     with pytest.raises(BadInputError, match=sentence):
-        fit_see_through(captures, kind, degree)
+        fit_see_through(see_through_captures(positions_in_plane(12), depths=depths), kind)
 
 
 def test_a_fit_on_a_tilted_base_plane_recovers_a_lens():
@@ -147,7 +136,7 @@ def test_a_fit_on_a_tilted_base_plane_recovers_a_lens():
     found = fit_see_through(captures, "planar", 3, tilted)
     mapping, report = found.mapping, found.report
     assert mapping.base_plane == tilted
-    assert report.residual_arcmin.maximum < 1e-6
+    assert report.residual_arcmin.maximum < 0.1 * NOISE_FLOOR_ARCMIN
     viewpoint = EYE_BOX.at(np.random.default_rng(2).uniform(-1, 1, (40, 3)))
     view_dir = dir_of_tangents(TANGENTS)
     expected, found = (each.real_ray_of_view_dir(view_dir, viewpoint).value for each in (upright, mapping))
@@ -162,16 +151,12 @@ def test_base_plane_beyond_the_target_and_unknown_kinds_are_refused():
         fit_see_through(captures, "point-per-pixel", 1)
 
 
-def test_held_out_choice_takes_few_terms_under_noise():
-    noisy = see_through_captures(positions_in_plane(25), sigma_arcmin=1.0, seed=2)
-    report = fit_see_through(noisy).report
-    assert report.degree == 2
-    found = fit_see_through(
-        see_through_captures(positions_in_plane(25), bend=straight, sigma_arcmin=1.0)
-    )
-    exact, straight_report = found.mapping, found.report
-    assert straight_report.degree == 1
-    assert np.abs(exact.deviation.coefficients).max() < 1e-3
+def test_noise_is_found_and_straight_rays_stay_straight():
+    found = fit_see_through(see_through_captures(positions_in_plane(25), bend=straight, sigma_arcmin=1.0, seed=2))
+    assert found.report.noise_arcmin == pytest.approx(1.0, rel=0.03)
+    point, viewpoint, _ = truth_at(1.0, 0.0)
+    seen = found.mapping.view_dir_of_real_point(point, viewpoint).value
+    assert np.sqrt(np.mean(arcmin_between(seen, normalised(point - viewpoint)) ** 2)) < 0.1
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
@@ -186,14 +171,12 @@ def test_precise_captures_outweigh_imprecise_ones(kind):
 
     precise, imprecise = at_all_heights(0.1, 1), at_all_heights(20.0, 2)
     both = concatenate([precise, imprecise])
-    point, viewpoint, _ = truth_at(1.0, 0.0)
+    point, viewpoint, view_dir = truth_at(1.0, 0.0)
 
     def error_arcmin(captures):
-        mapping = fit_see_through(captures, kind, 2).mapping
-        alone = fit_see_through(precise, kind, 2).mapping
-        seen = [each.view_dir_of_real_point(point, viewpoint).value for each in (mapping, alone)]
-        return arcmin_between(*seen).max()
+        mapping = fit_see_through(captures, kind, 3).mapping
+        return np.sqrt(np.mean(arcmin_between(mapping.view_dir_of_real_point(point, viewpoint).value, view_dir) ** 2))
 
-    unweighted = error_arcmin(replace(both, sigma_arcmin=1.0))
-    assert error_arcmin(both) < 0.02 * unweighted
-    assert unweighted > 0.3
+    alone = error_arcmin(precise)
+    assert error_arcmin(both) < 1.2 * alone
+    assert error_arcmin(replace(both, sigma_arcmin=1.0)) > 3 * alone

@@ -34,7 +34,7 @@ def viewpoints(mapping):
 @devices
 @kinds
 def test_pixel_to_direction_to_pixel(device, kind):
-    (display, _), _ = fitted(device, kind)
+    display = fitted(device, kind)[0].mapping
     pixel, viewpoint = display.panel.grid(24, 20).reshape(-1, 2), viewpoints(display)
     seen = display.view_dir_of_pixel(pixel, viewpoint)
     back = display.pixel_of_view_dir(seen.value, viewpoint)
@@ -51,7 +51,7 @@ def test_pixel_to_direction_to_pixel(device, kind):
 @devices
 @kinds
 def test_direction_to_pixel_to_direction_inside_and_beyond_the_panel(device, kind):
-    (display, _), _ = fitted(device, kind)
+    display = fitted(device, kind)[0].mapping
     viewpoint, corners = viewpoints(display), display.panel.size_px * [[0, 0], [0, 1], [1, 0], [1, 1]]
     at_corners = tangents_of_dir(display.view_dir_of_pixel(corners, display.eye_box.centre).value)
     middle, half = at_corners.mean(axis=0), np.ptp(at_corners, axis=0) / 2
@@ -69,7 +69,7 @@ def test_direction_to_pixel_to_direction_inside_and_beyond_the_panel(device, kin
 @devices
 @kinds
 def test_real_point_to_direction_to_ray(device, kind):
-    see_through = fitted(device, kind)[1][0]
+    see_through = fitted(device, kind)[1].mapping
     viewpoint, rng = viewpoints(see_through), np.random.default_rng(7)
     tangents = rng.uniform(*see_through_field(see_through), (100, 2))
     depth = 1.0 / rng.uniform(1 / 5.0, 1 / 0.3, (30, 100, 1))
@@ -85,7 +85,7 @@ def test_real_point_to_direction_to_ray(device, kind):
 
 @devices
 def test_contractions_of_the_shipped_devices_leave_no_doubt(device):
-    (_, display), (_, see_through) = fitted(device, "planar")
+    display, see_through = fitted(device, "planar")
     print(f"{device}: contraction {display.contraction:.3f} (display), {see_through.contraction:.3f} (see-through)")
     assert 0.001 < display.contraction < 0.1
     assert 0.001 < see_through.contraction < 0.1

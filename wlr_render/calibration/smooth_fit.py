@@ -51,7 +51,7 @@ _ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # nothing stands out that is
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
 _BAD_STAGE_M, _BAD_STAGE_RAD = 1e-4, 3e-4  # repeatability per axis
 _MOST = 0.25  # of the captures may stand out
-_FEW_ORDERS = 4  # in all, of the fit that finds captures far off
+_FEW_ORDERS = 3  # in all, of the fit that finds captures far off
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
 _SAMPLES = 500  # readings at which that is judged
@@ -357,7 +357,7 @@ class SmoothFit:
         """
         readings = self.readings
         sums = _sums(readings, self._start, self._columns, np.where(rows, 0.0, self.kept))
-        rest = posterior(sums, self._prior, np.array(list(self.posterior.hyper.values())))
+        rest = posterior(sums, self._prior, np.array(list(self.posterior.hyper.values())), evidence=False)
         chosen = readings.select(rows & (self.kept > 0))
         polynomial = _polynomial(readings, self._start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]

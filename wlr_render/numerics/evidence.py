@@ -220,8 +220,14 @@ class Posterior:
         return np.block([[self.side_covariance, cross.T], [cross, whole]])
 
 
-def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
+def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True) -> Posterior:
     """Posterior and evidence at given hyperparameters (hyperparameters,).
+
+    Args:
+        sums: over the readings.
+        prior: of the unknowns.
+        hyper: logarithms.
+        evidence: False where the evidence does not matter, which rounding spoils first.
 
     Raises:
         np.linalg.LinAlgError: rounding leaves a normal matrix indefinite, or nothing of the sum of squares.
@@ -254,7 +260,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray) -> Posterior:
     quadratic = sums.square * per_noise**2 - float(np.sum(half_pull**2)) - float(half_rest @ half_rest)
     determined = unit.size - float(variance.sum()) + len(side_unit) - float(side_variance.sum())
     square = quadratic - float(np.sum(unit**2)) - float(side_unit @ side_unit)
-    if square < -_ROUNDED_AWAY * sums.count:
+    if evidence and square < -_ROUNDED_AWAY * sums.count:
         raise np.linalg.LinAlgError("rounding leaves nothing of the sum of squares")
     square = max(square, 0.0)
     log_determinant = 2.0 * float(len(pull) * np.log(np.diag(lower)).sum() + np.log(np.diag(side_lower)).sum())

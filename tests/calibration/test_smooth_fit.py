@@ -1,0 +1,137 @@
+"""What the fits find of a bench, and that their standard errors are true whatever the bench adds to the noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_device import EYE_BOX, PANEL, PLANE, display_captures, grid_in_plane, tangents_of
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
+
+SIGMA_ARCMIN = 1.0
+CAPTURES = 25
+PIXELS = PANEL.grid(8, 6).reshape(-1, 2)
+DRAWS = 24
+
+
+def clean(seed, sigma=SIGMA_ARCMIN):
+    return display_captures(grid_in_plane(5, 5), PIXELS, sigma_arcmin=sigma, seed=seed)
+
+
+def shifted(captures, shift):
+    """Cameras that stand elsewhere than stated, by `shift` (captures, 3) metres."""
+    return replace(captures, viewpoint=captures.viewpoint + shift[captures.capture])
+
+
+def kicked(captures, off):
+    return replace(captures, view_dir=dir_of_tangents(tangents_of_dir(captures.view_dir) + off * ARCMIN))
+
+
+def gross(captures, share, rng):
+    wrong = rng.random(len(captures)) < share
+    return kicked(captures, wrong[:, None] * rng.normal(0.0, 60.0, (len(captures), 2)))
+
+
+def rim(captures, rng):
+    """Noise that doubles from the middle of the panel to its corners."""
+    radius = np.linalg.norm(2 * captures.pixel / PANEL.size_px - 1, axis=1) / np.sqrt(2)
+    return kicked(captures, np.sqrt((1 + radius) ** 2 - 1)[:, None] * rng.normal(size=(len(captures), 2)))
+
+
+def drift(captures, rng):
+    """A stage that creeps by 20 um over a session that takes its positions in any order.
+
+    Row by row the drift would be a smooth function of the place, which no captures tell from the optics.
+    """
+    return shifted(captures, rng.permutation(np.linspace(-1e-5, 1e-5, CAPTURES))[:, None] * [1.0, 0.5, 0.0])
+
+
+IMPERFECTIONS = {
+    "none": lambda captures, rng: captures,
+    "stage motion": lambda captures, rng: shifted(captures, rng.normal(0, 3e-5, (CAPTURES, 3))),
+    "noise growing to the rim": rim,
+    "1 % gross readings": lambda captures, rng: gross(captures, 0.01, rng),
+    "5 % gross readings": lambda captures, rng: gross(captures, 0.05, rng),
+    "heavy tails": lambda captures, rng: kicked(captures, rng.standard_t(3, (len(captures), 2))),
+    "drift": drift,
+}
+
+
+def errors_arcmin(mapping, rng):
+    """True and predicted error (200,) at random pixels and viewpoints of the eye box."""
+    place = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
+    pixel = rng.uniform([100, 80], [900, 720], (200, 2))
+    viewpoint = np.column_stack([place, np.full(200, PLANE.z)])
+    seen = mapping.view_dir_of_pixel(pixel, viewpoint).value
+    return arcmin_between(seen, dir_of_tangents(tangents_of(pixel, place))), mapping.sigma(pixel, viewpoint)
+
+
+@pytest.mark.parametrize("name", IMPERFECTIONS)
+def test_the_predicted_error_is_the_true_one(name):
+    squares = []
+    for seed in range(DRAWS):
+        rng = np.random.default_rng(100 + seed)
+        found = fit_display(IMPERFECTIONS[name](clean(seed), rng), "planar", 4)
+        assert found.smooth.moved == ()
+        true, predicted = errors_arcmin(found.mapping, rng)
+        squares.append([np.mean(true**2), np.mean(predicted**2)])
+    true, predicted = np.array(squares).T
+    ratio = np.sqrt(predicted.mean() / true.mean())
+    resampled = np.random.default_rng(0).integers(0, DRAWS, (500, DRAWS))
+    ratios = np.sqrt(predicted[resampled].mean(axis=1) / true[resampled].mean(axis=1))
+    low, high = np.quantile(ratios, [0.025, 0.975])
+    print(f"{name}: predicted over true {ratio:.2f} ({low:.2f} to {high:.2f})")
+    # The interval of the draws must reach into what is promised.
+    assert low < 1.25
+    assert high > 0.8
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(0.0, 0.0), (3e-5, 0.0), (1e-5, 2e-4)])
+def test_noise_and_stage_are_found(shift, turn):
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        captures = shifted(clean(seed, 0.25), rng.normal(0, shift, (CAPTURES, 3)))
+        turned = np.cross(rng.normal(0, turn, (CAPTURES, 3))[captures.capture], captures.view_dir)
+        view_dir = captures.view_dir + turned
+        captures = replace(captures, view_dir=view_dir / np.linalg.norm(view_dir, axis=1, keepdims=True))
+        smooth = fit_display(captures, "planar", 4).smooth
+        found.append([smooth.noise, smooth.shift_m, smooth.turn_rad])
+    noise, shift_m, turn_rad = np.median(found, axis=0)
+    assert noise == pytest.approx(1.0, rel=0.05)
+    assert shift_m == pytest.approx(shift, rel=0.5, abs=5e-6)
+    assert turn_rad == pytest.approx(turn, rel=0.5, abs=2e-5)
+
+
+@pytest.mark.parametrize(("count", "size_m"), [(1, 3e-4), (1, 2e-3), (2, 1e-3), (5, 2e-3)])
+def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, size_m):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        shift = rng.normal(0, 3e-6, (CAPTURES, 3))
+        gone = rng.permutation(CAPTURES)[:count]
+        angle = rng.uniform(0, 2 * np.pi, count)
+        shift[gone] = size_m * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)
+        found = fit_display(shifted(clean(seed, 0.1), shift), "planar", 4)
+        assert {each.capture for each in found.smooth.moved} == set(gone)
+        for each in found.smooth.moved:
+            assert each.shift_m == pytest.approx(size_m, rel=0.3)
+            assert each.times > 8
+        true, predicted = errors_arcmin(found.mapping, rng)
+        assert np.sqrt(np.mean(true**2)) < 2 * np.sqrt(np.mean(predicted**2))
+
+
+def test_gross_readings_lose_their_weight():
+    captures = clean(1)
+    off = np.zeros((len(captures), 2))
+    off[[5, 300]] = 100.0
+    kept = fit_display(kicked(captures, off), "planar", 4).smooth.kept
+    np.testing.assert_array_equal(np.flatnonzero(kept == 0.0), [5, 300])
+
+
+def test_readings_that_contradict_each_other_are_refused():
+    captures = clean(1)
+    mixed = replace(captures, pixel=np.random.default_rng(0).permutation(captures.pixel))
+    with pytest.raises(BadInputError, match=r"contradict each other: no smooth optics brings them within .*' of one"):
+        fit_display(mixed)
