@@ -9,6 +9,10 @@ from toy_device import EYE_BOX, PANEL, PLANE, display_captures, grid_in_plane, t
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation import viewpoints
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display
 
 SIGMA_ARCMIN = 1.0
 CAPTURES = 25
@@ -135,3 +139,12 @@ def test_readings_that_contradict_each_other_are_refused():
     mixed = replace(captures, pixel=np.random.default_rng(0).permutation(captures.pixel))
     with pytest.raises(BadInputError, match=r"contradict each other: no smooth optics brings them within .*' of one"):
         fit_display(mixed)
+
+
+def test_optics_beyond_the_orders_are_not_taken_for_a_bad_stage():
+    """A motion that varies smoothly with the place does what terms beyond the orders would do."""
+    truth = traced_eye(load_device("freeform40"), "right")
+    setup = CaptureSetup(truth, 0.1, grid=(12, 10))
+    places = viewpoints.planar(truth.eye_box, setup.field.reach, CAPTURES)
+    captures = simulate_display(setup, places, np.random.default_rng(1))
+    assert fit_display(captures, "planar", 7).smooth.shift_m < 5e-5
