@@ -22,6 +22,8 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_order
 
 NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading: exact data would send it to zero, where rounding decides."""
+BEST_CAMERA_ARCMIN = 0.02
+"""Least noise beside motions of the camera: with less, motions would take what the polynomial cannot follow."""
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 """Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
 USUAL_SHIFT_M, USUAL_TURN_RAD = 2e-6, 1e-5
@@ -643,7 +645,7 @@ def _prior(readings: Readings, moving: bool) -> Prior:
     if moving:
         own[_SHIFT, -2] = own[_TURN, -1] = 1.0
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes)
-    bounds += [(np.log(_noise_floor(readings)), 12.0)]
+    bounds += [(np.log(_noise_floor(readings, moving)), 12.0)]
     if moving:
         bounds += [(np.log(_LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
     expected = np.tile([0.0, np.inf], (len(names), 1))
@@ -676,9 +678,9 @@ def _smooth_as(readings: Readings) -> list[int]:
     return [other if flat[axis] else axis for axis in range(len(flat))]
 
 
-def _noise_floor(readings: Readings) -> float:
+def _noise_floor(readings: Readings, moving: bool = False) -> float:
     stated = readings.sigma[readings.sigma > 0]
-    return NOISE_FLOOR_ARCMIN / (float(np.median(stated)) if stated.size else 1.0)
+    return (BEST_CAMERA_ARCMIN if moving else NOISE_FLOOR_ARCMIN) / (float(np.median(stated)) if stated.size else 1.0)
 
 
 def _starts(readings: Readings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
