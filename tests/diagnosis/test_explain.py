@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from wlr_render.calibration.fit_report import HeldOut
 from wlr_render.diagnosis import tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
 from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence, warnings
@@ -123,7 +124,8 @@ def test_tables_hold_the_numbers_of_the_record(explained, unexplained, nothing):
 
 
 def test_improvement_in_use_is_tabulated_where_there_is_some():
-    refitted = Refitted(3, None, None, 1.06, 0.347, HeldOutImprovement(67.2, 0.7, 30.0))
+    own = HeldOut("one capture in four", 9, 0.4, 0.4)
+    refitted = Refitted(own, own, 1.06, 0.347, HeldOutImprovement(67.2, 0.7, 30.0))
     before, after = (Summary(rms, 0.1, 0.2, 0.3, 9, 0) for rms in (0.99, 0.169))
     table = tables.in_use_table(
         ImprovementInUse(None, refitted, Rendered(before, after), None, ("s: no display table.",))
