@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.smooth_fit import Limits, Readings, SmoothFit, angular_metric, fit
+from wlr_render.calibration.readings import Limits, Readings, angular_metric
+from wlr_render.calibration.smooth_fit import SmoothFit, fit
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised

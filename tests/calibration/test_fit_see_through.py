@@ -5,7 +5,7 @@ import pytest
 from toy_device import EYE_BOX, PLANE, bend_of, places_among, positions_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.calibration.smooth_fit import NOISE_FLOOR_ARCMIN
+from wlr_render.calibration.smooth_prior import NOISE_FLOOR_ARCMIN
 from wlr_render.captures.correspondences import concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised

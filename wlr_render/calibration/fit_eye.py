@@ -20,7 +20,8 @@ from wlr_render.calibration.fit_prescription import (
     with_posterior,
 )
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.smooth_fit import Stage, Trend
+from wlr_render.calibration.readings import Trend
+from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane

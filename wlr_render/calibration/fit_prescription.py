@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from wlr_render.calibration.smooth_fit import Trend
+from wlr_render.calibration.readings import Trend
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir

@@ -7,7 +7,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from wlr_render.calibration.smooth_fit import MovedCapture, Readings, SmoothFit
+from wlr_render.calibration.readings import Readings
+from wlr_render.calibration.smooth_fit import MovedCapture, SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between

@@ -8,17 +8,17 @@ import numpy as np
 
 from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.smooth_fit import (
+from wlr_render.calibration.readings import (
     TREND_ALONE,
     Limits,
     Readings,
-    Stage,
     Trend,
     UndeterminedError,
     angular_metric,
-    fit_within,
     turn_columns,
 )
+from wlr_render.calibration.smooth_fit import fit_within
+from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane

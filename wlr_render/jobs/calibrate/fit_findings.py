@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.fit_report import FitReport, ModelFit
-from wlr_render.calibration.smooth_fit import LARGEST_SHIFT_M, LARGEST_TURN_RAD
+from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.mappings import Status

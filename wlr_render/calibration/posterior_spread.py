@@ -1,0 +1,98 @@
+"""Low-rank factors of a fit's posterior covariance, as models keep it."""
+
+import numpy as np
+
+from wlr_render.calibration.readings import Readings
+from wlr_render.models.spread import Spread
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.evidence import Posterior
+from wlr_render.numerics.polynomial import Polynomial, basis
+
+_KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
+_SAMPLES = 500  # readings at which that is judged
+
+
+def spread_of(readings: Readings, found: Posterior) -> Spread:
+    """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings."""
+    orders, box, blocks = readings.orders, readings.box, readings.blocks
+    outputs = blocks * (1 if readings.mixed else 2)
+    rng = np.random.default_rng(0)
+    rows = rng.permutation(len(readings))[:_SAMPLES]
+    inputs = readings.inputs[rows]
+    # Half of them elsewhere in the box: what the readings do not know counts, too.
+    elsewhere = rng.uniform(box.low, box.high, inputs.shape)
+    inputs = np.where(readings.is_place & (np.arange(len(rows)) % 2 == 0)[:, None], elsewhere, inputs)
+    sample = basis(inputs, orders, box)
+    weight = readings.metric[rows]
+    if readings.mixed:
+        shared = 0
+        design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
+        root = _root(found.side_covariance)
+        joint = root @ _principal(design.reshape(2 * len(rows), -1) @ root)
+        joint = joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2)
+        apart = np.zeros((len(orders), 0))
+        joint_orders = orders
+    else:
+        design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
+        design = design.reshape(len(rows), -1)
+        root = _root(found.alone)
+        apart_root = root @ _principal(design @ root)
+        rank = apart_root.shape[1]
+        apart = apart_root.reshape(blocks, len(orders), rank).transpose(1, 0, 2).reshape(len(orders), blocks * rank)
+        # What the coefficients do with the side unknowns, the trend's parameters among them.
+        trend = readings.trend
+        shared = trend.parameters if trend else 0
+        follow = found.by_side.transpose(0, 2, 1)  # (2, columns, side)
+        by_axis = follow.reshape(2, blocks, len(orders), follow.shape[2]).transpose(2, 1, 0, 3)
+        by_term = by_axis.reshape(len(orders), outputs, follow.shape[2])
+        side = Polynomial(orders, box, by_axis.reshape(len(orders), outputs * follow.shape[2]))
+        if trend:
+            by_parameter = trend.by_parameter.coefficients.reshape(len(trend.by_parameter.orders), outputs, -1)
+            padded = np.zeros((*by_parameter.shape[:2], by_term.shape[2]))
+            padded[..., :shared] = by_parameter
+            side = side.plus(Polynomial(trend.by_parameter.orders, box, padded.reshape(len(padded), -1)))
+        joint_orders = side.orders
+        joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ _lower_root(found.side_covariance)
+        sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(inputs)
+        sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
+        sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
+        keep = _principal(sampled[:, shared:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
+        joint = np.concatenate([joint[..., :shared], joint[..., shared:] @ keep], axis=-1)
+    return Spread(
+        outputs,
+        Polynomial(orders, box, apart),
+        Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
+        shared,
+    )
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """F with F F' = covariance, whatever the scales of the unknowns."""
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _lower_root(covariance: FloatArray) -> FloatArray:
+    """Lower triangular F with F F' = covariance: the first unknowns follow the first variables alone."""
+    scale = np.sqrt(np.diag(covariance))
+    scale = np.where(scale > 0, scale, 1.0)
+    correlation = covariance / scale[:, None] / scale + 1e-12 * np.eye(len(covariance))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
+
+
+def _principal(sampled: FloatArray, others: float = 0.0) -> FloatArray:
+    """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
+
+    Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside
+    `others`, the sum of squares of further samples.
+    """
+    values, vectors = np.linalg.eigh(sampled.T @ sampled)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    total = float(values.sum())
+    if total <= (1.0 - _KEPT) * 0.01 * others or total == 0.0:
+        return np.zeros((sampled.shape[1], 0))
+    running = np.cumsum(values)
+    rank = int(np.searchsorted(running, _KEPT * total)) + 1
+    return np.asarray(vectors[:, :rank] * np.sqrt(total / running[rank - 1]))

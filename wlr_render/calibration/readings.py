@@ -1,0 +1,290 @@
+"""Readings of captures as linear equations in the coefficients of polynomials: what every fit starts from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.evidence import Posterior, Sums
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
+
+_CHUNK = 4_096  # readings whose design is held at once
+_FLAT = 1e-6  # metres: no extent
+_UNKNOWN_EXTENT_M = 0.01  # of places, where all captures have the same: an eye box
+_BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
+
+
+def angular_metric(tangents: FloatArray) -> FloatArray:
+    """Arcminutes per unit of tangent at tangents (n, 2): (n,).
+
+    With n^2 = 1 + tx^2 + ty^2 a small step of tangents is an angle of 1 / n^2 of it radially and 1 / n across; camera
+    noise is the same in both. Their geometric mean is taken (within 8 % of either at 30 degrees off axis), so that one
+    design serves both outputs.
+    """
+    square = 1.0 + np.sum(tangents**2, axis=-1)
+    return np.asarray(square**-0.75 / ARCMIN)
+
+
+def turn_columns(tangents: FloatArray) -> FloatArray:
+    """Derivative (n, 2, 3) of view tangents (n, 2) by a turn of the camera about x, y, z, radians."""
+    (tx, ty), one = tangents.T, np.ones(len(tangents))
+    by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
+    return np.moveaxis(np.array(by_turn), -1, 0)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Highest orders of a fit.
+
+    Attributes:
+        pixel: joint order of the pixel's or direction's variables. place: of the place's. total: of all; negative for
+            no terms at all.
+    """
+
+    pixel: int
+    place: int
+    total: int
+
+    def orders(self, pixels: int, places: int) -> IntArray:
+        """(terms, pixels + places) for numbers of variables."""
+        if self.total < 0:
+            return np.zeros((0, pixels + places), np.int64)
+        return limited_orders(pixels, self.pixel, places, self.place, self.total)
+
+    def words(self, noun: str, places: bool) -> str:
+        """In a table: "pixel 8, place 5"."""
+        if self.total < 0:
+            return "none"
+        if not places or self.pixel == self.place:
+            return f"{noun} {self.pixel}" if not places else f"total {self.total}"
+        return f"{noun} {self.pixel}, place {self.place}"
+
+
+TREND_ALONE = Limits(-1, -1, -1)
+"""No terms: the trend alone."""
+
+
+@dataclass(frozen=True)
+class Trend:
+    """What is known before the fit, e.g. a prescription with its assembly errors: a mean and unknown parameters.
+
+    Attributes:
+        mean: inputs -> outputs, where the parameters are at their prior mean.
+        by_parameter: inputs -> (outputs * parameters), change per prior standard deviation of each parameter.
+    """
+
+    mean: Polynomial
+    by_parameter: Polynomial
+
+    def about(self, mean: FloatArray, root: FloatArray) -> "Trend":
+        """The trend in other parameters q, standard normal before the fit: parameters = mean + root @ q.
+
+        Args:
+            mean: (parameters,).
+            root: (parameters, parameters).
+        """
+        orders, box = self.by_parameter.orders, self.by_parameter.box
+        change = self.by_parameter.coefficients.reshape(len(orders), -1, self.parameters)
+        turned = Polynomial(orders, box, (change @ root).reshape(len(orders), -1))
+        return Trend(self.mean.plus(Polynomial(orders, box, change @ mean)), turned)
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return int(self.by_parameter.coefficients.shape[1] // self.mean.coefficients.shape[1])
+
+
+@dataclass(frozen=True)
+class Readings:
+    """observed = sum over blocks b of multiplier_b * polynomial_b(inputs), for n readings of two tangents.
+
+    Attributes:
+        inputs: (n, variables).
+        is_place: (variables,) whether a variable is of the place, else of the pixel or direction.
+        observed: (n, 2).
+        multiplier: (n, blocks) for both tangents, or (n, 2, blocks) for polynomials of one output each.
+        metric: (n,) arcminutes per unit of `observed`.
+        sigma: (n,) arcminutes; all zero for exact data.
+        capture: (n,) indices 0..captures - 1 of what shares a motion of the camera.
+        motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): by how much `observed` less the model
+            changes with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
+        orders: (terms, variables) of the fit. limits: that they keep.
+        trend: what is known before; None for nothing.
+    """
+
+    inputs: FloatArray
+    is_place: BoolArray
+    observed: FloatArray
+    multiplier: FloatArray
+    metric: FloatArray
+    sigma: FloatArray
+    capture: IntArray
+    motion: Callable[[FloatArray], FloatArray] | None
+    orders: IntArray
+    limits: Limits
+    trend: Trend | None = None
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether each polynomial has one output, which both tangents share."""
+        return self.multiplier.ndim == 3
+
+    @property
+    def blocks(self) -> int:
+        """Number of polynomials that share the inputs."""
+        return int(self.multiplier.shape[-1])
+
+    @cached_property
+    def box(self) -> Box:
+        """Of the inputs, grown by a margin; a trend brings its own."""
+        if self.trend is not None:
+            return self.trend.mean.box
+        return fitted_box(self.inputs, self.is_place)
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """(n,) one over sigma, in units of `observed`; sigma 1' where the data are exact."""
+        sigma = self.sigma if np.any(self.sigma > 0) else np.ones(len(self))
+        return np.asarray(self.metric / sigma)
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """(terms,) constant and slopes in pixel or direction: their prior size is one unit. None beside a trend."""
+        at_place = self.orders[:, self.is_place].any(axis=1)
+        return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
+
+    def select(self, rows: BoolArray) -> "Readings":
+        """Some of the readings; captures keep their indices, and the box is that of all."""
+        per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
+        chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None)
+        chosen.__dict__["box"] = self.box
+        return chosen
+
+    def values(self, polynomial: Polynomial) -> FloatArray:
+        """What a polynomial says of `observed`, (n, 2)."""
+        return self._combined(polynomial(self.inputs))[..., 0]
+
+    def slopes(self, polynomial: Polynomial) -> FloatArray:
+        """Its derivative by the inputs, (n, 2, variables)."""
+        return self._combined(polynomial.with_jacobian(self.inputs)[1])
+
+    def _combined(self, value: FloatArray) -> FloatArray:
+        """(n, outputs, ...) of the blocks -> (n, 2, k)."""
+        value = value.reshape(len(self), self.blocks, 1 if self.mixed else 2, -1)
+        equation = "nrb,nbok->nrk" if self.mixed else "nb,nbok->nok"
+        return np.asarray(np.einsum(equation, self.multiplier, value))
+
+
+def flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
+    """Variables (variables,) of the place along which inputs (n, variables) have no extent."""
+    return np.asarray(is_place & (np.ptp(inputs, axis=0) <= _FLAT * np.where(is_place, 1.0, np.inf)))
+
+
+def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
+    """Box of a fit to inputs (n, variables); a place without extent along an axis gets that of the others."""
+    box, flat = Box.around(inputs), flat_places(inputs, is_place)
+    if flat.any():
+        known = is_place & ~flat
+        wide = float((box.high - box.low)[known].max()) if known.any() else _UNKNOWN_EXTENT_M
+        centre = 0.5 * (box.low + box.high)
+        box = Box(np.where(flat, centre - 0.5 * wide, box.low), np.where(flat, centre + 0.5 * wide, box.high))
+    margin = _BOX_MARGIN * (box.high - box.low)
+    return Box(box.low - margin, box.high + margin)
+
+
+class UndeterminedError(BadInputError):
+    """The readings do not determine an unknown that no prior holds."""
+
+
+def design_of(readings: Readings, rows: slice, phi: FloatArray) -> FloatArray:
+    """Columns of all blocks: (rows, blocks * terms), or (rows, 2, blocks * terms) if mixed; phi is (rows, terms)."""
+    multiplier = readings.multiplier[rows]
+    design = multiplier[..., None] * (phi[:, None, None] if readings.mixed else phi[:, None])
+    return np.asarray(design.reshape(*multiplier.shape[:-1], -1))
+
+
+def free_part(readings: Readings) -> Polynomial:
+    """Least squares by the few free terms: what is left of the observed values is small, so that sums keep digits.
+
+    Raises:
+        BadInputError: the readings do not determine them.
+    """
+    orders = readings.orders[readings.free]
+    outputs = readings.blocks * (1 if readings.mixed else 2)
+    if len(orders) == 0:
+        return Polynomial(orders, readings.box, np.zeros((0, outputs)))
+    design = design_of(readings, slice(None), basis(readings.inputs, orders, readings.box))
+    values = readings.observed[:, :, None] if readings.mixed else readings.observed
+    weight = readings.weight.reshape(-1, *[1] * (design.ndim - 1))
+    design, values = design * weight, values * weight
+    columns = design.shape[-1]
+    design, values = design.reshape(-1, columns), values.reshape(-1, values.shape[-1])
+    scale = np.linalg.norm(design, axis=0)
+    solution, _, rank, _ = np.linalg.lstsq(design / np.where(scale > 0, scale, 1.0), values, rcond=1e-7)
+    if rank < columns:
+        raise UndeterminedError(f"{rank} of {columns} unknowns that no prior holds are determined")
+    solution = solution / scale[:, None]
+    by_term = solution.reshape(readings.blocks, len(orders), -1).transpose(1, 0, 2)
+    return Polynomial(orders, readings.box, np.ascontiguousarray(by_term.reshape(len(orders), -1)))
+
+
+def sums_of(readings: Readings, start: Polynomial | None, motion: FloatArray | None, kept: FloatArray) -> Sums:
+    """Sums over the readings less their free part and trend; without values if `start` is None."""
+    terms, own = len(readings.orders), 0 if motion is None else 6
+    groups = int(readings.capture.max()) + 1 if own else 0
+    trend = readings.trend
+    parameters = trend.parameters if trend else 0
+    columns = 0 if readings.mixed else readings.blocks * terms
+    sums = Sums(columns, 2, readings.blocks * terms if readings.mixed else parameters, groups, own)
+    observed = np.zeros_like(readings.observed)
+    if start is not None:
+        observed = readings.observed - readings.values(start)
+        observed = observed - (readings.values(trend.mean) if trend else 0.0)
+    for first in range(0, len(readings), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        design = design_of(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
+        mixed = design if readings.mixed else None
+        if trend:
+            by_parameter = trend.by_parameter(readings.inputs[rows])
+            by_parameter = by_parameter.reshape(len(design), readings.blocks, 2, parameters)
+            mixed = np.einsum("nb,nbop->nop", readings.multiplier[rows], by_parameter)
+        sums.add(
+            observed[rows],
+            (readings.weight * kept)[rows],
+            np.empty((len(design), 0)) if readings.mixed else design,
+            mixed,
+            None if motion is None else motion[rows],
+            readings.capture[rows],
+        )
+    return sums
+
+
+def polynomial_of(readings: Readings, start: Polynomial, found: Posterior) -> Polynomial:
+    """The polynomial of a posterior, with its free part `start` and its trend."""
+    blocks, terms = readings.blocks, len(readings.orders)
+    outputs = 1 if readings.mixed else 2
+    mean = found.mixed_mean if readings.mixed else found.mean
+    by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, blocks * outputs)
+    coefficients = by_term.copy()
+    coefficients[readings.free] += start.coefficients
+    polynomial = Polynomial(readings.orders, readings.box, coefficients)
+    if readings.trend is None:
+        return polynomial
+    mean_part, by_parameter = readings.trend.mean, readings.trend.by_parameter
+    moved = (
+        by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
+    )
+    return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))
+
+
+def motion_columns(readings: Readings, polynomial: Polynomial) -> FloatArray:
+    """Columns (n, 2, 6) of a shift and turn of the camera, by the slopes of a polynomial."""
+    assert readings.motion is not None
+    return readings.motion(readings.slopes(polynomial))

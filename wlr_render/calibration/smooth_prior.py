@@ -1,0 +1,133 @@
+"""What is expected of optics, noise and stage before the readings: priors of a fit, bounds and starts of their search.
+
+A coefficient of order a in the pixel (or direction) and b in the place has the prior size exp(size - lambda a - mu b),
+with a slope for each variable.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from wlr_render.calibration.readings import Readings, flat_places, sums_of
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.evidence import Prior, Sums, posterior
+from wlr_render.numerics.polynomial import Polynomial
+
+NOISE_FLOOR_ARCMIN = 1e-3
+"""Least noise of a reading: exact data would send it to zero, where rounding decides."""
+BEST_CAMERA_ARCMIN = 0.02
+"""Least noise beside motions of the camera: with less, motions would take what the polynomial cannot follow."""
+LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
+"""Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
+USUAL_SHIFT_M, USUAL_TURN_RAD = 2e-6, 1e-5
+"""Repeatability of good motorised stages; where positions are many, the readings overrule it."""
+_STAGES_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
+SHIFT, TURN = slice(0, 3), slice(3, 6)
+LEAST_MOTION = 1e-9  # metres, radians
+_SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
+_STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
+_USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings that tell little; give or take one
+_NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
+Stage = tuple[float, float]
+"""Repeatability in metres and wobble in radians, standard deviations per axis."""
+
+
+def smoothness_prior(readings: Readings, moving: bool) -> Prior:
+    """Prior of a fit to the readings, with motions of the captures or without."""
+    blocks, orders, free = readings.blocks, readings.orders, readings.free
+    sizes = [f"size {block}" for block in range(blocks)]
+    smooth_as = _smooth_as(readings)
+    axes = sorted(set(smooth_as))
+    slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
+    names = (*sizes, *slopes, "noise", *(("shift", "turn") if moving else ()))
+    features = np.zeros((blocks, len(orders), len(names)))
+    for block in range(blocks):
+        features[block, ~free, block] = 1.0
+        for axis, other in enumerate(smooth_as):
+            features[block, ~free, blocks + axes.index(other)] -= orders[~free, axis]
+    flat = features.reshape(-1, len(names))
+    none = np.zeros((0, len(names)))
+    parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
+    shared, mixed = (none, flat) if readings.mixed else (flat, parameters)
+    own = np.zeros((6 if moving else 0, len(names)))
+    if moving:
+        own[SHIFT, -2] = own[TURN, -1] = 1.0
+    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes)
+    bounds += [(np.log(noise_floor(readings, moving)), 12.0)]
+    if moving:
+        bounds += [(np.log(LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
+    expected = np.tile([0.0, np.inf], (len(names), 1))
+    by_place = np.array([readings.is_place[axis] for axis in axes])
+    expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_USUAL_SLOPES)
+    expected[blocks : blocks + len(slopes), 1] = 1.0
+    if moving:
+        expected[-2:] = [[np.log(usual), _STAGES_DIFFER] for usual in (USUAL_SHIFT_M, USUAL_TURN_RAD)]
+    return Prior(
+        names,
+        np.array(bounds),
+        expected,
+        shared,
+        np.zeros(len(shared)),
+        mixed,
+        np.zeros(len(mixed)),
+        own,
+        np.zeros(len(own)),
+    )
+
+
+def _smooth_as(readings: Readings) -> list[int]:
+    """Each variable's own slope of the prior, but where the captures have no extent along it, that of another.
+
+    Readings at one place cannot tell how fast the optics change beside it; they would call them constant.
+    """
+    flat = flat_places(readings.inputs, readings.is_place)
+    known = np.flatnonzero(readings.is_place & ~flat)
+    other = int(known[0]) if known.size else int(np.flatnonzero(~readings.is_place)[0])
+    return [other if flat[axis] else axis for axis in range(len(flat))]
+
+
+def noise_floor(readings: Readings, moving: bool = False) -> float:
+    """Least noise of a fit, over the stated sigma; in arcminutes where none is stated."""
+    stated = readings.sigma[readings.sigma > 0]
+    return (BEST_CAMERA_ARCMIN if moving else NOISE_FLOOR_ARCMIN) / (float(np.median(stated)) if stated.size else 1.0)
+
+
+def search_starts(readings: Readings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
+    """Where the search for hyperparameters starts.
+
+    Beside a trend the sizes are those of what it leaves of the readings, and nothing is left to find if it is right.
+    """
+    starts: Sequence[tuple[float, float, float, float]] = _STARTS
+    if readings.trend is not None:
+        alone = replace(readings, orders=readings.orders[:0])
+        without = smoothness_prior(alone, moving=False)
+        sums = sums_of(alone, start, None, kept)
+        rest = posterior(sums, without, np.array(list(_start_hyper(without, *_STARTS[-1]).values())))
+        left = max(float(np.sqrt(rest.square / max(sums.count, 1))), noise_floor(readings))
+        size = float(np.log(left / np.median(readings.weight)))
+        starts = [(_NO_SIZE, 0.7, 0.7, left)]
+        if len(readings.orders):
+            starts += [(size, 0.7, 0.7, 0.3 * left), (size, 1.3, 2.5, left), (size - 3.0, 0.7, 0.7, left)]
+    return [_start_hyper(prior, *values) for values in starts]
+
+
+def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise: float) -> dict[str, float]:
+    values = {"size": size, "lambda": slope, "mu": by_place, "noise": float(np.log(noise))}
+    return {name: values[name.split()[0]] for name in prior.names}
+
+
+def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
+    """The best of a few sizes of the motion: the evidence may have several maxima."""
+    starts = [still | {"shift": np.log(shift), "turn": np.log(turn)} for shift, turn in product(_SHIFTS_M, _TURNS_RAD)]
+    starts.append(still | {"shift": np.log(LEAST_MOTION), "turn": np.log(LEAST_MOTION)})
+
+    def evidence(start: dict[str, float]) -> float:
+        try:
+            hyper = np.clip([start[name] for name in prior.names], *prior.bounds.T)
+            return posterior(sums, prior, hyper).log_evidence - prior.surprise(hyper)[0]
+        except np.linalg.LinAlgError:
+            return -np.inf
+
+    return max(starts, key=evidence)
