@@ -1,4 +1,4 @@
-"""Fit planar models to simulated captures, print the residual, save and load the models."""
+"""Fit planar models to simulated captures, print the predicted and the true error, save and load the models."""
 
 from pathlib import Path
 
@@ -21,8 +21,9 @@ positions = viewpoints.planar(truth.eye_box, setup.field.reach, 25)
 
 # Your own captures have the same two records: pixels or real points, with viewpoints and view directions.
 captures = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
-fit = fit_eye(captures, "planar", display_degree=5, see_through_degree=3)
-print(f"display residual {fit.display.residual_arcmin.rms:.3f} arcmin rms, degree {fit.display.degree}")
+fit = fit_eye(captures)
+report = fit.display.report
+print(f"display error predicted by the fit: {report.predicted_arcmin:.3f} arcmin rms, noise {report.noise_arcmin:.3f}")
 
 path = save_eye_models(Path("birdbath28.model.json"), [fit.model()])
 model = load_eye_model(path).mappings

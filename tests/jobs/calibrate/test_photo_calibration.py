@@ -81,7 +81,8 @@ def test_a_flat_image_is_fitted_to_the_noise(found):
     pixel = arcmin_between(*found.eyeball.camera.dir_of_pixel(np.array([[200.0, 160.0], [201.0, 160.0]])))
     for report in (fit.display.report, fit.see_through.report):
         assert report.residual_arcmin.rms < 0.1 * pixel
-        assert report.predicted_arcmin < report.residual_arcmin.rms
+        # Four camera positions leave the model less sure beside them than at them.
+        assert report.predicted_arcmin < 0.2 * pixel
 
 
 def test_what_is_written_can_be_read_back_and_used(found, photo_session):

@@ -60,7 +60,9 @@ class EvaluateOptions(StudyOptions):
     degrees: Annotated[
         tuple[int, ...] | None,
         described(
-            "Limits of the display model's total degree to compare (default: the limits of `calibrate`).", many=True
+            "Limits of the display model's total degree to compare (default: the limits of `calibrate`).",
+            flag=True,
+            many=True,
         ),
         Degree,
         OnlyWith("experiment", ("camera-positions",)),
