@@ -19,7 +19,6 @@ from wlr_render.rendering.shapes.objects import sculpture
 HEAD_POSE = np.eye(4)
 DEVICE = "northstar"
 PANEL = Panel(1440, 1600)
-DISPLAY_DEGREE, SEE_THROUGH_DEGREE = 5, 3
 TRIANGLES = 100_000
 _SEED = 1
 _AROUND = 64
@@ -79,19 +78,22 @@ def _places(rounds: int) -> FloatArray:
 
 
 def bench_model(
-    panel: Panel | None = None, eye: str = "right", device: str = DEVICE, display_degree: int = DISPLAY_DEGREE
+    panel: Panel | None = None, eye: str = "right", device: str = DEVICE, display_degree: int | None = None
 ) -> EyeMappings:
-    """A planar model of a shipped device, whose panel may be given another number of pixels."""
+    """A planar model of a shipped device, whose panel may be given another number of pixels.
+
+    As `calibrate` fits it, unless the degree of the display is limited.
+    """
     truth = traced_eye(load_device(device), eye)
     return _planar(truth, panel or truth.display.panel, _SEED, display_degree)
 
 
-def _planar(truth: EyeMappings, panel: Panel, seed: int, display_degree: int) -> EyeMappings:
+def _planar(truth: EyeMappings, panel: Panel, seed: int, display_degree: int | None) -> EyeMappings:
     """What a simulated calibration with camera noise makes of an eye, its panel in other pixels."""
     captures = simulated_captures(truth, seed)
     pixel = captures.display.pixel / captures.display.panel.size_px * panel.size_px
     scaled = EyeCaptures(replace(captures.display, panel=panel, pixel=pixel), captures.see_through)
-    return fit_eye(scaled, "planar", display_degree, SEE_THROUGH_DEGREE).mappings
+    return fit_eye(scaled, "planar", display_degree).mappings
 
 
 def bench_scene(triangles: int = TRIANGLES) -> Scene:
