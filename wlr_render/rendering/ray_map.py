@@ -18,6 +18,7 @@ from wlr_render.rendering.warp_grid import WarpGrid
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64
 _GRID = 33
+_EXTRAPOLATED = 0.05  # weight of the errors of values outside the fit
 NEAREST_M = 0.25
 """Nearest distance at which the ray map's error is judged; an offset of the ray counts more the nearer the scene."""
 
@@ -232,8 +233,7 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
 
     Returns:
         (n,) error at infinity plus error of the offset at the nearest depth, over the size of a pixel there;
-        NaN where the exact solve has no answer, and where it is extrapolated, if it is not so everywhere: models bend
-        at the border of their fit, which would cost many nodes for values of little worth.
+        NaN where the exact solve has no answer.
     """
     count, panel = plan.node_count, plan.panel
     axes = plan.device_from_camera
@@ -241,14 +241,13 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
     down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
     interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
-    solved = [solve_pixels(mappings, axes, pixel + step, viewpoint) for step in ([0, 0], [-1, 0], [0, -1])]
-    exact, right, lower = (each.slope_offset for each in solved)
+    exact, right, lower = (
+        solve_pixels(mappings, axes, pixel + step, viewpoint).slope_offset for step in ([0, 0], [-1, 0], [0, -1])
+    )
     pixel_size = np.minimum(
         np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
     )
     error = interpolated - exact
-    if (inside := solved[0].status == Status.OK).any():
-        error[~inside] = np.nan
     return np.asarray(
         (np.linalg.norm(error[:, :2], axis=1) + np.linalg.norm(error[:, 2:], axis=1) / NEAREST_M) / pixel_size
     )
@@ -269,13 +268,19 @@ def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005) -> RayMapPla
     axes = middle_axes(mappings)
     for count in NODE_COUNTS:
         plan = RayMapPlan.with_nodes(panel, count, axes)
-        if all(_worst_px(ray_map_error_px(mappings, v, plan, pixel)) <= tolerance_px for v in viewpoints):
+        if all(_worst_px(mappings, v, plan, pixel) <= tolerance_px for v in viewpoints):
             return plan
     return plan
 
 
-def _worst_px(error_px: FloatArray) -> float:
-    """The largest of (n,) errors that are known; infinity where none is, because a node itself has no answer."""
+def _worst_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> float:
+    """The largest known error at pixels (n, 2); infinity where none is, because a node itself has no answer.
+
+    Extrapolated values count less: models bend at the border of their fit, which would cost many nodes.
+    """
+    error_px = ray_map_error_px(mappings, viewpoint, plan, pixel)
+    outside = solve_pixels(mappings, plan.device_from_camera, pixel, viewpoint).status == Status.OUTSIDE_FIT
+    error_px = np.where(outside, _EXTRAPOLATED * error_px, error_px)
     known = error_px[np.isfinite(error_px)]
     return float(known.max()) if known.size else np.inf
 
