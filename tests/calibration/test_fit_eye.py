@@ -144,7 +144,7 @@ def test_both_models_have_the_same_posterior_of_the_assembly_errors(drawn):
         inputs = np.random.default_rng(0).uniform(trend.mean.box.low, trend.mean.box.high, (30, 4))
         expected = trend.about(found.values / ASSEMBLY_SIZES, root)
         np.testing.assert_allclose(fitted.smooth.polynomial(inputs), expected.mean(inputs), atol=1e-9)
-        outputs = fitted.smooth.outputs
+        outputs = fitted.smooth.polynomial.coefficients.shape[1]
         change = expected.by_parameter(inputs).reshape(30, outputs, 12)
         np.testing.assert_allclose(
             fitted.mapping.spread.covariance(inputs), change @ change.transpose(0, 2, 1), rtol=1e-4, atol=1e-13

@@ -28,11 +28,8 @@ class Problem:
             np.tile([-20.0, 20.0], (4, 1)),
             np.tile([0.0, np.inf], (4, 1)),
             features,
-            np.zeros(columns),
             np.tile([0.5, 0.0, 0.0, 0.0], (mixed, 1)),
-            np.full(mixed, 0.1),
             np.tile([0.0, 0.0, 0.0, 1.0], (OWN, 1)),
-            np.zeros(OWN),
         )
 
     def sums(self, parts: int = 1) -> Sums:
@@ -55,7 +52,7 @@ class Problem:
             first = side + output * columns
             whole[:, output, first : first + columns] = self.design
         flat = whole.reshape(count * OUTPUTS, -1)
-        sizes = [self.prior.mixed_offset + self.prior.mixed_features @ hyper, np.full(GROUPS * OWN, hyper[3])]
+        sizes = [self.prior.mixed_features @ hyper, np.full(GROUPS * OWN, hyper[3])]
         sizes += [self.prior.features @ hyper] * OUTPUTS
         variance = np.exp(2.0 * np.concatenate(sizes))
         noise = np.repeat(np.exp(2.0 * hyper[2]) / self.weight**2, OUTPUTS)
@@ -140,7 +137,7 @@ def drawn(
     bounds = np.array([[-10.0, 5.0], [0.0, 5.0], [-10.0, 5.0], [-12.0, 3.0]])
     own = np.array([[0.0, 0.0, 0.0, 1.0]])
     free = np.tile([0.0, np.inf], (4, 1))
-    prior = Prior(NAMES, bounds, free, features, np.zeros(columns), none, np.zeros(0), own, np.zeros(1))
+    prior = Prior(NAMES, bounds, free, features, none, own)
     return sums, prior, truth
 
 

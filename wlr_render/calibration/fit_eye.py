@@ -209,8 +209,8 @@ def eye_trends(captures: EyeCaptures, assembly: FittedAssembly, base_plane: Base
     return EyeTrends(
         assembly,
         planes,
-        display_trend(assembly, planes[0], display_fit.planar_box(shown, planes[0])),
-        see_through_trend(assembly, planes[1], see_through_fit.planar_box(seen, planes[1])),
+        display_trend(assembly, planes[0], display_fit.DISPLAY.planar_box(shown, planes[0])),
+        see_through_trend(assembly, planes[1], see_through_fit.SEE_THROUGH.planar_box(seen, planes[1])),
     )
 
 

@@ -1,35 +1,29 @@
 """Fit a see-through model to captures."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import ModelFit
+from wlr_render.calibration.model_kinds import Kind, Side
 from wlr_render.calibration.readings import (
-    TREND_ALONE,
     Limits,
     Readings,
     Trend,
-    UndeterminedError,
     angular_metric,
     turn_columns,
 )
-from wlr_render.calibration.smooth_fit import fit_within
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.bundle import BundleSeeThrough
-from wlr_render.models.contraction import require_unique
 from wlr_render.models.fitted_model import FittedSeeThrough
 from wlr_render.models.spread import Spread
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
-from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Polynomial
 
 SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=8, place=5, total=8))
 """Of direction and place: deviations are smoother than the display's distortion."""
@@ -60,49 +54,7 @@ def fit_see_through(
         BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
             each other, or a model that may have two solutions; the sentence says what is missing.
     """
-    if kind not in _KINDS:
-        raise BadInputError(f"the kind of see-through model '{kind}' is unknown; choose one of {', '.join(_KINDS)}.")
-    how = _KINDS[kind]
-    if how.needs_trend and trend is None:
-        raise BadInputError(
-            f"a {kind} see-through model needs the device's prescription; name it, or fit a planar model."
-        )
-    used = select(captures, _nominal(captures)) if how.nominal else captures
-    plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
-    if np.any(plane.depth_of(used.point) <= 0):
-        raise BadInputError(
-            f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."
-        )
-    limits = SEE_THROUGH_LIMITS if degree is None else (Limits(degree, degree, degree),)
-    if how.nothing_but_trend:
-        limits = (TREND_ALONE,)
-    readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
-    refusal = f"the captures do not determine a {kind} see-through model"
-    poses = len(np.unique(used.target_pose))
-    if poses < 2 and not how.nothing_but_trend:
-        raise BadInputError(
-            f"{refusal}: it needs a second target depth and there are {poses} target pose(s): add one nearer or "
-            "farther."
-        )
-    try:
-        smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
-    except UndeterminedError as error:
-        raise BadInputError(
-            f"{refusal}: the real points lie in one line of sight or at one depth; spread them over the field, and "
-            "photograph the target nearer and farther."
-        ) from error
-    if degree is None:  # a limit may be why no polynomial follows
-        smooth.require_agreement(f"the see-through captures of {captures.device}", used.sigma_arcmin)
-    used_limits = smooth.readings.limits
-    readings_of = partial(readings_within, limits=used_limits)
-    mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
-    contraction = require_unique(mapping.contraction(), kind, "see-through")
-    return ModelFit(kind, mapping, used, smooth, readings_of, used_limits.words("direction", how.places), contraction)
-
-
-def planar_box(captures: SeeThroughCaptures, plane: BasePlane) -> Box:
-    """Box (x m, y m, tx, ty) of a planar fit, for which its trend is compiled."""
-    return _on_plane(captures, plane, TREND_ALONE, None).box
+    return SEE_THROUGH.fit(captures, kind, degree, base_plane, trend, weights, stage)
 
 
 def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
@@ -115,8 +67,7 @@ def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, tr
     def motion(slope: FloatArray) -> FloatArray:
         """(P - p~) / Z - t less the deviation at (p~, t): both p~ and t move with the camera."""
         turned = turn_columns(tangents)
-        along_z = (tangents / (1.0 + tangents @ np.array(plane.slope))[:, None])[:, :, None]
-        by_shift = np.concatenate([np.eye(2) - along_z * np.array(plane.slope), along_z], axis=2)
+        by_shift = plane.carry_by_point(tangents)
         by_place = -np.eye(2) / depth[:, :, None] - slope[:, :, :2]
         by_tangents = -np.eye(2) - slope[:, :, 2:]
         return np.concatenate([by_place @ by_shift, by_place @ carried @ turned + by_tangents @ turned], axis=2)
@@ -188,40 +139,48 @@ def _static(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spr
     return StaticSeeThrough(captures.eye_box, forward, spread)
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """How a kind of model is fitted.
-
-    Attributes:
-        readings: (captures, plane, limits, trend) -> readings.
-        model: (captures, plane, polynomial, spread) -> model.
-        places: whether it depends on the place. nominal: whether it is fitted at one camera position only.
-        needs_trend: whether it has a trend. nothing_but_trend: and nothing else.
-    """
-
-    readings: Callable[..., Readings]
-    model: Callable[[SeeThroughCaptures, BasePlane, Polynomial, Spread], FittedSeeThrough]
-    places: bool = True
-    nominal: bool = False
-    needs_trend: bool = False
-    nothing_but_trend: bool = False
+def _check(captures: SeeThroughCaptures, kind: str, plane: BasePlane) -> None:
+    if np.any(plane.depth_of(captures.point) <= 0):
+        raise BadInputError(
+            f"the base plane, z = {plane.z:g} m, lies beyond some target points; correct the eye box or the base plane."
+        )
+    poses = len(np.unique(captures.target_pose))
+    if poses < 2 and not SEE_THROUGH.kinds[kind].is_trend_alone:
+        raise SEE_THROUGH.undetermined(
+            kind, f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"
+        )
 
 
-_KINDS = {
-    "planar": _Kind(_on_plane, _bundle),
-    "volumetric": _Kind(_in_volume, _volumetric),
-    "static": _Kind(_at_one_place, _static, places=False, nominal=True),
-    "grey-box": _Kind(_on_plane, _bundle, needs_trend=True),
-    "prescription": _Kind(_on_plane, _bundle, needs_trend=True, nothing_but_trend=True),
-}
+def _lacking(captures: SeeThroughCaptures, kind: str) -> str:
+    return (
+        "the real points lie in one line of sight or at one depth; spread them over the field, and photograph the "
+        "target nearer and farther"
+    )
 
 
-def _nominal(captures: SeeThroughCaptures) -> BoolArray:
-    """Rows (n,) of each target pose's camera position nearest to the eye box's centre."""
+def _nearest_to_centre(captures: SeeThroughCaptures) -> SeeThroughCaptures:
+    """Of each target pose, the camera position nearest to the eye box's centre."""
     distance = np.linalg.norm(captures.viewpoint - captures.eye_box.centre, axis=1)
     chosen = np.zeros(len(captures), dtype=bool)
     for pose in np.unique(captures.target_pose):
         rows = np.flatnonzero(captures.target_pose == pose)
         nearest = captures.capture[rows[np.argmin(distance[rows])]]
         chosen[rows] = captures.capture[rows] == nearest
-    return chosen
+    return select(captures, chosen)
+
+
+SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
+    "see-through",
+    "direction",
+    {
+        "planar": Kind(_on_plane, _bundle),
+        "volumetric": Kind(_in_volume, _volumetric),
+        "static": Kind(_at_one_place, _static, has_places=False, at_one_position=True),
+        "grey-box": Kind(_on_plane, _bundle, needs_trend=True),
+        "prescription": Kind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
+    },
+    SEE_THROUGH_LIMITS,
+    _nearest_to_centre,
+    _check,
+    _lacking,
+)

@@ -89,11 +89,6 @@ class SmoothFit:
     _start: Polynomial
 
     @property
-    def captures(self) -> int:
-        """Number of captures."""
-        return len(np.unique(self.readings.capture))
-
-    @property
     def noise(self) -> float:
         """Found standard deviation of a reading per axis, over the stated one; in arcminutes where none is stated."""
         return self.posterior.noise
@@ -127,14 +122,13 @@ class SmoothFit:
             )
 
     @property
-    def stage(self) -> Stage:
-        """As found."""
-        return self.shift_m, self.turn_rad
+    def _hyper(self) -> FloatArray:
+        return np.array(list(self.posterior.hyper.values()))
 
     @property
-    def outputs(self) -> int:
-        """Of the polynomial."""
-        return int(self.polynomial.coefficients.shape[1])
+    def stage(self) -> Stage:
+        """Repeatability and wobble as found."""
+        return self.shift_m, self.turn_rad
 
     @property
     def trend_parameters(self) -> tuple[FloatArray, FloatArray]:
@@ -146,7 +140,7 @@ class SmoothFit:
         """The fit with another prior of the trend's parameters, at the same hyperparameters and weights."""
         readings = replace(self.readings, trend=trend)
         sums = sums_of(readings, self._start, self._columns, self.kept)
-        found = posterior(sums, self._prior, np.array(list(self.posterior.hyper.values())))
+        found = posterior(sums, self._prior, self._hyper)
         return replace(self, polynomial=polynomial_of(readings, self._start, found), posterior=found, readings=readings)
 
     @cached_property
@@ -162,7 +156,7 @@ class SmoothFit:
         """
         readings = self.readings
         sums = sums_of(readings, self._start, self._columns, np.where(rows, 0.0, self.kept))
-        rest = posterior(sums, self._prior, np.array(list(self.posterior.hyper.values())), evidence=False)
+        rest = posterior(sums, self._prior, self._hyper, evidence=False)
         chosen = readings.select(rows & (self.kept > 0))
         polynomial = polynomial_of(readings, self._start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
@@ -175,7 +169,7 @@ class SmoothFit:
             variance = np.einsum("nb,nbc,nc->n", chosen.multiplier, by_block, chosen.multiplier)
         variance = variance * chosen.metric**2 + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
         if self._columns is not None:
-            own = np.exp(self._prior.own_offset + self._prior.own_features @ list(self.posterior.hyper.values()))
+            own = np.exp(self._prior.own_features @ self._hyper)
             own = np.broadcast_to(own, (self.posterior.own_mean.shape[0], 6))[chosen.capture]
             columns = self._columns[rows & (self.kept > 0)]
             variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
@@ -184,9 +178,8 @@ class SmoothFit:
     def spread_with(self, readings: Readings) -> Spread:
         """Covariance that further readings would give: those of this fit and more, in `readings`, at this noise."""
         columns = None if self._columns is None else motion_columns(readings, self.polynomial)
-        prior = replace(self._prior, own_offset=np.zeros(self._prior.own_features.shape[0]))
         sums = sums_of(readings, None, columns, np.ones(len(readings)))
-        return spread_of(readings, posterior(sums, prior, np.array(list(self.posterior.hyper.values()))))
+        return spread_of(readings, posterior(sums, self._prior, self._hyper))
 
 
 def fit_within(
@@ -204,7 +197,10 @@ def fit_within(
     """
     smooth = fit(readings_of(limits[0]), None, weights, stage)
     for wider in limits[1:]:
-        if smooth.posterior.determined < _SATURATED * len(smooth.readings.orders) * smooth.outputs:
+        if (
+            smooth.posterior.determined
+            < _SATURATED * len(smooth.readings.orders) * smooth.polynomial.coefficients.shape[1]
+        ):
             break
         smooth = fit(readings_of(wider), smooth.posterior.hyper, weights, stage)
     return smooth
@@ -269,7 +265,7 @@ def _suspects(search: "_Search", suspects: dict[int, MovedCapture]) -> dict[int,
     while True:
         smooth = search.without(tuple(suspects.values()))
         others, suspects = _standing_out(smooth)
-        if not others or len(suspects) + len(others) > _MOST * smooth.captures:
+        if not others or len(suspects) + len(others) > _MOST * len(np.unique(search.readings.capture)):
             return suspects
         suspects |= others
 
@@ -355,10 +351,10 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, MovedCapture], dict[int,
     found = posterior(
         sums_of(readings, smooth._start, columns, kept),
         replace(smooth._prior, own_offset=offset),
-        np.array(list(hyper.values())),
+        smooth._hyper,
     )
     variance = np.diag(found.side_covariance)[-found.own_mean.size :].reshape(found.own_mean.shape)
-    size = np.exp(offset + smooth._prior.own_features @ list(hyper.values()))
+    size = np.exp(offset + smooth._prior.own_features @ smooth._hyper)
     # What the readings say of each motion before its own prior: a common prior draws the largest to the others.
     alone = 1.0 / np.maximum(1.0 / variance - 1.0 / size**2, 1e-9 / size**2)
     motion = found.own_mean * alone / variance

@@ -64,17 +64,7 @@ def smoothness_prior(readings: Readings, moving: bool) -> Prior:
     expected[blocks : blocks + len(slopes), 1] = 1.0
     if moving:
         expected[-2:] = [[np.log(usual), _STAGES_DIFFER] for usual in (USUAL_SHIFT_M, USUAL_TURN_RAD)]
-    return Prior(
-        names,
-        np.array(bounds),
-        expected,
-        shared,
-        np.zeros(len(shared)),
-        mixed,
-        np.zeros(len(mixed)),
-        own,
-        np.zeros(len(own)),
-    )
+    return Prior(names, np.array(bounds), expected, shared, mixed, own)
 
 
 def _smooth_as(readings: Readings) -> list[int]:

@@ -46,6 +46,11 @@ class BasePlane:
         by_depth = tangents[..., :, None] * self.depth_by_tangents(depth, tangents)[..., None, :]
         return np.asarray(depth[..., None, None] * np.eye(2) + by_depth)
 
+    def carry_by_point(self, tangents: FloatArray) -> FloatArray:
+        """Derivative of `carry` by the point: (..., 2, 3)."""
+        along_z = (tangents / (1.0 + tangents @ np.array(self.slope))[..., None])[..., None]
+        return np.concatenate([np.eye(2) - along_z * np.array(self.slope), along_z], axis=-1)
+
     def depth_of(self, point: FloatArray) -> FloatArray:
         """Distance of points (..., 3) in front of the plane along -z, (...) metres."""
         return np.asarray(self.z_at(point[..., :2]) - point[..., 2])

@@ -5,7 +5,7 @@
 Unknown are the coefficients x of a design that is the same for every output of a reading, with coefficients of its own
 for each; z, which the outputs share; and b_g, which only the readings of group g share, such as the motion of a camera
 in one capture. All have normal priors about zero. sigma is each reading's own, relative standard deviation. The
-logarithms of all prior sizes are linear in a few hyperparameters h: log size = offset + features @ h, and the noise is
+logarithms of all prior sizes are linear in a few hyperparameters h: log size = features @ h, and the noise is
 exp(h[noise]). The hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated
 out, by gradients from several starts within bounds.
 
@@ -139,20 +139,18 @@ class Prior:
         names: of the hyperparameters; one is "noise", the logarithm of the noise.
         bounds: (hyperparameters, 2) lowest and highest.
         expected: (hyperparameters, 2) mean and standard deviation of what is known of them; infinite where nothing is.
-        features: (columns, hyperparameters), offset: (columns,) of the coefficients x, the same for each output.
-        mixed_features: (mixed, hyperparameters), mixed_offset: (mixed,) of z.
-        own_features: (own, hyperparameters), own_offset: (own,) or (groups, own) of b.
+        features: (columns, hyperparameters) of the coefficients x, the same for each output.
+        mixed_features: (mixed, hyperparameters) of z.
+        own_features: (own, hyperparameters) of b; own_offset: (groups, own) is added to the logarithms of their sizes.
     """
 
     names: tuple[str, ...]
     bounds: FloatArray
     expected: FloatArray
     features: FloatArray
-    offset: FloatArray
     mixed_features: FloatArray
-    mixed_offset: FloatArray
     own_features: FloatArray
-    own_offset: FloatArray
+    own_offset: FloatArray | float = 0.0
 
     @property
     def noise(self) -> int:
@@ -168,7 +166,7 @@ class Prior:
         """Features (side, hyperparameters) and offset (side,) of the side unknowns."""
         own = np.broadcast_to(self.own_offset, (groups, len(self.own_features))).ravel()
         features = [self.mixed_features, np.tile(self.own_features, (groups, 1))]
-        return np.concatenate(features), np.concatenate([self.mixed_offset, own])
+        return np.concatenate(features), np.concatenate([np.zeros(len(self.mixed_features)), own])
 
 
 @dataclass(frozen=True)
@@ -235,7 +233,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     log_noise = float(hyper[prior.noise])
     per_noise = float(np.exp(-log_noise))
     side_features, side_offset = prior.side(sums.groups)
-    scale, side_scale = np.exp(prior.offset + prior.features @ hyper), np.exp(side_offset + side_features @ hyper)
+    scale, side_scale = np.exp(prior.features @ hyper), np.exp(side_offset + side_features @ hyper)
     # Unknowns of which the readings say nothing keep their prior; leaving them out saves most of the work.
     used = scale**2 * np.diag(sums.gram) * per_noise**2 > _NEGLIGIBLE
     side_used = side_scale**2 * np.diag(sums.side_gram) * per_noise**2 > _NEGLIGIBLE

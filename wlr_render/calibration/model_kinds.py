@@ -1,0 +1,109 @@
+"""How a model of either side of the headset, display or see-through, is fitted: kinds of models, limits, refusals."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Generic
+
+from wlr_render.calibration.base_plane import choose_base_plane
+from wlr_render.calibration.fit_report import AnyModel, ModelFit
+from wlr_render.calibration.readings import TREND_ALONE, Limits, Readings, Trend, UndeterminedError
+from wlr_render.calibration.smooth_fit import fit_within
+from wlr_render.calibration.smooth_prior import Stage
+from wlr_render.captures.correspondences import AnyCaptures
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.models.contraction import require_unique
+from wlr_render.models.spread import Spread
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial
+
+
+@dataclass(frozen=True)
+class Kind(Generic[AnyCaptures, AnyModel]):
+    """How a kind of model is fitted.
+
+    Attributes:
+        readings: (captures, plane, limits, trend) -> readings.
+        model: (captures, plane, polynomial, spread) -> model.
+        has_places: whether it depends on the camera position; if not, its orders have no limit for the place.
+        at_one_position: whether only the camera position nearest to the eye box's centre is used.
+        needs_trend: whether it has a trend. is_trend_alone: and nothing else.
+    """
+
+    readings: Callable[..., Readings]
+    model: Callable[[AnyCaptures, BasePlane, Polynomial, Spread], AnyModel]
+    has_places: bool = True
+    at_one_position: bool = False
+    needs_trend: bool = False
+    is_trend_alone: bool = False
+
+
+@dataclass(frozen=True)
+class Side(Generic[AnyCaptures, AnyModel]):
+    """Display or see-through.
+
+    Attributes:
+        name: "display" or "see-through".
+        subject: what the model's inputs are beside the place, "pixel" or "direction".
+        kinds: by name; "planar" is one of them.
+        limits: of the orders, the narrowest first.
+        nearest: captures -> those from the camera position nearest to the eye box's centre.
+        check: (captures, kind, plane), refuses captures that no fit is needed to refuse.
+        lacking: (captures, kind) -> what captures that do not determine a model lack, as the end of a sentence.
+    """
+
+    name: str
+    subject: str
+    kinds: Mapping[str, Kind[AnyCaptures, AnyModel]]
+    limits: tuple[Limits, ...]
+    nearest: Callable[[AnyCaptures], AnyCaptures]
+    check: Callable[[AnyCaptures, str, BasePlane], None]
+    lacking: Callable[[AnyCaptures, str], str]
+
+    def fit(
+        self,
+        captures: AnyCaptures,
+        kind: str,
+        degree: int | None,
+        base_plane: BasePlane | None,
+        trend: Trend | None,
+        weights: FloatArray | None,
+        stage: Stage | None,
+    ) -> ModelFit[AnyModel]:
+        """Fit a model by maximum evidence; see `fit_display.fit_display`."""
+        if kind not in self.kinds:
+            choice = ", ".join(self.kinds)
+            raise BadInputError(f"the kind of {self.name} model '{kind}' is unknown; choose one of {choice}.")
+        how = self.kinds[kind]
+        if how.needs_trend and trend is None:
+            raise BadInputError(
+                f"a {kind} {self.name} model needs the device's prescription; name it, or fit a planar model."
+            )
+        used = self.nearest(captures) if how.at_one_position else captures
+        plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
+        self.check(used, kind, plane)
+        limits = self.limits if degree is None else (Limits(degree, degree, degree),)
+        if how.is_trend_alone:
+            limits = (TREND_ALONE,)
+        readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
+        try:
+            smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
+        except UndeterminedError as error:
+            raise self.undetermined(kind, self.lacking(used, kind)) from error
+        if degree is None:  # a limit may be why no polynomial follows
+            smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
+        used_limits = smooth.readings.limits
+        readings_of = partial(readings_within, limits=used_limits)
+        mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
+        contraction = require_unique(mapping.contraction(), kind, self.name)
+        orders = used_limits.words(self.subject, how.has_places)
+        return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)
+
+    def undetermined(self, kind: str, lacking: str) -> BadInputError:
+        """The refusal of captures that do not determine a model of a kind."""
+        return BadInputError(f"the captures do not determine a {kind} {self.name} model: {lacking}.")
+
+    def planar_box(self, captures: AnyCaptures, plane: BasePlane) -> Box:
+        """Box of a planar fit's inputs, for which its trend is compiled."""
+        return self.kinds["planar"].readings(captures, plane, TREND_ALONE, None).box
