@@ -154,7 +154,7 @@ class ModelFit(Generic[AnyModel]):
     def report(self) -> FitReport:
         """The report; held-out positions and the row to add cost about as much as the fit."""
         smooth, captures = self.smooth, self.captures
-        seen = self._seen(captures)
+        seen = self.seen(captures)
         residual_px, usable = None, seen.usable
         if isinstance(self.mapping, FittedDisplay) and isinstance(captures, DisplayCaptures):
             shown = self.mapping.pixel_of_view_dir(captures.view_dir, captures.viewpoint)
@@ -197,7 +197,8 @@ class ModelFit(Generic[AnyModel]):
     def _subject(captures: DisplayCaptures | SeeThroughCaptures) -> FloatArray:
         return captures.pixel if isinstance(captures, DisplayCaptures) else captures.point
 
-    def _seen(self, captures: DisplayCaptures | SeeThroughCaptures) -> QueryResult:
+    def seen(self, captures: DisplayCaptures | SeeThroughCaptures) -> QueryResult:
+        """View directions that the model predicts for captures of the kind that it was fitted to."""
         subject = self._subject(captures)
         if isinstance(self.mapping, FittedDisplay):
             return self.mapping.view_dir_of_pixel(subject, captures.viewpoint)
@@ -259,7 +260,7 @@ class ModelFit(Generic[AnyModel]):
             nearest = names[np.argmin(np.linalg.norm(captures.viewpoint[first] - place, axis=1))]
             copy = select(captures, captures.capture == nearest)
             copy = replace(copy, viewpoint=np.tile(place, (len(copy), 1)))
-            seen = self._seen(copy)
+            seen = self.seen(copy)
             known = seen.usable & (seen.value[:, 2] < 0)
             copy = select(replace(copy, capture=np.full(len(copy), last + 1 + number)), known)
             parts.append(replace(copy, view_dir=seen.value[known]))

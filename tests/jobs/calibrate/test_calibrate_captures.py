@@ -199,7 +199,7 @@ def test_held_out_rows_and_columns_stand_beside_what_is_expected(calibrated):
 
 @pytest.mark.parametrize(
     ("found", "expected", "verdict"),
-    [(1.0, 1.0, "confirm the evidence"), (2.0, 1.0, "worse than the evidence says"), (0.5, 1.0, "on the safe side")],
+    [(1.0, 1.0, "confirms the predicted"), (2.0, 1.0, "does not model"), (0.5, 1.0, "conservative")],
 )
 def test_the_verdict_on_held_out_positions(found, expected, verdict):
     assert verdict in held_out_verdict("display", found, expected)
@@ -268,10 +268,10 @@ def with_report(linear, **changes):
 def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found(linear):
     fit = with_report(linear)
     assert fit_warnings(fit) == fit_advice(fit) == []
-    side = "0.12' predicted rms (noise 0.250' found, 0.25' stated; positions repeat to 9.0 um, turns to 25 urad)"
+    side = "0.12' predicted rms (noise 0.250' found, 0.25' stated; repeatability 9.0 um, wobble 25 urad)"
     assert fit_sentence(fit) == f"Right eye: display {side}; see-through {side}."
     still = with_report(linear, repeatability_um=1e-3, wobble_urad=1e-3)
-    assert "display 0.12' predicted rms (noise 0.250' found, 0.25' stated; positions and turns repeat exactly);" in (
+    assert "display 0.12' predicted rms (noise 0.250' found, 0.25' stated; the stage repeats exactly);" in (
         fit_sentence(still)
     )
     exact = with_report(linear, stated_noise_arcmin=None, repeatability_um=0.0, wobble_urad=0.0)
@@ -289,11 +289,11 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         (
             {"noise_arcmin": 1.0},
             "Display: the noise found is 4.0 times the stated one (1.00' beside 0.25'): the stated sigma is too small, "
-            "or the readings have errors that are no noise (lens, decoding, target).",
+            "or the readings have errors other than noise (lens, decoding, target).",
         ),
         (
             {"noise_arcmin": 0.1},
-            "Display: the stated noise is 2.5 times the one found (0.100' beside 0.25'): state less.",
+            "Display: the stated noise is 2.5 times the one found (0.100' beside 0.25'): state a smaller sigma.",
         ),
         (
             {"repeatability_um": 1000.0},
@@ -307,8 +307,8 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         ),
         (
             {"one_more": OneMore("a row of 3 camera positions at y = +4.0 mm", 0.06)},
-            "Display: too few camera positions dominate the predicted error; one more row of them would lower it by "
-            "50 %.",
+            "Display: the number of camera positions limits the predicted error; one more row of them would lower it "
+            "by 50 %.",
         ),
     ],
 )

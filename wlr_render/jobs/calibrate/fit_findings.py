@@ -1,9 +1,9 @@
 """What a fit found of the bench, how sure it is of itself, and what to do: sentences, tables, maps and plots."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.fit_report import FitReport, ModelFit
@@ -28,24 +28,15 @@ _CELLS = 48  # of a map, across the panel
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-@dataclass(frozen=True)
-class _Side:
-    """Display or see-through of a fitted eye."""
-
-    name: str
-    fit: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
-
-    @property
-    def report(self) -> FitReport:
-        return self.fit.report
-
-    @property
-    def title(self) -> str:
-        return self.name.capitalize()
+_AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 
 
-def _sides(fit: EyeFit) -> tuple[_Side, _Side]:
-    return _Side("display", fit.display), _Side("see-through", fit.see_through)
+def _sides(fit: EyeFit) -> dict[str, _AnyFit]:
+    return {"display": fit.display, "see-through": fit.see_through}
+
+
+def _reports(fit: EyeFit) -> list[tuple[str, FitReport]]:
+    return [(name, side.report) for name, side in _sides(fit).items()]
 
 
 def fit_sentences(comparison: KindComparison) -> str:
@@ -56,17 +47,16 @@ def fit_sentences(comparison: KindComparison) -> str:
 def fit_sentence(fit: EyeFit) -> str:
     """Predicted error of both models, and what the fits found of noise and stage, in one sentence."""
     parts = []
-    for side in _sides(fit):
-        report = side.report
+    for name, report in _reports(fit):
         found = [f"noise {_digits(report.noise_arcmin, 3)}' found"]
         if report.stated_noise_arcmin is not None:
             found[0] += f", {report.stated_noise_arcmin:.3g}' stated"
         if max(report.repeatability_um, report.wobble_urad) > _NO_MOTION:
             shift, turn = _digits(report.repeatability_um), _digits(report.wobble_urad)
-            found.append(f"positions repeat to {shift} um, turns to {turn} urad")
+            found.append(f"repeatability {shift} um, wobble {turn} urad")
         elif report.repeatability_um > 0:
-            found.append("positions and turns repeat exactly")
-        parts.append(f"{side.name} {_digits(report.predicted_arcmin)}' predicted rms ({'; '.join(found)})")
+            found.append("the stage repeats exactly")
+        parts.append(f"{name} {_digits(report.predicted_arcmin)}' predicted rms ({'; '.join(found)})")
     return f"{fit.mappings.eye.capitalize()} eye: {'; '.join(parts)}."
 
 
@@ -77,15 +67,18 @@ def fit_warnings(fit: EyeFit, display_names: Sequence[str] = ()) -> list[str]:
         fit: the models.
         display_names: names of the display's camera positions; empty to number them.
     """
-    return [warning for side in _sides(fit) for warning in _warnings(side, display_names)]
+    return [
+        warning for name, side in _sides(fit).items() for warning in _warnings(name.capitalize(), side, display_names)
+    ]
 
 
-def _warnings(side: _Side, display_names: Sequence[str]) -> list[str]:
+def _warnings(title: str, side: _AnyFit, display_names: Sequence[str]) -> list[str]:
     report, found = side.report, []
-    names = _capture_names(side.fit.captures, display_names)
+    names = _position_names(side.captures, display_names)
+    _, first = np.unique(side.smooth.readings.capture, return_index=True)
     for each in report.moved:
         found.append(
-            f"{side.title}: the camera of {names[each.capture]} stood {_digits(1e6 * each.shift_m)} um and "
+            f"{title}: the camera of {names[first[each.capture]]} stood {_digits(1e6 * each.shift_m)} um and "
             f"{_digits(1e6 * each.turn_rad)} microradians from where it is stated, {each.times:.0f} times the others: "
             "correct its entry, or leave it out."
         )
@@ -93,13 +86,13 @@ def _warnings(side: _Side, display_names: Sequence[str]) -> list[str]:
     beside = "" if stated is None else f"({_digits(report.noise_arcmin, 3)}' beside {stated:.3g}')"
     if stated is not None and report.noise_arcmin > AS_STATED * stated:
         found.append(
-            f"{side.title}: the noise found is {report.noise_arcmin / stated:.1f} times the stated one {beside}: the "
-            "stated sigma is too small, or the readings have errors that are no noise (lens, decoding, target)."
+            f"{title}: the noise found is {report.noise_arcmin / stated:.1f} times the stated one {beside}: the "
+            "stated sigma is too small, or the readings have errors other than noise (lens, decoding, target)."
         )
     if stated is not None and report.noise_arcmin < stated / AS_STATED:
         found.append(
-            f"{side.title}: the stated noise is {stated / report.noise_arcmin:.1f} times the one found {beside}: state "
-            "less."
+            f"{title}: the stated noise is {stated / report.noise_arcmin:.1f} times the one found {beside}: state "
+            "a smaller sigma."
         )
     for value, most, quantity, unit in (
         (report.repeatability_um, 1e6 * LARGEST_SHIFT_M, "repeatability of positions", "um"),
@@ -107,12 +100,12 @@ def _warnings(side: _Side, display_names: Sequence[str]) -> list[str]:
     ):
         if value > _NEAR_BOUND * most:
             found.append(
-                f"{side.title}: the {quantity} found is at its bound, {most:g} {unit}, which no stage has: check "
+                f"{title}: the {quantity} found is at its bound, {most:g} {unit}, which no stage has: check "
                 "viewpoints, units and axes of the captures."
             )
     if (gain := _gain(report)) > FEW_POSITIONS:
         found.append(
-            f"{side.title}: too few camera positions dominate the predicted error; one more row of them would lower it "
+            f"{title}: the number of camera positions limits the predicted error; one more row of them would lower it "
             f"by {100 * gain:.0f} %."
         )
     return found
@@ -121,13 +114,11 @@ def _warnings(side: _Side, display_names: Sequence[str]) -> list[str]:
 def fit_advice(fit: EyeFit) -> list[str]:
     """The row of camera positions to add, where it would pay."""
     steps = []
-    for side in _sides(fit):
-        report = side.report
+    for name, report in _reports(fit):
         if report.one_more is not None and _gain(report) > WORTH_A_ROW:
             now, then = _digits(report.predicted_arcmin), _digits(report.one_more.predicted_arcmin)
-            steps.append(
-                f"{side.title}: add {report.one_more.positions}; the predicted error falls from {now}' to {then}'."
-            )
+            falls = f"the predicted error falls from {now}' to {then}'."
+            steps.append(f"{name.capitalize()}: add {report.one_more.positions}; {falls}")
     return steps
 
 
@@ -203,12 +194,12 @@ def _held_out_table(fit: EyeFit) -> ReportTable:
 def held_out_verdict(name: str, found: float, expected: float) -> str:
     """Whether held-out positions confirm what a fit says of itself, in one sentence."""
     low, high = AS_EXPECTED
-    said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}', {_digits(expected)}' expected"
+    said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}' ({_digits(expected)}' expected)"
     if found < low * expected:
-        return f"{said}: better than the evidence says, so that predicted errors are on the safe side."
+        return f"{said}, better than expected: the predicted errors are conservative."
     if found > high * expected:
-        return f"{said}: worse than the evidence says; the captures have errors that the fit does not know of."
-    return f"{said}: they confirm the evidence."
+        return f"{said}, worse than expected: the captures have errors that the fit does not model."
+    return f"{said}, which confirms the predicted errors."
 
 
 def _one_more_table(fit: EyeFit) -> ReportTable:
@@ -271,53 +262,34 @@ def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray)
 
 def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
     """Residual of each camera position (and target pose), and maps of the residuals."""
-    display, see_through = captures.display, captures.see_through
-    assert see_through is not None
-    seen = fit.mappings.display.view_dir_of_pixel(display.pixel, display.viewpoint).value
-    residual = _residuals(display, seen)
-    names = np.array([_position_name(each, display_names) for each in display.capture])
-    maps = {"display": {name: (display.pixel[names == name], residual[names == name]) for name in np.unique(names)}}
-    seen = fit.mappings.see_through.view_dir_of_real_point(see_through.point, see_through.viewpoint).value
-    residual = _residuals(see_through, seen)
-    field = np.rad2deg(np.arctan(see_through.tangents))
-    rows = zip(see_through.target_pose, see_through.capture, strict=True)
-    names = np.array([_visit_name(capture, pose) for pose, capture in rows])
-    maps["see-through"] = {name: (field[names == name], residual[names == name]) for name in np.unique(names)}
-    plots = []
-    for side, groups in maps.items():
+    assert captures.see_through is not None
+    parts: list[tuple[str, _AnyFit, DisplayCaptures | SeeThroughCaptures]] = [
+        ("display", fit.display, captures.display),
+        ("see-through", fit.see_through, captures.see_through),
+    ]
+    caption = (
+        "A photograph, or set of photographs, that stands out was taken at a position other than its entry states."
+    )
+    plots, maps = [], []
+    for name, side, part in parts:
+        residual, names = _residuals(part, side.seen(part).value), _position_names(part, display_names)
+        on_panel = isinstance(part, DisplayCaptures)
+        place = part.pixel if isinstance(part, DisplayCaptures) else np.rad2deg(np.arctan(part.tangents))
+        groups = {each: (place[names == each], residual[names == each]) for each in np.unique(names)}
         rms = [float(np.sqrt(np.nanmean(np.sum(arrow**2, axis=1)))) for _, arrow in groups.values()]
-        caption = (
-            "A photograph, or set of photographs, that stands out was taken at a position other than its entry states."
-        )
-        plots.append(
-            bars(
-                f"Residual of the {side}, by camera position",
-                list(groups),
-                {side: rms},
-                "rms (arcmin)",
-                caption=caption,
+        title = f"Residual of the {name}, by camera position"
+        plots.append(bars(title, list(groups), {name: rms}, "rms (arcmin)", caption=caption))
+        maps.append(
+            arrow_map(
+                f"Residual map of the {name}",
+                groups,
+                "arcmin",
+                ("u (px)", "v (px)") if on_panel else ("to the right (degrees)", "up (degrees)"),
+                y_down=on_panel,
+                caption=f"Direction measured minus modelled, over the {'panel' if on_panel else 'field of view'}.",
             )
         )
-    plots.append(
-        arrow_map(
-            "Residual map of the display",
-            maps["display"],
-            "arcmin",
-            ("u (px)", "v (px)"),
-            y_down=True,
-            caption="Direction measured minus modelled, over the panel.",
-        )
-    )
-    plots.append(
-        arrow_map(
-            "Residual map of the see-through",
-            maps["see-through"],
-            "arcmin",
-            ("to the right (degrees)", "up (degrees)"),
-            caption="Direction measured minus modelled, over the field of view.",
-        )
-    )
-    return plots
+    return plots + maps
 
 
 def _residuals(captures: DisplayCaptures | SeeThroughCaptures, modelled: FloatArray) -> FloatArray:
@@ -327,24 +299,12 @@ def _residuals(captures: DisplayCaptures | SeeThroughCaptures, modelled: FloatAr
     return np.asarray(apart * (size / np.maximum(np.linalg.norm(apart, axis=1), 1e-12))[:, None])
 
 
-def _capture_names(captures: DisplayCaptures | SeeThroughCaptures, display_names: Sequence[str]) -> list[str]:
-    """Names of what shares a motion of the camera, in the order of `MovedCapture.capture`."""
+def _position_names(captures: DisplayCaptures | SeeThroughCaptures, display_names: Sequence[str]) -> NDArray[np.str_]:
+    """Name (n,) of each reading's camera position, and target pose if any."""
     if isinstance(captures, DisplayCaptures):
-        return [_position_name(int(each), display_names) for each in np.unique(captures.capture)]
-    visits = np.unique(np.stack([captures.capture, captures.target_pose], axis=1), axis=0)
-    return [_visit_name(int(capture), int(pose)) for capture, pose in visits]
-
-
-def _position_name(capture: int, display_names: Sequence[str]) -> str:
-    return display_names[capture] if display_names else f"position {capture:02d}"
-
-
-def _visit_name(capture: int, pose: int) -> str:
-    return f"target {pose}, position {capture:02d}"
-
-
-def _reports(fit: EyeFit) -> tuple[tuple[str, FitReport], ...]:
-    return tuple((side.name, side.report) for side in _sides(fit))
+        return np.array([display_names[each] if display_names else f"position {each:02d}" for each in captures.capture])
+    visits = zip(captures.target_pose, captures.capture, strict=True)
+    return np.array([f"target {pose}, position {capture:02d}" for pose, capture in visits])
 
 
 def _digits(value: float, count: int = 2) -> str:
