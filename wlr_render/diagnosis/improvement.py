@@ -8,12 +8,12 @@ prescription says: there the picture that is rendered with the prescription impr
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Generic, TypeVar
+from typing import Generic
 
 import numpy as np
 
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_report import HeldOut, ModelFit
+from wlr_render.calibration.fit_report import AnyModel, HeldOut, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.session import Session
@@ -24,14 +24,11 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
-from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_captures import display_captures, see_through_captures
 from wlr_render.simulation.viewpoints import random_in_eye_box
-
-AnyMapping = TypeVar("AnyMapping", FittedDisplay, FittedSeeThrough)
 
 _ROWS = 6_000  # of a fit: five times more lower its error by a twentieth, and take three times as long
 _HELD_OUT = 4  # one photograph in so many
@@ -56,21 +53,20 @@ class Refitted:
 
 
 @dataclass(frozen=True)
-class _Refit(Generic[AnyMapping]):
+class _Refit(Generic[AnyModel]):
     """Models by the nominal and by the corrected bench, and their errors."""
 
-    before: AnyMapping
-    after: AnyMapping
+    before: AnyModel
+    after: AnyModel
     refitted: Refitted
 
 
 @dataclass(frozen=True)
-class _Side(Generic[AnyCaptures, AnyMapping]):
-    """One side of the headset: its captures, the fit of its models, and the directions (n, 3) that models predict."""
+class _Side(Generic[AnyCaptures, AnyModel]):
+    """One side of the headset: its captures, and the fit of its models."""
 
     captures: Callable[[Bench, Session], AnyCaptures]
-    fit: Callable[[AnyCaptures], ModelFit[AnyMapping]]
-    seen: Callable[[AnyMapping, AnyCaptures], FloatArray]
+    fit: Callable[[AnyCaptures], ModelFit[AnyModel]]
 
 
 def _display_captures(bench: Bench, session: Session) -> DisplayCaptures:
@@ -87,21 +83,11 @@ def _see_through_captures(bench: Bench, session: Session) -> SeeThroughCaptures:
     return see_through_captures(bench, plan, pixel)
 
 
-def _panel_seen(model: DisplayMapping, captures: DisplayCaptures) -> FloatArray:
-    return model.view_dir_of_pixel(captures.pixel, captures.viewpoint).value
+_DISPLAY = _Side(_display_captures, fit_display)
+_SEE_THROUGH = _Side(_see_through_captures, fit_see_through)
 
 
-def _world_seen(model: SeeThroughMapping, captures: SeeThroughCaptures) -> FloatArray:
-    return model.view_dir_of_real_point(captures.point, captures.viewpoint).value
-
-
-_DISPLAY = _Side(_display_captures, fit_display, _panel_seen)
-_SEE_THROUGH = _Side(_see_through_captures, fit_see_through, _world_seen)
-
-
-def _refit(
-    side: _Side[AnyCaptures, AnyMapping], nominal: Bench, corrected: Bench, session: Session
-) -> _Refit[AnyMapping]:
+def _refit(side: _Side[AnyCaptures, AnyModel], nominal: Bench, corrected: Bench, session: Session) -> _Refit[AnyModel]:
     """Fit one side by both benches.
 
     Raises:
@@ -116,7 +102,7 @@ def _refit(
     whole = _pair(side, before, after)
     judge = select(after, out)
     old, new = (
-        arcmin_between(side.seen(each.mapping, judge), judge.view_dir)
+        arcmin_between(each.seen(judge).value, judge.view_dir)
         for each in _pair(side, select(before, ~out), select(after, ~out))
     )
     both = np.isfinite(old) & np.isfinite(new)
@@ -134,8 +120,8 @@ def _refit(
 
 
 def _pair(
-    side: _Side[AnyCaptures, AnyMapping], before: AnyCaptures, after: AnyCaptures
-) -> tuple[ModelFit[AnyMapping], ModelFit[AnyMapping]]:
+    side: _Side[AnyCaptures, AnyModel], before: AnyCaptures, after: AnyCaptures
+) -> tuple[ModelFit[AnyModel], ModelFit[AnyModel]]:
     first = side.fit(before)
     return first, first if _same(before, after) else side.fit(after)
 
@@ -194,7 +180,7 @@ def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> Im
     """
     unavailable: list[str] = []
 
-    def refitted(side: _Side[AnyCaptures, AnyMapping]) -> _Refit[AnyMapping] | None:
+    def refitted(side: _Side[AnyCaptures, AnyModel]) -> _Refit[AnyModel] | None:
         try:
             return _refit(side, nominal, corrected, session)
         except BadInputError as error:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache, partial
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.mappings import EyeBox, EyeMappings
@@ -32,7 +31,6 @@ from wlr_render.simulation.simulate_captures import (
     with_camera_noise,
 )
 
-AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
 AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 BoxSize = tuple[float, float, float]
 Simulate = Callable[[CaptureSetup, NDArray[np.float64], np.random.Generator], AnyCaptures]
