@@ -35,7 +35,7 @@ KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
 
 _SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes with a see-through that is as simple
 _COMPARED = ("prescription", "planar", "grey-box")  # the simpler ones first
-_STILL = (1e-6, 3e-6)  # metres and radians that no reading shows
+_STILL = (1e-6, 3e-6)  # metres and radians: too small to show in readings
 _ALIKE = 2.0  # ratio of repeatabilities that may be of one stage
 _OTHER_STAGE = 20.0  # log10 odds from which display and see-through were not captured by one stage
 _WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one

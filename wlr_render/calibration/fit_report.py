@@ -1,4 +1,4 @@
-"""A fitted model and its report: what the fit found of the bench, how sure it is, and what would make it surer."""
+"""A fitted model and its report: noise and stage as found, predicted error, and what further positions would bring."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -69,14 +69,14 @@ class MovedCapture:
 
 @dataclass(frozen=True)
 class SmoothFit:
-    """A fitted polynomial, how sure it is, and what the fit found of the bench.
+    """A fitted polynomial with its posterior covariance, and what the fit found of the bench.
 
     Attributes:
         polynomial: its outputs are those of block 0, then block 1, and so on.
         posterior: of coefficients, motions and hyperparameters.
         readings: what was fitted.
         kept: (n,) weights of the readings, from 1 down to 0 for outliers.
-        moved: captures that stand out; they are left out.
+        moved: captures that moved by far more than the others; their weights are zero.
     """
 
     polynomial: Polynomial

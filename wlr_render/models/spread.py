@@ -1,4 +1,4 @@
-"""How sure a fitted polynomial is: the posterior covariance of its coefficients, as low-rank factors.
+"""Posterior covariance of a fitted polynomial's coefficients, as low-rank factors.
 
     coefficient (term, block b, axis k) = mean + apart[term, b] . a_k + joint[term, b, k] . j
 

@@ -1,4 +1,4 @@
-"""What a fit found of the bench, how sure it is of itself, and what to do: sentences, tables, maps and plots."""
+"""Report of a fit: predicted error, noise and stage as found, warnings and advice; tables, maps and plots."""
 
 from collections.abc import Sequence
 
@@ -61,7 +61,7 @@ def fit_sentence(fit: EyeFit) -> str:
 
 
 def fit_warnings(fit: EyeFit, display_names: Sequence[str] = ()) -> list[str]:
-    """What is not as the captures state, and what limits the models.
+    """Differences from what the captures state, and what limits the models.
 
     Args:
         fit: the models.
@@ -192,7 +192,7 @@ def _held_out_table(fit: EyeFit) -> ReportTable:
 
 
 def held_out_verdict(name: str, found: float, expected: float) -> str:
-    """Whether held-out positions confirm what a fit says of itself, in one sentence."""
+    """Whether errors at held-out positions agree with the expected ones, in one sentence."""
     low, high = AS_EXPECTED
     said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}' ({_digits(expected)}' expected)"
     if found < low * expected:
@@ -267,9 +267,7 @@ def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[
         ("display", fit.display, captures.display),
         ("see-through", fit.see_through, captures.see_through),
     ]
-    caption = (
-        "A photograph, or set of photographs, that stands out was taken at a position other than its entry states."
-    )
+    caption = "A capture whose residual is far above the others' was not taken at the position that its entry states."
     plots, maps = [], []
     for name, side, part in parts:
         residual, names = _residuals(part, side.seen(part).value), _position_names(part, display_names)
