@@ -59,11 +59,6 @@ class EyeFit:
     log_evidence: float
     assembly: FittedAssembly | None = None
 
-    @property
-    def kind(self) -> str:
-        """Of the display model."""
-        return self.display.kind
-
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""
         report = {"display": asdict(self.display.report), "see_through": asdict(self.see_through.report)}
