@@ -211,3 +211,12 @@ def test_error_shrinks_with_the_root_of_the_number_of_samples():
         return np.sqrt(np.mean([rms_arcmin(fit_display(c, "planar", 2).mapping) ** 2 for c in captures]))
 
     assert error(few) / error(many) == pytest.approx(4.0, rel=0.3)
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1.0, 0.1), (1e3, 0.0)])
+def test_captures_far_from_the_eye_box_are_refused_with_both_places(scale, shift):
+    """Swapped axes or millimetres: such a model has nothing to say in the eye box."""
+    captures = display_captures(positions_in_plane(12))
+    moved = scale * captures.viewpoint + [0.0, shift, 0.0]
+    with pytest.raises(BadInputError, match=r"were taken at x .* mm, far from the eye box at x .*: check order, sign"):
+        fit_display(dataclasses.replace(captures, viewpoint=moved))

@@ -114,7 +114,7 @@ def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one()
 @pytest.mark.parametrize(
     ("kind", "depths", "sentence"),
     [
-        ("planar", (0.7,), "it needs a second target depth and there are 1 target pose"),
+        ("planar", (0.7,), "all real points are of one target pose, and it needs two depths"),
         ("static", (0.7, 0.7), "or at one depth; spread them over the field, and photograph the target nearer"),
     ],
 )

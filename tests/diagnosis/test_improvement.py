@@ -119,4 +119,4 @@ def test_targets_at_one_depth_determine_no_see_through_model(nominal, plan):
     alone = SessionPlan(see_through=near)
     found = improvement_in_use(nominal, nominal, Session("night", alone, simulate(nominal, alone)))
     assert found.see_through is None
-    assert any("it needs a second target depth" in sentence for sentence in found.unavailable)
+    assert any("all real points are of one target pose" in sentence for sentence in found.unavailable)

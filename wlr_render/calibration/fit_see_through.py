@@ -147,7 +147,7 @@ def _check(captures: SeeThroughCaptures, kind: str, plane: BasePlane) -> None:
     poses = len(np.unique(captures.target_pose))
     if poses < 2 and not SEE_THROUGH.kinds[kind].is_trend_alone:
         raise SEE_THROUGH.undetermined(
-            kind, f"it needs a second target depth and there are {poses} target pose(s): add one nearer or farther"
+            kind, "all real points are of one target pose, and it needs two depths: add a pose nearer or farther"
         )
 
 

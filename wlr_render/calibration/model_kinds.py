@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic
 
+import numpy as np
+
 from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.readings import TREND_ALONE, Limits, Readings, Trend, UndeterminedError
@@ -81,6 +83,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
                 f"a {kind} {self.name} model needs the device's prescription; name it, or fit a planar model."
             )
         used = self.nearest(captures) if how.at_one_position else captures
+        self._require_at_eye_box(used)
         plane = base_plane or choose_base_plane(used.viewpoint, used.eye_box)
         self.check(used, kind, plane)
         limits = self.limits if degree is None else (Limits(degree, degree, degree),)
@@ -99,6 +102,26 @@ class Side(Generic[AnyCaptures, AnyModel]):
         contraction = require_unique(mapping.contraction(), kind, self.name)
         orders = used_limits.words(self.subject, how.has_places)
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)
+
+    def _require_at_eye_box(self, captures: AnyCaptures) -> None:
+        """Refuse captures that were not taken near the eye box.
+
+        Raises:
+            BadInputError: along some axis all camera positions lie farther outside than the eye box is wide.
+        """
+        box = captures.eye_box
+        low, high = captures.viewpoint.min(axis=0), captures.viewpoint.max(axis=0)
+        reach = 0.5 * box.size + box.size.max()
+        if np.all((low <= box.centre + reach) & (high >= box.centre - reach)):
+            return
+        taken, wanted = (
+            ", ".join(f"{axis} {1e3 * a:.0f} to {1e3 * b:.0f}" for axis, a, b in zip("xyz", *ends, strict=True))
+            for ends in ((low, high), (box.centre - 0.5 * box.size, box.centre + 0.5 * box.size))
+        )
+        raise BadInputError(
+            f"the {self.name} captures of {captures.device} were taken at {taken} mm, far from the eye box at {wanted} "
+            "mm: check order, sign, unit (metres) and frame of the viewpoints, or the eye box."
+        )
 
     def undetermined(self, kind: str, lacking: str) -> BadInputError:
         """The refusal of captures that do not determine a model of a kind."""

@@ -58,7 +58,7 @@ class Limits:
     def words(self, noun: str, places: bool) -> str:
         """In a table: "pixel 8, place 5"."""
         if self.total < 0:
-            return "none"
+            return "of the prescription"
         if not places or self.pixel == self.place:
             return f"{noun} {self.pixel}" if not places else f"total {self.total}"
         return f"{noun} {self.pixel}, place {self.place}"

@@ -224,7 +224,7 @@ class FittedDisplay(FittedModel):
     def sigma(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
         """Standard error (...) of `view_dir_of_pixel` in arcminutes: the rms angle that the fit expects of itself.
 
-        NaN where there is no answer.
+        Over both axes; NaN where there is no answer. Where the answer is OUTSIDE_FIT, it is an extrapolation, too.
 
         Raises:
             BadInputError: the model has no covariance.
@@ -250,7 +250,7 @@ class FittedSeeThrough(FittedModel):
         return _as_directions(answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start))
 
     def sigma(self, point: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Standard error (...) of `view_dir_of_real_point` in arcminutes; see `FittedDisplay.sigma`."""
+        """Standard error (...) of `view_dir_of_real_point` in arcminutes, of points (..., 3); see the display's."""
         return self._sigma(point, viewpoint, self.view_dir_of_real_point(point, viewpoint).value)
 
 

@@ -297,7 +297,7 @@ def only_pose_0(content):
 
 def test_one_target_depth_is_refused_with_what_is_missing(photo_session):
     photo_session.edit(only_pose_0)
-    assert "it needs a second target depth" in photo_session.refusal()
+    assert "all real points are of one target pose" in photo_session.refusal()
 
 
 def test_two_camera_positions_are_fitted_and_the_report_says_what_one_more_row_brings(photo_session, capsys):

@@ -105,8 +105,13 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str]) -> list[s
             )
     if (gain := _gain(report)) > FEW_POSITIONS:
         found.append(
-            f"{title}: the number of camera positions limits the predicted error; one more row of them would lower it "
-            f"by {100 * gain:.0f} %."
+            f"{title}: the number of camera positions limits the predicted error; one more row or column of them would "
+            f"lower it by {100 * gain:.0f} %."
+        )
+    if report.viewpoints == 1 and report.kind != "static":
+        found.append(
+            f"{title}: one camera position says nothing of others; add positions over the whole eye box, to the left "
+            "and right, above and below."
         )
     return found
 
