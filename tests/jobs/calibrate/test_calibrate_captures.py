@@ -307,8 +307,8 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         ),
         (
             {"one_more": OneMore("a row of 3 camera positions at y = +4.0 mm", 0.06)},
-            "Display: the number of camera positions limits the predicted error; one more row of them would lower it "
-            "by 50 %.",
+            "Display: the number of camera positions limits the predicted error; one more row or column of them would "
+            "lower it by 50 %.",
         ),
     ],
 )
