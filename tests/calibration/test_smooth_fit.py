@@ -7,6 +7,7 @@ import pytest
 from toy_device import EYE_BOX, PANEL, PLANE, display_captures, grid_in_plane, tangents_of
 
 from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.smooth_fit import fit
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
 from wlr_render.optics.device_file import load_device
@@ -148,3 +149,23 @@ def test_optics_beyond_the_orders_are_not_taken_for_a_bad_stage():
     places = viewpoints.planar(truth.eye_box, setup.field.reach, CAPTURES)
     captures = simulate_display(setup, places, np.random.default_rng(1))
     assert fit_display(captures, "planar", 7).smooth.shift_m < 5e-5
+
+
+def test_readings_that_were_left_out_promise_nothing():
+    """Further positions add to the readings in use: with none of them the covariance stays what it is."""
+    readings = fit_display(clean(0)).smooth.readings
+    half = fit(readings, weights=np.arange(len(readings)) % 2.0)
+    variances = [
+        np.trace(spread.covariance(readings.inputs[::7]), axis1=1, axis2=2).mean()
+        for spread in (half.spread, half.spread_with(readings))
+    ]
+    assert variances[1] == pytest.approx(variances[0], rel=0.02)
+
+
+def test_motions_of_the_camera_are_no_coefficients():
+    """The readings also determine how a bad stage moved, which says nothing more of the model."""
+    moves = np.random.default_rng(1).normal(0.0, 1e-4, (CAPTURES, 3))
+    fitted = fit_display(shifted(clean(1, 0.25), moves), "planar", 2)
+    report = fitted.report
+    assert fitted.smooth.posterior.determined > report.coefficients == fitted.mapping.forward.coefficients.size
+    assert 0.5 * report.coefficients < report.determined <= report.coefficients

@@ -78,7 +78,8 @@ class FitReport:
     Attributes:
         kind: "planar", "volumetric", "static", "point-per-pixel", "grey-box" or "prescription".
         orders: limits of the orders, e.g. "pixel 8, place 5".
-        coefficients: number of them. determined: how many of them the captures determine.
+        coefficients: number of them, parameters of a prescription included.
+        determined: how many of them the captures determine.
         viewpoints: number of camera positions. samples: of measured directions.
         unsolved: samples at which the fitted model has no answer. outliers: samples of weight zero.
         residual_arcmin: of the view directions, predicted from pixel (or real point) and viewpoint by the whole model.
@@ -162,11 +163,12 @@ class ModelFit(Generic[AnyModel]):
             residual_px = Residuals.of(np.linalg.norm(shown.value - captures.pixel, axis=1))
         stated = captures.sigma_arcmin if np.any(captures.sigma_arcmin > 0) else None
         unit = 1.0 if stated is None else float(np.median(stated))
+        determined, coefficients = smooth.determined
         return FitReport(
             kind=self.kind,
             orders=self.orders,
-            coefficients=smooth.polynomial.coefficients.size,
-            determined=smooth.posterior.determined,
+            coefficients=coefficients,
+            determined=determined,
             viewpoints=len(np.unique(captures.capture)),
             samples=len(captures),
             unsolved=int(np.sum(~usable)),
@@ -222,7 +224,8 @@ class ModelFit(Generic[AnyModel]):
             count = int(band.max()) + 1
             for number in range(count if count > 1 else 0):
                 out = band == number
-                found.append(self.left_out(f"{noun} {number + 1} of {count}", out))
+                if np.any(self.smooth.kept[out] > 0):
+                    found.append(self.left_out(f"{noun} {number + 1} of {count}", out))
         return found
 
     def _one_more(self) -> OneMore | None:

@@ -131,6 +131,16 @@ class SmoothFit:
         return self.shift_m, self.turn_rad
 
     @property
+    def determined(self) -> tuple[float, int]:
+        """How many coefficients and parameters of the trend the readings determine, and of how many."""
+        size = np.exp(self._prior.own_features @ self._hyper)
+        variance = np.diag(self.posterior.side_covariance)[self.posterior.mixed_mean.size :].reshape(
+            -1, max(len(size), 1)
+        )
+        motions = float(np.sum(1.0 - variance / size**2)) if len(size) else 0.0
+        return self.posterior.determined - motions, self.posterior.mean.size + self.posterior.mixed_mean.size
+
+    @property
     def trend_parameters(self) -> tuple[FloatArray, FloatArray]:
         """Posterior mean (parameters,) and covariance (parameters, parameters) of the trend's parameters."""
         count = self.readings.trend.parameters if self.readings.trend else 0
@@ -176,9 +186,10 @@ class SmoothFit:
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
     def spread_with(self, readings: Readings) -> Spread:
-        """Covariance that further readings would give: those of this fit and more, in `readings`, at this noise."""
+        """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
         columns = None if self._columns is None else motion_columns(readings, self.polynomial)
-        sums = sums_of(readings, None, columns, np.ones(len(readings)))
+        kept = np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))])
+        sums = sums_of(readings, None, columns, kept)
         return spread_of(readings, posterior(sums, self._prior, self._hyper))
 
 

@@ -18,7 +18,7 @@ from wlr_render.rendering.warp_grid import WarpGrid
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
 _ROWS_PER_BLOCK = 64
 _GRID = 33
-_EXTRAPOLATED = 0.05  # weight of the errors of values outside the fit
+_EXTRAPOLATED = 0.25  # weight of the errors of values outside the fit
 NEAREST_M = 0.25
 """Nearest distance at which the ray map's error is judged; an offset of the ray counts more the nearer the scene."""
 
