@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.readings import Limits, Readings, angular_metric
+from wlr_render.calibration.readings import FitReadings, Limits, angular_metric
 from wlr_render.calibration.smooth_fit import SmoothFit, fit
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
@@ -180,7 +180,7 @@ class _Survey:
     def fit(self, name: str, rows: NDArray[np.bool_]) -> SmoothFit:
         tangents = self.tangents[rows]
         return fit(
-            Readings(
+            FitReadings(
                 inputs=self.captures.pixel[rows],
                 is_place=np.zeros(2, dtype=bool),
                 observed=tangents,

@@ -10,7 +10,7 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.polynomial import Polynomial, limited_orders
 
 
@@ -248,7 +248,7 @@ def with_spread(mapping, name, shared=0, orders=None):
         size = 10.0 ** rng.uniform(-9.0, -3.0, count) * (1.0 if count else 0.0)
         return Polynomial(orders, polynomial.box, size * rng.normal(size=(len(orders), count)))
 
-    spread = Spread(outputs, factors(outputs // 2 * 2), factors(3 * outputs), shared)
+    spread = Covariance(outputs, factors(outputs // 2 * 2), factors(3 * outputs), shared)
     return dataclasses.replace(mapping, spread=spread)
 
 
@@ -290,7 +290,7 @@ def test_a_spread_with_terms_of_its_own_comes_back(tmp_path):
 def test_a_model_of_exact_data_without_factors_comes_back(tmp_path):
     display = bundle_display()
     none = Polynomial(display.forward.orders, display.forward.box, np.zeros((15, 0)))
-    read = read_again(tmp_path, model(dataclasses.replace(display, spread=Spread(2, none, none))))
+    read = read_again(tmp_path, model(dataclasses.replace(display, spread=Covariance(2, none, none))))
     assert read.mappings.display.sigma(np.array([500.0, 400.0]), EYE_BOX.centre) == 0.0
 
 

@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.model_kinds import Kind, Side
+from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
+    FitReadings,
     Limits,
-    Readings,
     Trend,
     angular_metric,
     turn_columns,
@@ -22,7 +22,7 @@ from wlr_render.models.bundle import BundleDisplay
 from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.models.inverse import backward_start_of
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.models.static import StaticDisplay
 from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
@@ -75,7 +75,7 @@ def with_trend(fitted: ModelFit[FittedDisplay], trend: Trend) -> ModelFit[Fitted
     return replace(fitted, mapping=mapping, smooth=smooth, readings_of=partial(fitted.readings_of, trend=trend))
 
 
-def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     tangents = captures.tangents
     depth = plane.depth_along(captures.viewpoint, tangents)
     carried = plane.carry_by_tangents(depth, tangents)
@@ -90,7 +90,7 @@ def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend
     return _readings(captures, in_plane, motion, limits, trend)
 
 
-def _in_volume(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _in_volume(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     tangents = captures.tangents
 
     def motion(slope: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ def _in_volume(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
     return _readings(captures, captures.viewpoint, motion, limits, trend)
 
 
-def _at_one_place(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _at_one_place(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     return _readings(captures, np.empty((len(captures), 0)), None, limits, trend)
 
 
@@ -109,10 +109,10 @@ def _readings(
     motion: Callable[[FloatArray], FloatArray] | None,
     limits: Limits,
     trend: Trend | None,
-) -> Readings:
+) -> FitReadings:
     tangents = captures.tangents
     places = place.shape[1]
-    return Readings(
+    return FitReadings(
         inputs=np.hstack([captures.pixel, place]),
         is_place=np.array([False, False] + [True] * places),
         observed=tangents,
@@ -127,14 +127,14 @@ def _readings(
     )
 
 
-def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     """t = a - w q is linear in the unknown a and w: q, where the measured ray meets the nominal plane, is known."""
     tangents, centre = captures.tangents, captures.eye_box.centre
     crossing = BasePlane(float(centre[2])).carry(captures.viewpoint, tangents) - centre[:2]
     multiplier = np.zeros((len(captures), 2, 3))
     multiplier[:, 0, 0] = multiplier[:, 1, 1] = 1.0
     multiplier[:, :, 2] = -crossing
-    return Readings(
+    return FitReadings(
         inputs=captures.pixel,
         is_place=np.array([False, False]),
         observed=tangents,
@@ -148,19 +148,19 @@ def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
     )
 
 
-def _bundle(captures: DisplayCaptures, plane: BasePlane, forward: Polynomial, spread: Spread) -> FittedDisplay:
+def _bundle(captures: DisplayCaptures, plane: BasePlane, forward: Polynomial, spread: Covariance) -> FittedDisplay:
     return BundleDisplay(captures.panel, captures.eye_box, plane, forward, backward_start_of(forward), spread)
 
 
-def _volumetric(captures: DisplayCaptures, _: BasePlane, forward: Polynomial, spread: Spread) -> FittedDisplay:
+def _volumetric(captures: DisplayCaptures, _: BasePlane, forward: Polynomial, spread: Covariance) -> FittedDisplay:
     return VolumetricDisplay(captures.panel, captures.eye_box, forward, backward_start_of(forward), spread)
 
 
-def _static(captures: DisplayCaptures, _: BasePlane, forward: Polynomial, spread: Spread) -> FittedDisplay:
+def _static(captures: DisplayCaptures, _: BasePlane, forward: Polynomial, spread: Covariance) -> FittedDisplay:
     return StaticDisplay(captures.panel, captures.eye_box, forward, backward_start_of(forward), spread)
 
 
-def _points(captures: DisplayCaptures, _: BasePlane, point: Polynomial, spread: Spread) -> FittedDisplay:
+def _points(captures: DisplayCaptures, _: BasePlane, point: Polynomial, spread: Covariance) -> FittedDisplay:
     return PointPerPixelDisplay(captures.panel, captures.eye_box, point, spread)
 
 
@@ -181,12 +181,12 @@ DISPLAY: Side[DisplayCaptures, FittedDisplay] = Side(
     "display",
     "pixel",
     {
-        "planar": Kind(_on_plane, _bundle),
-        "volumetric": Kind(_in_volume, _volumetric),
-        "static": Kind(_at_one_place, _static, has_places=False, at_one_position=True),
-        "point-per-pixel": Kind(_of_points, _points, has_places=False),
-        "grey-box": Kind(_on_plane, _bundle, needs_trend=True),
-        "prescription": Kind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
+        "planar": ModelKind(_on_plane, _bundle),
+        "volumetric": ModelKind(_in_volume, _volumetric),
+        "static": ModelKind(_at_one_place, _static, has_places=False, at_one_position=True),
+        "point-per-pixel": ModelKind(_of_points, _points, has_places=False),
+        "grey-box": ModelKind(_on_plane, _bundle, needs_trend=True),
+        "prescription": ModelKind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
     },
     DISPLAY_LIMITS,
     _nearest_to_centre,

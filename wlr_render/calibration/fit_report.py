@@ -7,8 +7,8 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from wlr_render.calibration.readings import Readings
-from wlr_render.calibration.smooth_fit import MovedCapture, SmoothFit
+from wlr_render.calibration.readings import FitReadings
+from wlr_render.calibration.smooth_fit import CaptureMotion, SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
@@ -110,7 +110,7 @@ class FitReport:
     stated_noise_arcmin: float | None
     repeatability_um: float
     wobble_urad: float
-    moved: tuple[MovedCapture, ...]
+    moved: tuple[CaptureMotion, ...]
     log_evidence: float
     predicted_arcmin: float
     held_out: tuple[HeldOut, ...]
@@ -147,7 +147,7 @@ class ModelFit(Generic[AnyModel]):
     mapping: AnyModel
     captures: DisplayCaptures | SeeThroughCaptures
     smooth: SmoothFit
-    readings_of: Callable[..., Readings]
+    readings_of: Callable[..., FitReadings]
     orders: str
     contraction: float
 

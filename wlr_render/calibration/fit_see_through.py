@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.model_kinds import Kind, Side
+from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
+    FitReadings,
     Limits,
-    Readings,
     Trend,
     angular_metric,
     turn_columns,
@@ -19,7 +19,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.bundle import BundleSeeThrough
 from wlr_render.models.fitted_model import FittedSeeThrough
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray
@@ -57,7 +57,7 @@ def fit_see_through(
     return SEE_THROUGH.fit(captures, kind, degree, base_plane, trend, weights, stage)
 
 
-def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     tangents = captures.tangents
     depth_to_plane = plane.depth_along(captures.viewpoint, tangents)
     in_plane = captures.viewpoint[:, :2] + depth_to_plane[:, None] * tangents
@@ -76,7 +76,7 @@ def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, tr
     return _readings(captures, in_plane, observed, depth, motion, limits, trend)
 
 
-def _in_volume(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _in_volume(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     tangents = captures.tangents
     straight, depth = _straight(captures)
 
@@ -88,7 +88,7 @@ def _in_volume(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, t
     return _readings(captures, captures.viewpoint, straight - tangents, depth, motion, limits, trend)
 
 
-def _at_one_place(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> Readings:
+def _at_one_place(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     straight, depth = _straight(captures)
     nowhere = np.empty((len(captures), 0))
     return _readings(captures, nowhere, straight - captures.tangents, depth, None, limits, trend)
@@ -108,11 +108,11 @@ def _readings(
     motion: Callable[[FloatArray], FloatArray] | None,
     limits: Limits,
     trend: Trend | None,
-) -> Readings:
+) -> FitReadings:
     """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
     places = place.shape[1]
     visit = np.stack([captures.capture, captures.target_pose], axis=1)  # the stage is driven anew for each target
-    return Readings(
+    return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),
         observed=observed,
@@ -127,15 +127,19 @@ def _readings(
     )
 
 
-def _bundle(captures: SeeThroughCaptures, plane: BasePlane, deviation: Polynomial, spread: Spread) -> FittedSeeThrough:
+def _bundle(
+    captures: SeeThroughCaptures, plane: BasePlane, deviation: Polynomial, spread: Covariance
+) -> FittedSeeThrough:
     return BundleSeeThrough(captures.eye_box, plane, deviation, spread)
 
 
-def _volumetric(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Spread) -> FittedSeeThrough:
+def _volumetric(
+    captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Covariance
+) -> FittedSeeThrough:
     return VolumetricSeeThrough(captures.eye_box, forward, spread)
 
 
-def _static(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Spread) -> FittedSeeThrough:
+def _static(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Covariance) -> FittedSeeThrough:
     return StaticSeeThrough(captures.eye_box, forward, spread)
 
 
@@ -173,11 +177,11 @@ SEE_THROUGH: Side[SeeThroughCaptures, FittedSeeThrough] = Side(
     "see-through",
     "direction",
     {
-        "planar": Kind(_on_plane, _bundle),
-        "volumetric": Kind(_in_volume, _volumetric),
-        "static": Kind(_at_one_place, _static, has_places=False, at_one_position=True),
-        "grey-box": Kind(_on_plane, _bundle, needs_trend=True),
-        "prescription": Kind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
+        "planar": ModelKind(_on_plane, _bundle),
+        "volumetric": ModelKind(_in_volume, _volumetric),
+        "static": ModelKind(_at_one_place, _static, has_places=False, at_one_position=True),
+        "grey-box": ModelKind(_on_plane, _bundle, needs_trend=True),
+        "prescription": ModelKind(_on_plane, _bundle, needs_trend=True, is_trend_alone=True),
     },
     SEE_THROUGH_LIMITS,
     _nearest_to_centre,

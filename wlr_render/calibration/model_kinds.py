@@ -9,20 +9,20 @@ import numpy as np
 
 from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
-from wlr_render.calibration.readings import TREND_ALONE, Limits, Readings, Trend, UndeterminedError
+from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend, UndeterminedModelError
 from wlr_render.calibration.smooth_fit import fit_within
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.contraction import require_unique
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 
 
 @dataclass(frozen=True)
-class Kind(Generic[AnyCaptures, AnyModel]):
+class ModelKind(Generic[AnyCaptures, AnyModel]):
     """How a kind of model is fitted.
 
     Attributes:
@@ -33,8 +33,8 @@ class Kind(Generic[AnyCaptures, AnyModel]):
         needs_trend: whether it has a trend. is_trend_alone: and nothing else.
     """
 
-    readings: Callable[..., Readings]
-    model: Callable[[AnyCaptures, BasePlane, Polynomial, Spread], AnyModel]
+    readings: Callable[..., FitReadings]
+    model: Callable[[AnyCaptures, BasePlane, Polynomial, Covariance], AnyModel]
     has_places: bool = True
     at_one_position: bool = False
     needs_trend: bool = False
@@ -57,7 +57,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
 
     name: str
     subject: str
-    kinds: Mapping[str, Kind[AnyCaptures, AnyModel]]
+    kinds: Mapping[str, ModelKind[AnyCaptures, AnyModel]]
     limits: tuple[Limits, ...]
     nearest: Callable[[AnyCaptures], AnyCaptures]
     check: Callable[[AnyCaptures, str, BasePlane], None]
@@ -92,7 +92,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
         try:
             smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
-        except UndeterminedError as error:
+        except UndeterminedModelError as error:
             raise self.undetermined(kind, self.lacking(used, kind)) from error
         if degree is None:  # a limit may be why no polynomial follows
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wlr_render.calibration.readings import Readings
-from wlr_render.models.spread import Spread
+from wlr_render.calibration.readings import FitReadings
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Posterior
 from wlr_render.numerics.polynomial import Polynomial, basis
@@ -12,7 +12,7 @@ _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank
 _SAMPLES = 500  # readings at which that is judged
 
 
-def spread_of(readings: Readings, found: Posterior) -> Spread:
+def spread_of(readings: FitReadings, found: Posterior) -> Covariance:
     """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings."""
     orders, box, blocks = readings.orders, readings.box, readings.blocks
     outputs = blocks * (1 if readings.mixed else 2)
@@ -58,7 +58,7 @@ def spread_of(readings: Readings, found: Posterior) -> Spread:
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
         keep = _principal(sampled[:, shared:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
         joint = np.concatenate([joint[..., :shared], joint[..., shared:] @ keep], axis=-1)
-    return Spread(
+    return Covariance(
         outputs,
         Polynomial(orders, box, apart),
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),

@@ -99,7 +99,7 @@ class Trend:
 
 
 @dataclass(frozen=True)
-class Readings:
+class FitReadings:
     """observed = sum over blocks b of multiplier_b * polynomial_b(inputs), for n readings of two tangents.
 
     Attributes:
@@ -160,7 +160,7 @@ class Readings:
         at_place = self.orders[:, self.is_place].any(axis=1)
         return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
 
-    def select(self, rows: BoolArray) -> "Readings":
+    def select(self, rows: BoolArray) -> "FitReadings":
         """Some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None)
@@ -199,18 +199,18 @@ def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:
     return Box(box.low - margin, box.high + margin)
 
 
-class UndeterminedError(BadInputError):
+class UndeterminedModelError(BadInputError):
     """The readings do not determine an unknown that no prior holds."""
 
 
-def design_of(readings: Readings, rows: slice, phi: FloatArray) -> FloatArray:
+def design_of(readings: FitReadings, rows: slice, phi: FloatArray) -> FloatArray:
     """Columns of all blocks: (rows, blocks * terms), or (rows, 2, blocks * terms) if mixed; phi is (rows, terms)."""
     multiplier = readings.multiplier[rows]
     design = multiplier[..., None] * (phi[:, None, None] if readings.mixed else phi[:, None])
     return np.asarray(design.reshape(*multiplier.shape[:-1], -1))
 
 
-def free_part(readings: Readings) -> Polynomial:
+def free_part(readings: FitReadings) -> Polynomial:
     """Least squares by the few free terms: what is left of the observed values is small, so that sums keep digits.
 
     Raises:
@@ -229,13 +229,13 @@ def free_part(readings: Readings) -> Polynomial:
     scale = np.linalg.norm(design, axis=0)
     solution, _, rank, _ = np.linalg.lstsq(design / np.where(scale > 0, scale, 1.0), values, rcond=1e-7)
     if rank < columns:
-        raise UndeterminedError(f"{rank} of {columns} unknowns that no prior holds are determined")
+        raise UndeterminedModelError(f"{rank} of {columns} unknowns that no prior holds are determined")
     solution = solution / scale[:, None]
     by_term = solution.reshape(readings.blocks, len(orders), -1).transpose(1, 0, 2)
     return Polynomial(orders, readings.box, np.ascontiguousarray(by_term.reshape(len(orders), -1)))
 
 
-def sums_of(readings: Readings, start: Polynomial | None, motion: FloatArray | None, kept: FloatArray) -> Sums:
+def sums_of(readings: FitReadings, start: Polynomial | None, motion: FloatArray | None, kept: FloatArray) -> Sums:
     """Sums over the readings less their free part and trend; without values if `start` is None."""
     terms, own = len(readings.orders), 0 if motion is None else 6
     groups = int(readings.capture.max()) + 1 if own else 0
@@ -266,7 +266,7 @@ def sums_of(readings: Readings, start: Polynomial | None, motion: FloatArray | N
     return sums
 
 
-def polynomial_of(readings: Readings, start: Polynomial, found: Posterior) -> Polynomial:
+def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) -> Polynomial:
     """The polynomial of a posterior, with its free part `start` and its trend."""
     blocks, terms = readings.blocks, len(readings.orders)
     outputs = 1 if readings.mixed else 2
@@ -284,7 +284,7 @@ def polynomial_of(readings: Readings, start: Polynomial, found: Posterior) -> Po
     return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))
 
 
-def motion_columns(readings: Readings, polynomial: Polynomial) -> FloatArray:
+def motion_columns(readings: FitReadings, polynomial: Polynomial) -> FloatArray:
     """Columns (n, 2, 6) of a shift and turn of the camera, by the slopes of a polynomial."""
     assert readings.motion is not None
     return readings.motion(readings.slopes(polynomial))

@@ -12,7 +12,15 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.calibration.posterior_spread import spread_of
-from wlr_render.calibration.readings import Limits, Readings, Trend, free_part, motion_columns, polynomial_of, sums_of
+from wlr_render.calibration.readings import (
+    FitReadings,
+    Limits,
+    Trend,
+    free_part,
+    motion_columns,
+    polynomial_of,
+    sums_of,
+)
 from wlr_render.calibration.smooth_prior import (
     LEAST_MOTION,
     SHIFT,
@@ -24,7 +32,7 @@ from wlr_render.calibration.smooth_prior import (
     smoothness_prior,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.evidence import Posterior, Prior, maximise, posterior
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
@@ -48,7 +56,7 @@ _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 
 
 @dataclass(frozen=True)
-class MovedCapture:
+class CaptureMotion:
     """A capture whose camera stood elsewhere than stated, by far more than the others'.
 
     Attributes:
@@ -81,9 +89,9 @@ class SmoothFit:
 
     polynomial: Polynomial
     posterior: Posterior
-    readings: Readings
+    readings: FitReadings
     kept: FloatArray
-    moved: tuple[MovedCapture, ...]
+    moved: tuple[CaptureMotion, ...]
     _prior: Prior
     _columns: FloatArray | None
     _start: Polynomial
@@ -154,7 +162,7 @@ class SmoothFit:
         return replace(self, polynomial=polynomial_of(readings, self._start, found), posterior=found, readings=readings)
 
     @cached_property
-    def spread(self) -> Spread:
+    def spread(self) -> Covariance:
         """Low-rank factors of the covariance of `polynomial`."""
         return spread_of(self.readings, self.posterior)
 
@@ -185,7 +193,7 @@ class SmoothFit:
             variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
-    def spread_with(self, readings: Readings) -> Spread:
+    def spread_with(self, readings: FitReadings) -> Covariance:
         """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
         columns = None if self._columns is None else motion_columns(readings, self.polynomial)
         kept = np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))])
@@ -194,7 +202,7 @@ class SmoothFit:
 
 
 def fit_within(
-    readings_of: Callable[[Limits], Readings],
+    readings_of: Callable[[Limits], FitReadings],
     limits: Sequence[Limits],
     weights: FloatArray | None = None,
     stage: Stage | None = None,
@@ -218,7 +226,7 @@ def fit_within(
 
 
 def fit(
-    readings: Readings,
+    readings: FitReadings,
     start_at: Mapping[str, float] | None = None,
     weights: FloatArray | None = None,
     stage: Stage | None = None,
@@ -241,13 +249,13 @@ def fit(
         return smooth
     if weights is not None:
         gone = np.setdiff1d(readings.capture, readings.capture[weights > 0])
-        smooth = replace(smooth, moved=tuple(MovedCapture(int(name), 0.0, 0.0, 0.0, 0.0, 0.0) for name in gone))
+        smooth = replace(smooth, moved=tuple(CaptureMotion(int(name), 0.0, 0.0, 0.0, 0.0, 0.0) for name in gone))
         return replace(smooth, moved=tuple(_standing_out(smooth)[1].values()))
     if not _standing_out(smooth)[0]:
         return smooth
     # Few orders cannot follow a capture that is far off; many find those that are less so.
     few = readings.orders.sum(axis=1) <= _FEW_ORDERS
-    suspects: dict[int, MovedCapture] = {}
+    suspects: dict[int, CaptureMotion] = {}
     if readings.trend is None:
         coarse = _Search(replace(readings, orders=readings.orders[few]), search.start, None, None, stage)
         suspects = _suspects(coarse, {})
@@ -268,7 +276,7 @@ def fit(
     return smooth
 
 
-def _suspects(search: "_Search", suspects: dict[int, MovedCapture]) -> dict[int, MovedCapture]:
+def _suspects(search: "_Search", suspects: dict[int, CaptureMotion]) -> dict[int, CaptureMotion]:
     """More captures that stand out beside some, and all of them judged by the rest.
 
     One that stands out makes others seem to: the worst go first.
@@ -285,13 +293,13 @@ def _suspects(search: "_Search", suspects: dict[int, MovedCapture]) -> dict[int,
 class _Search:
     """Fits to the same readings without some of the captures; see `fit`."""
 
-    readings: Readings
+    readings: FitReadings
     start: Polynomial
     start_at: Mapping[str, float] | None
     weights: FloatArray | None
     stage: Stage | None
 
-    def without(self, moved: tuple[MovedCapture, ...]) -> SmoothFit:
+    def without(self, moved: tuple[CaptureMotion, ...]) -> SmoothFit:
         """Fit to all captures but those that moved."""
         readings, start = self.readings, self.start
         stays = ~np.isin(readings.capture, [each.capture for each in moved])
@@ -329,7 +337,7 @@ class _Search:
         return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
 
 
-def _rough(readings: Readings, kept: FloatArray) -> FloatArray:
+def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     """Orthonormal combinations (captures, k) of the captures' motions without those that vary smoothly with the place.
 
     Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
@@ -351,7 +359,7 @@ def _rough(readings: Readings, kept: FloatArray) -> FloatArray:
     return rough
 
 
-def _standing_out(smooth: SmoothFit) -> tuple[dict[int, MovedCapture], dict[int, MovedCapture]]:
+def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
     """Captures that stand out by their motion, and those left out before, measured by the rest; by their indices."""
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
     kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
@@ -380,7 +388,7 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, MovedCapture], dict[int,
     shift, turn = (np.linalg.norm(found.own_mean[:, part], axis=1) for part in (SHIFT, TURN))
     off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
     found_of = {
-        int(name): MovedCapture(
+        int(name): CaptureMotion(
             int(name),
             float(shift[name]),
             float(turn[name]),
@@ -399,7 +407,7 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, MovedCapture], dict[int,
     return {name: each for name, each in larger.items() if each.score >= enough}, before
 
 
-def _weights(readings: Readings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
+def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
     """1 for readings near the model, falling to 0 for those far off; Hampel's descending function.
 
     Where cameras may have moved, a reading is judged beside the others of its capture.

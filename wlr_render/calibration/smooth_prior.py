@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from wlr_render.calibration.readings import Readings, flat_places, sums_of
+from wlr_render.calibration.readings import FitReadings, flat_places, sums_of
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, posterior
 from wlr_render.numerics.polynomial import Polynomial
@@ -34,7 +34,7 @@ Stage = tuple[float, float]
 """Repeatability in metres and wobble in radians, standard deviations per axis."""
 
 
-def smoothness_prior(readings: Readings, moving: bool) -> Prior:
+def smoothness_prior(readings: FitReadings, moving: bool) -> Prior:
     """Prior of a fit to the readings, with motions of the captures or without."""
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     sizes = [f"size {block}" for block in range(blocks)]
@@ -67,7 +67,7 @@ def smoothness_prior(readings: Readings, moving: bool) -> Prior:
     return Prior(names, np.array(bounds), expected, shared, mixed, own)
 
 
-def _smooth_as(readings: Readings) -> list[int]:
+def _smooth_as(readings: FitReadings) -> list[int]:
     """Each variable's own slope of the prior, but where the captures have no extent along it, that of another.
 
     Readings at one place cannot tell how fast the optics change beside it; they would call them constant.
@@ -78,13 +78,13 @@ def _smooth_as(readings: Readings) -> list[int]:
     return [other if flat[axis] else axis for axis in range(len(flat))]
 
 
-def noise_floor(readings: Readings, moving: bool = False) -> float:
+def noise_floor(readings: FitReadings, moving: bool = False) -> float:
     """Least noise of a fit, over the stated sigma; in arcminutes where none is stated."""
     stated = readings.sigma[readings.sigma > 0]
     return (BEST_CAMERA_ARCMIN if moving else NOISE_FLOOR_ARCMIN) / (float(np.median(stated)) if stated.size else 1.0)
 
 
-def search_starts(readings: Readings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
+def search_starts(readings: FitReadings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:
     """Where the search for hyperparameters starts.
 
     Beside a trend the sizes are those of what it leaves of the readings, and nothing is left to find if it is right.

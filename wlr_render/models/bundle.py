@@ -31,7 +31,7 @@ from wlr_render.models.fitted_model import (
     pixel_answer,
 )
 from wlr_render.models.inverse import Deviation, solve_view_tangents, solve_warm_then_cold
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.newton import Root
 from wlr_render.numerics.polynomial import Box, Polynomial
@@ -120,7 +120,7 @@ class BundleDisplay(FittedDisplay):
     base_plane: BasePlane
     forward: Polynomial
     backward_start: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (4, 2), "backward_start": (4, 2)}
 
@@ -164,7 +164,7 @@ class BundleSeeThrough(FittedSeeThrough):
     eye_box: EyeBox
     base_plane: BasePlane
     deviation: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"deviation": (4, 4)}
 

@@ -14,7 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_by_tangents, dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Panel, QueryResult, Status
 from wlr_render.models.inverse import solve_pixel
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -147,7 +147,7 @@ class FittedModel(ABC):
 
     FORMS: ClassVar[Forms]
     eye_box: EyeBox
-    spread: Spread | None
+    spread: Covariance | None
 
     def __post_init__(self) -> None:
         for name, (variables, outputs) in self.FORMS.items():
@@ -166,7 +166,7 @@ class FittedModel(ABC):
         """How strongly the model's solve contracts over the eye box, see `models.contraction`; 0 for closed forms."""
         return 0.0
 
-    def with_spread(self, spread: Spread) -> Self:
+    def with_spread(self, spread: Covariance) -> Self:
         """The same model with another covariance."""
         model: Any = self  # a dataclass, as every subclass is
         changed: Self = replace(model, spread=spread)

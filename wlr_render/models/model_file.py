@@ -63,7 +63,7 @@ from wlr_render.mappings import EyeBox, EyeMappings, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -256,7 +256,7 @@ def _modelled(model: type[Any]) -> str:
     return next(iter(forms))
 
 
-def _spread_record(spread: Spread, polynomial: Polynomial) -> dict[str, Any]:
+def _spread_record(spread: Covariance, polynomial: Polynomial) -> dict[str, Any]:
     tables = {"apart": spread.apart, "joint": spread.joint}
     records = {name: _factors_record(each, polynomial) for name, each in tables.items() if each.coefficients.size}
     return {"shared": spread.shared, **records}
@@ -302,7 +302,7 @@ def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version
     return model(eye_box=eye_box, **parts, spread=spread)
 
 
-def _spread(table: Table, polynomial: Polynomial) -> Spread:
+def _spread(table: Table, polynomial: Polynomial) -> Covariance:
     outputs = polynomial.coefficients.shape[1]
     apart = _factors(table, "apart", polynomial, outputs // 2)
     joint = _factors(table, "joint", polynomial, outputs)
@@ -310,7 +310,7 @@ def _spread(table: Table, polynomial: Polynomial) -> Spread:
     if shared > variables:
         raise table.fail(f"'shared' is {shared}, but 'joint' has {variables} variables.")
     table.finish()
-    return Spread(outputs, apart, joint, shared)
+    return Covariance(outputs, apart, joint, shared)
 
 
 def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> Polynomial:

@@ -12,7 +12,7 @@ import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, Sensitivity
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
 from wlr_render.numerics.polynomial import Polynomial
@@ -36,7 +36,7 @@ class PointPerPixelDisplay(FittedDisplay):
     panel: Panel
     eye_box: EyeBox
     point: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"point": (2, 3)}
 

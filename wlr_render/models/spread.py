@@ -18,7 +18,7 @@ _CHUNK = 1_024  # inputs whose factors are held at once
 
 
 @dataclass(frozen=True)
-class Spread:
+class Covariance:
     """Covariance of a polynomial's values.
 
     Attributes:

@@ -12,7 +12,7 @@ import numpy as np
 
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, Sensitivity, pixel_answer
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.models.volumetric import deviated_contraction, deviated_ray, deviated_sensitivity, deviated_view
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
@@ -35,7 +35,7 @@ class StaticDisplay(FittedDisplay):
     eye_box: EyeBox
     forward: Polynomial
     backward_start: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (2, 2), "backward_start": (2, 2)}
 
@@ -62,7 +62,7 @@ class StaticSeeThrough(FittedSeeThrough):
 
     eye_box: EyeBox
     forward: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (2, 4)}
 

@@ -22,7 +22,7 @@ from wlr_render.models.fitted_model import (
     pixel_answer,
 )
 from wlr_render.models.inverse import Deviation, solve_view_tangents
-from wlr_render.models.spread import Spread
+from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 
@@ -44,7 +44,7 @@ class VolumetricDisplay(FittedDisplay):
     eye_box: EyeBox
     forward: Polynomial
     backward_start: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (5, 2), "backward_start": (5, 2)}
 
@@ -73,7 +73,7 @@ class VolumetricSeeThrough(FittedSeeThrough):
 
     eye_box: EyeBox
     forward: Polynomial
-    spread: Spread | None = None
+    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (5, 4)}
 

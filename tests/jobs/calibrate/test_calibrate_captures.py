@@ -8,7 +8,7 @@ from browser import needs_browser, open_page
 
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
-from wlr_render.calibration.smooth_fit import MovedCapture
+from wlr_render.calibration.smooth_fit import CaptureMotion
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
@@ -282,7 +282,7 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     ("changes", "warning"),
     [
         (
-            {"moved": (MovedCapture(5, 3.5e-4, 2e-4, 30.2, 5.0, 20.0),)},
+            {"moved": (CaptureMotion(5, 3.5e-4, 2e-4, 30.2, 5.0, 20.0),)},
             "Display: the camera of set 5 stood 350 um and 200 microradians from where it is stated, 30 times the "
             "others: correct its entry, or leave it out.",
         ),
