@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from wlr_render.captures.patterns.gray_fringes import GrayFringes
-from wlr_render.captures.targets.find_board import find_board
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs import camera_view
@@ -32,12 +31,12 @@ print(f"median decoding error {np.nanmedian(np.abs(error)):.3f} panel pixels, {l
 
 # The printed board through the optics. Every 5 x 5 window of dots is unique, so each dot is identified.
 photograph = bench.eyeball_sensor.expose(sight.world_light(BoardLight(bench.board, bench.device_from_target[0])), rng)
-found = find_board(photograph, bench.board)
+found = bench.board.find(photograph)
 point = transforms.apply(bench.device_from_target[0], bench.board.point_of(found.index))
 true = camera_view.pixel_of_real_point(bench.optics, bench.eyeball.camera, device_from_camera, point)
 print(f"{len(found)} dots found, median error {np.nanmedian(np.abs(found.pixel - true)):.3f} camera pixels")
 print("the same photograph, with the wrong board given:", end=" ")
 try:
-    find_board(photograph, replace(bench.board, large=~bench.board.large))
+    replace(bench.board, large=~bench.board.large).find(photograph)
 except ValueError as error_message:
     print(error_message)

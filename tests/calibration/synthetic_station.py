@@ -9,8 +9,8 @@ from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.poses import small_motion
 from wlr_render.calibration.station import StationPhotos, find_station
 from wlr_render.calibration.sweep_checks import RepeatedView
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.photo_session import BoardPhotograph
-from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 

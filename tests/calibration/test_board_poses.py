@@ -6,7 +6,7 @@ from synthetic_station import BOARD, EYEBALL, NOISE_PX, board_view, lens_views, 
 
 from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.poses import motion_between
-from wlr_render.captures.targets.dot_board import BoardObservation
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.geometry import transforms
 
 

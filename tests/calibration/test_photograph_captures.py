@@ -13,9 +13,9 @@ from wlr_render.calibration.photograph_captures import (
     see_through_captures,
     within_field,
 )
+from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised

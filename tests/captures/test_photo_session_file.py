@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
 from wlr_render.captures.photographs import write_photograph
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_file import save_board
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera

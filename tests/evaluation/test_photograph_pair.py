@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.targets.dot_board import BoardObservation
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.evaluation.photograph_pair import pair_misalignment
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera

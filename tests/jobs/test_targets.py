@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photographs import photographs_in, read_photograph
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_file import load_board
-from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.targets import BoardOptions, PatternOptions, board, pattern
 from wlr_render.mappings import Panel
@@ -19,7 +18,7 @@ def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path):
     assert np.array_equal(read.large, design_board(9, 7, 0.02, seed=3).large)
     assert read.pitch_m == pytest.approx(0.02)
     assert "mm" in svg.read_text(encoding="utf-8").split(">")[1]
-    found = find_board(read_photograph(png), read)
+    found = read.find(read_photograph(png))
     assert len(found) == 9 * 7
     step = found.pixel[1] - found.pixel[0]
     assert np.linalg.norm(step) == pytest.approx(20 / 25.4 * 100, abs=0.5)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from wlr_render.calibration.poses import Pose, motion_rows, small_motion
-from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
+from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LENS_PARAMETERS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.numerics.arrays import FloatArray
@@ -40,7 +40,7 @@ class BoardView:
     sigma_px: FloatArray
 
     @classmethod
-    def of_observation(cls, name: str, observation: BoardObservation, board: DotBoard) -> "BoardView":
+    def of_observation(cls, name: str, observation: BoardObservation, board: Board) -> "BoardView":
         """Return the view of the board observed in the photograph `name`."""
         return cls(name, board.point_of(observation.index), observation.pixel, observation.sigma_px)
 

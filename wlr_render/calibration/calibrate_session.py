@@ -21,11 +21,11 @@ from wlr_render.calibration.photograph_captures import (
 )
 from wlr_render.calibration.station import Station, StationPhotos, find_station, repeated_views
 from wlr_render.calibration.station_file import save_station
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures, select
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
 from wlr_render.captures.session_reading import Excluded, Reading
-from wlr_render.captures.targets.dot_board import BoardObservation
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray, IntArray

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -98,7 +98,7 @@ def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: 
 
 
 def see_through_captures(
-    headset: Headset, board: DotBoard, camera: LensCamera, views: Sequence[TargetView]
+    headset: Headset, board: Board, camera: LensCamera, views: Sequence[TargetView]
 ) -> SeeThroughCaptures:
     """Return captures of the target through the optics.
 

@@ -7,9 +7,9 @@ have thousands. The lists are in the order of taking.
 from dataclasses import dataclass
 from pathlib import Path
 
+from wlr_render.captures.boards.board import Board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
@@ -99,7 +99,7 @@ class PhotoSession:
     eye_box: EyeBox
     pattern: Pattern
     decoding: DecodeOptions
-    board: DotBoard
+    board: Board
     eyeball_camera: SessionCamera
     tracking_camera: SessionCamera
     device_from_tracking: FloatArray

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photographs import photographs_in
-from wlr_render.captures.targets.board_file import load_board
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
 from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.boards.board import Board, BoardObservation
+from wlr_render.captures.boards.board_file import board_table
 from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
@@ -24,14 +26,12 @@ from wlr_render.captures.photographs import (
     read_each,
     read_photograph,
 )
-from wlr_render.captures.targets.dot_board import BoardObservation, DotBoard
-from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_arrays
 from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 1  # of the way of reading: results of another one are read again
+_VERSION = 2  # of the way of reading: results of another one are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
 _MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
 
@@ -143,25 +143,24 @@ class _BoardTask:
 
     name: str
     path: Path
-    board: DotBoard
+    board: Board
     size_px: tuple[int, int]
     full_scale: int
 
     def fingerprint(self) -> str:
-        board = self.board
-        how = [board.pitch_m, board.large_m, board.small_m, board.large.tolist(), self.size_px, self.full_scale]
-        return _fingerprint([self.path], how)
+        return _fingerprint([self.path], [board_table(self.board), self.size_px, self.full_scale])
 
     def read(self) -> dict[str, NDArray[Any]]:
         image = read_photograph(self.path)
         check_photograph(image, self.size_px, self.full_scale, self.name)
-        found = find_board(image, self.board, self.name)
-        counts = np.array([found.unidentified, found.disagreeing])
+        found = self.board.find(image, self.name)
+        counts = np.array([found.unidentified, found.disagreeing, found.ambiguous_half_turn])
         return {"index": found.index, "pixel": found.pixel, "sigma_px": found.sigma_px, "counts": counts}
 
     def result(self, kept: dict[str, NDArray[Any]]) -> BoardObservation:
-        unidentified, disagreeing = (int(number) for number in kept["counts"])
-        return BoardObservation(kept["index"], kept["pixel"], kept["sigma_px"], unidentified, disagreeing)
+        unidentified, disagreeing, half_turn = (int(number) for number in kept["counts"])
+        seen = kept["index"], kept["pixel"], kept["sigma_px"]
+        return BoardObservation(*seen, unidentified, disagreeing, bool(half_turn))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.targets.dot_board import BoardObservation
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray

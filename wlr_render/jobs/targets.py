@@ -4,10 +4,11 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
+from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_file import save_board, write_board_png, write_board_svg
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described, described_size
 from wlr_render.mappings import Panel

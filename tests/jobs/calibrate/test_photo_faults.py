@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from small_photo_session import BLACK, blown_out
 
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_file import save_board
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.board_file import save_board
 from wlr_render.cli import main
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wlr_render.captures.targets.board_design import design_board
+from wlr_render.captures.boards.board_design import design_board
 from wlr_render.geometry import transforms
 from wlr_render.jobs.verify.session import wholly_shown
 from wlr_render.optics.device_file import load_device

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotation_about
 from wlr_render.optics.device_file import load_device

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.boards.board import Board
 from wlr_render.captures.photographs import Photograph, read_photograph
-from wlr_render.captures.targets.dot_board import DotBoard
-from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
@@ -62,7 +61,7 @@ def judge_pair(
     position: PairPosition,
     method: str,
     photographs: tuple[Path, Path],
-    board: DotBoard,
+    board: Board,
     camera: LensCamera,
     shown: NDArray[np.bool_] | None = None,
 ) -> Judged:
@@ -78,7 +77,7 @@ def judge_pair(
     """
     off, on = photographs
     try:
-        real, virtual = (find_board(read_photograph(path), board, path.name) for path in photographs)
+        real, virtual = (board.find(read_photograph(path), path.name) for path in photographs)
     except BadInputError as error:
         return Judged(position, method, off, on, None, str(error))
     if shown is not None:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from wlr_render.calibration.station_file import load_station
+from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import photographs_in
-from wlr_render.captures.targets.board_file import load_board
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, described
 from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from wlr_render.calibration.board_poses import BoardView, poses_of
 from wlr_render.calibration.station_file import SavedStation, load_station
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.photographs import read_photograph
-from wlr_render.captures.targets.dot_board import DotBoard
-from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.geometry import transforms
@@ -155,7 +154,7 @@ def _track_targets(
     _retake(CameraPose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.board, shots))
     poses = []
     for shot in shots:
-        observation = find_board(read_photograph(shot.path), bench.board, shot.path.name)
+        observation = bench.board.find(read_photograph(shot.path), shot.path.name)
         seen = poses_of(station.tracking_camera, [BoardView.of_observation(shot.path.name, observation, bench.board)])
         if not len(seen):
             raise BadInputError(f"{shot.path}: {seen.rejected[shot.path.name]}")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.boards.board import Board
 from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 
@@ -44,7 +44,7 @@ class BoardLight:
             stands for 1 / sqrt(n).
     """
 
-    board: DotBoard
+    board: Board
     frame_from_target: FloatArray
     wall: FarWall = FarWall()
     white: float = 0.8

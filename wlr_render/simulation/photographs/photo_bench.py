@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera

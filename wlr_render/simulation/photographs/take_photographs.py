@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.boards.board import Board
 from wlr_render.captures.photographs import write_photograph
-from wlr_render.captures.targets.dot_board import DotBoard
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
@@ -79,7 +79,7 @@ class CameraPose:
     sensor: Sensor
     frame_from_camera: FloatArray
     optics: EyeOptics | None
-    board: DotBoard
+    board: Board
     boards: Sequence[BoardShot] = field(default_factory=tuple)
     panels: Sequence[PanelShots] = field(default_factory=tuple)
     seed: int = 1

@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from wlr_render.captures.targets.board_design import DISTANCE, WINDOW, design_board
+from wlr_render.captures.boards.board_design import DISTANCE, WINDOW, design_board
 from wlr_render.errors import BadInputError
 
 

@@ -8,10 +8,10 @@ import pytest
 from board_pictures import BOARD
 from PIL import Image
 
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
+from wlr_render.captures.boards.board_file import load_board, save_board
 from wlr_render.captures.photographs import read_photograph
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.board_file import load_board, save_board, write_board_png, write_board_svg
-from wlr_render.captures.targets.find_board import find_board
 from wlr_render.errors import BadInputError
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -75,13 +75,13 @@ def test_dots_of_the_png_have_the_pitch_of_its_resolution(tmp_path):
     path = write_board_png(BOARD, tmp_path / "board.png", 150)
     with Image.open(path) as picture:
         assert picture.info["dpi"] == pytest.approx((150, 150), rel=1e-4)  # whole pixels per metre
-    found = find_board(read_photograph(path), BOARD)
+    found = BOARD.find(read_photograph(path))
     assert len(found) == BOARD.large.size
     in_board = BOARD.point_of(found.index)[:, :2] + 0.5 * BOARD.size_m
     assert np.allclose(found.pixel, in_board * 150 / 0.0254, atol=0.03)
 
 
 def test_a_png_too_coarse_for_its_dots_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match=r"small dots 6\.0 pixels wide; choose another resolution"):
+    with pytest.raises(BadInputError, match=r"smallest shapes are 6\.0 pixels wide; choose another resolution"):
         write_board_png(BOARD, tmp_path / "board.png", 40)
     assert not list(tmp_path.iterdir())

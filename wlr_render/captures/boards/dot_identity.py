@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import correlate
 
-from wlr_render.captures.targets.dot_board import BoardNotFoundError
+from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _LEAD = 3  # sizes by which the best place must be better than the second best: two misread dots cannot bridge it

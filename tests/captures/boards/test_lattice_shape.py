@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.targets.find_board import lattice_shape
+from wlr_render.captures.boards.lattice_shape import lattice_shape
 
 GRID = np.stack(np.meshgrid(np.arange(9), np.arange(8)), axis=-1).reshape(-1, 2)
 PERSPECTIVE = np.array([[41.0, 3.0, 100.0], [-2.0, 25.0, 80.0], [0.012, 0.018, 1.0]])

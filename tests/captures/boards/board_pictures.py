@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from wlr_render.captures.targets.board_design import design_board
+from wlr_render.captures.boards.board_design import design_board
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import apply, rigid, rotation_about
 

@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.targets.dot_board import DotBoard
+from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from wlr_render.captures.targets.dot_centres import measure_dots
-from wlr_render.captures.targets.dot_detection import find_dots
+from wlr_render.captures.boards.dot_centres import measure_dots
+from wlr_render.captures.boards.dot_detection import find_dots
 
 FINE = 8  # rays per pixel and axis
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from board_pictures import BARREL, BOARD, CAMERA, exposed, light_of, pose, truth
 
-from wlr_render.captures.targets.board_design import design_board
-from wlr_render.captures.targets.dot_board import BoardNotFoundError
-from wlr_render.captures.targets.find_board import find_board
+from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.board_design import design_board
 
 VIEW = pose(turn_deg=25, tilt_deg=20, distance_m=0.27)
 
@@ -45,7 +44,7 @@ def spotted(light, centres, radius, level):
 )
 def test_centres_of_clean_pictures(camera, view, least):
     camera_from_board = pose(**view)
-    found = find_board(exposed(light_of(camera, camera_from_board)), BOARD)
+    found = BOARD.find(exposed(light_of(camera, camera_from_board)))
     assert len(found) >= least
     assert rms(found, camera, camera_from_board) < 0.01
 
@@ -68,7 +67,7 @@ def test_without_the_correction_slanted_dots_would_be_off():
     ids=["8 bits", "hardly exposed", "12 bits", "16 bits"],
 )
 def test_sigma_is_honest_at_any_exposure(light, white, snr, dtype):
-    found = find_board(exposed(light, white, snr, dtype=dtype), BOARD)
+    found = BOARD.find(exposed(light, white, snr, dtype=dtype))
     assert len(found) == BOARD.large.size
     assert rms(found, CAMERA, VIEW) < 0.05
     pull = (found.pixel - truth(CAMERA, VIEW, found.index)) / found.sigma_px[:, None]
@@ -78,7 +77,7 @@ def test_sigma_is_honest_at_any_exposure(light, white, snr, dtype):
 def test_uneven_light_and_blur(light):
     v, u = np.mgrid[:400, :480]
     uneven = light * (0.15 + 0.85 * np.exp(-((u - 100) ** 2 + (v - 300) ** 2) / 250**2))
-    found = find_board(exposed(cv2.GaussianBlur(uneven, (0, 0), 1.2)), BOARD)
+    found = BOARD.find(exposed(cv2.GaussianBlur(uneven, (0, 0), 1.2)))
     assert len(found) == BOARD.large.size
     assert rms(found, CAMERA, VIEW) < 0.02
 
@@ -86,7 +85,7 @@ def test_uneven_light_and_blur(light):
 @pytest.mark.parametrize(("surround", "dot", "veil"), [(0.0, 0.05, 0.0), (0.0, 0.5, 0.0), (0.6, 0.05, 0.5)])
 def test_dark_surround_grey_dots_and_stray_light(surround, dot, veil):
     light = veil + (1 - veil) * light_of(CAMERA, VIEW, surround=surround, dot=dot)
-    found = find_board(exposed(light, snr=40), BOARD)
+    found = BOARD.find(exposed(light, snr=40))
     assert len(found) == BOARD.large.size
     assert rms(found, CAMERA, VIEW) < 0.05
 
@@ -96,7 +95,7 @@ def test_missing_dots_and_clutter(light):
     gone = rng.permutation(BOARD.indices())[:30]
     there = spotted(light, truth(CAMERA, VIEW, gone), 9, 1.0)
     cluttered = spotted(there, rng.uniform(0, [480, 400], (40, 2)), 4, 0.1)
-    found = find_board(exposed(cluttered, snr=20), BOARD)
+    found = BOARD.find(exposed(cluttered, snr=20))
     assert len(found) > 160
     assert not {tuple(each) for each in gone} & {tuple(each) for each in found.index}
     assert rms(found, CAMERA, VIEW) < 0.1
@@ -107,7 +106,7 @@ def test_a_single_row_that_sticks_out_does_no_harm(light):
     column, row = index.T
     gone = index[((column > 6) & (row != 3)) | (row > 6)]
     image = exposed(spotted(light, truth(CAMERA, VIEW, gone), 9, 1.0))
-    found = find_board(image, BOARD)
+    found = BOARD.find(image)
     assert len(found) >= 40
     assert rms(found, CAMERA, VIEW) < 0.1
 
@@ -116,7 +115,7 @@ def test_dots_of_the_wrong_size_are_counted_and_left_out():
     wrong = np.random.default_rng(4).permutation(BOARD.indices())[:12]
     large = BOARD.large.copy()
     large[wrong[:, 1], wrong[:, 0]] ^= True
-    found = find_board(exposed(light_of(CAMERA, VIEW, replace(BOARD, large=large))), BOARD)
+    found = BOARD.find(exposed(light_of(CAMERA, VIEW, replace(BOARD, large=large))))
     assert found.disagreeing == len(wrong)
     assert len(found) == BOARD.large.size - len(wrong)
     assert not {tuple(each) for each in wrong} & {tuple(each) for each in found.index}
@@ -125,25 +124,25 @@ def test_dots_of_the_wrong_size_are_counted_and_left_out():
 def test_dots_strewn_about_are_no_board():
     strewn = np.random.default_rng(5).uniform(0, [480, 400], (300, 2))
     with pytest.raises(BoardNotFoundError):
-        find_board(exposed(spotted(np.ones((400, 480)), strewn, 4, 0.1)), BOARD)
+        BOARD.find(exposed(spotted(np.ones((400, 480)), strewn, 4, 0.1)))
 
 
 @pytest.mark.parametrize("mirrored", [lambda image: image[:, ::-1], lambda image: image[::-1], np.transpose])
 def test_a_mirrored_picture_is_called_so(light, mirrored):
     with pytest.raises(BoardNotFoundError, match=r"^left\.png: the picture is mirrored"):
-        find_board(np.ascontiguousarray(mirrored(exposed(light))), BOARD, "left.png")
+        BOARD.find(np.ascontiguousarray(mirrored(exposed(light))), "left.png")
 
 
 def test_another_board_is_called_so(light):
     with pytest.raises(BoardNotFoundError, match=r"view 3: .* is it another board"):
-        find_board(exposed(light), design_board(18, 14, 0.01, seed=2), "view 3")
+        design_board(18, 14, 0.01, seed=2).find(exposed(light), "view 3")
 
 
 def test_too_small_a_part_says_how_many_dots_it_has(light):
     part = np.full_like(light, 1.0)
     part[170:240, 200:270] = light[170:240, 200:270]
     with pytest.raises(BoardNotFoundError, match=r"photograph: only \d+ dots in one piece were seen; at least 20 are"):
-        find_board(exposed(part), BOARD)
+        BOARD.find(exposed(part))
 
 
 @pytest.mark.parametrize(
@@ -159,4 +158,4 @@ def test_too_small_a_part_says_how_many_dots_it_has(light):
 )
 def test_pictures_without_a_board_are_named(picture, sentence):
     with pytest.raises(BoardNotFoundError, match=rf"^shot 7: .*{sentence}"):
-        find_board(picture, BOARD, "shot 7")
+        BOARD.find(picture, "shot 7")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from board_pictures import BOARD
 
-from wlr_render.captures.targets.board_design import WINDOW, design_board
-from wlr_render.captures.targets.dot_board import BoardNotFoundError
-from wlr_render.captures.targets.dot_identity import identify
+from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.board_design import WINDOW, design_board
+from wlr_render.captures.boards.dot_identity import identify
 
 TURNS = [np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), q) for q in range(4)]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from wlr_render.captures.targets.dot_detection import Dots
+from wlr_render.captures.boards.dot_detection import Dots
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NEIGHBOURS = 16  # that hold the four arms of the cross up to a foreshortening of 1 to 2

@@ -1,0 +1,128 @@
+"""The protocol of calibration boards: flat targets with features at known places that a photograph identifies.
+
+Board frame: x right along the columns, y down along the rows, z into the board, origin in the middle of the features'
+grid (OpenCV's axes, as a camera sees a board that hangs upright before it). Metres. A feature's index is its
+(column, row), whole numbers from the top left, for every kind of board.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.photographs import Photograph
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+RealArray = NDArray[np.floating[Any]]
+
+
+class BoardNotFoundError(BadInputError):
+    """The photograph shows no board, too little of it, or another one; the sentence says which."""
+
+
+@dataclass(frozen=True)
+class BoardTolerances:
+    """How far a board may differ from its file: standard deviations, prior knowledge of an adjustment.
+
+    Attributes:
+        scale_sigma: relative, of the scale along x and along y, each by itself: printers scale.
+        flatness_m: of the board's bow and twist, at its edge.
+        print_error_m: of single features' places, per axis.
+    """
+
+    scale_sigma: float = 5e-4
+    flatness_m: float = 0.3e-3
+    print_error_m: float = 20e-6
+
+
+USUAL_TOLERANCES = BoardTolerances()
+"""Of a board printed on paper and glued to a plate."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoardObservation:
+    """Features of a board identified in one photograph.
+
+    Attributes:
+        index: (n, 2) column and row of each feature on the board.
+        pixel: (n, 2) where the feature is seen, camera pixels from the outer corner of the top-left pixel; of a dot its
+            *centre*, without the bias of a perspective view of a disc.
+        sigma_px: (n,) estimated standard deviation of `pixel` per axis.
+        unidentified: number of features that were seen but not identified.
+        disagreeing: number of features that are not as the board has them there, e.g. dots of another size.
+        ambiguous_half_turn: the board looks the same turned by 180 degrees, so that the indices may be those of the
+            board turned; `half_turned` has the others.
+    """
+
+    index: IntArray
+    pixel: FloatArray
+    sigma_px: FloatArray
+    unidentified: int = 0
+    disagreeing: int = 0
+    ambiguous_half_turn: bool = False
+
+    def only(self, rows: NDArray[np.bool_]) -> "BoardObservation":
+        """Some of the features, by mask (n,)."""
+        return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows])
+
+    def half_turned(self, board: "Board") -> "BoardObservation":
+        """The same features, numbered as on the board turned by 180 degrees."""
+        all_indices = board.indices()
+        return replace(self, index=all_indices.min(axis=0) + all_indices.max(axis=0) - self.index)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+class Board(Protocol):
+    """A calibration board: what is on it, how it looks, and how it is found in a photograph."""
+
+    @property
+    def tolerances(self) -> BoardTolerances:
+        """How far the board may differ from its file."""
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(2,) width and height of the board with its margin."""
+
+    @property
+    def title(self) -> str:
+        """Kind, numbers and sizes in words, for the printed board."""
+
+    @property
+    def finest_m(self) -> float:
+        """Size of the smallest printed shape."""
+
+    @property
+    def half_turn_symmetric(self) -> bool:
+        """Whether the board looks the same turned by 180 degrees."""
+
+    def indices(self) -> IntArray:
+        """(column, row) of all features, (n, 2), row by row."""
+
+    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
+        """Places (..., 3), metres in the board frame, of features by (column, row), (..., 2)."""
+
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """How bright the board is at places (..., 2), x and y: 1 white, 0 black, NaN beyond its edge.
+
+        Args:
+            in_board: (..., 2) metres, board frame.
+            softness_m: (...) width by which edges are blurred, e.g. a camera pixel's footprint.
+        """
+
+    def svg_shapes(self) -> list[str]:
+        """SVG elements of what is black, in millimetres from the board's top left corner."""
+
+    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
+        """Find and identify the board's features in a photograph.
+
+        Args:
+            image: (h, w) grey, of any exposure.
+            name: of the photograph, for the error.
+
+        Raises:
+            BoardNotFoundError: the board is not in the picture or too little of it, or another board is.
+        """

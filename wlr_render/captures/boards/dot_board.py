@@ -1,0 +1,226 @@
+"""The two-size dot board: large and small dots on a square grid; every patch is unique.
+
+A smooth map around each dot (`lattice_shape`) predicts where the dot should be, how large a lattice cell is there, and
+the offset between the centre of a disc's picture and the picture of the disc's centre.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.boards.board import (
+    USUAL_TOLERANCES,
+    BoardNotFoundError,
+    BoardObservation,
+    BoardTolerances,
+    RealArray,
+)
+from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
+from wlr_render.captures.boards.dot_detection import find_dots
+from wlr_render.captures.boards.dot_identity import identify
+from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, link_lattices
+from wlr_render.captures.boards.lattice_shape import LatticeShape, lattice_shape
+from wlr_render.captures.photographs import Photograph
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_TRIES = 3  # lattices, the largest first, that are compared with the board
+_OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
+_OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
+_LEAST_CELL = 0.05  # of the usual one; under a row of dots alone there are none
+_LARGE_ARE_DARKEST = 75  # percentile of contrasts nearby: about the middle one of the large dots, blurred least
+
+
+@dataclass(frozen=True, eq=False)
+class DotBoard:
+    """A printed board: dark dots of two sizes on white.
+
+    Attributes:
+        pitch_m: distance of neighbouring dots.
+        large_m: diameter of large dots.
+        small_m: diameter of small dots.
+        margin_m: white from the outermost dots' centres to the edge of the board.
+        large: (rows, columns) which dots are large.
+        tolerances: how far the print may differ.
+    """
+
+    pitch_m: float
+    large_m: float
+    small_m: float
+    margin_m: float
+    large: BoolArray
+    tolerances: BoardTolerances = USUAL_TOLERANCES
+
+    @property
+    def rows(self) -> int:
+        """Dots along y."""
+        return int(self.large.shape[0])
+
+    @property
+    def columns(self) -> int:
+        """Dots along x."""
+        return int(self.large.shape[1])
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(2,) width and height of the board with its margin."""
+        return (np.array([self.columns, self.rows]) - 1) * self.pitch_m + 2 * self.margin_m
+
+    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
+        """Centres (..., 3), board frame, of dots by (column, row), (..., 2)."""
+        in_plane = (np.asarray(index) - 0.5 * (np.array([self.columns, self.rows]) - 1)) * self.pitch_m
+        return np.concatenate([in_plane, np.zeros((*in_plane.shape[:-1], 1))], axis=-1)
+
+    @property
+    def title(self) -> str:
+        """Kind, numbers and sizes in words."""
+        return (
+            f"two-size dot board {self.columns} x {self.rows}, pitch {1e3 * self.pitch_m:g} mm, "
+            f"dots {1e3 * self.large_m:g} and {1e3 * self.small_m:g} mm, margin {1e3 * self.margin_m:g} mm"
+        )
+
+    @property
+    def finest_m(self) -> float:
+        """Diameter of the small dots."""
+        return self.small_m
+
+    @property
+    def half_turn_symmetric(self) -> bool:
+        """False: every patch of the board is unique."""
+        return False
+
+    def diameter_of(self, index: NDArray[np.integer]) -> FloatArray:
+        """Diameters (...) of dots by (column, row), (..., 2)."""
+        index = np.asarray(index)
+        return np.where(self.large[index[..., 1], index[..., 0]], self.large_m, self.small_m)
+
+    def indices(self) -> IntArray:
+        """(column, row) of all dots, (rows * columns, 2), row by row."""
+        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        return np.stack([column, row], axis=-1).reshape(-1, 2)
+
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """How bright the board is at places (..., 2), x and y: 1 white, 0 dot, NaN beyond its edge.
+
+        Args:
+            in_board: (..., 2) metres, board frame.
+            softness_m: (...) width of the ramp by which a dot's edge is blurred, e.g. a camera pixel's footprint.
+        """
+        x, y = in_board[..., 0], in_board[..., 1]
+        column, row = x / self.pitch_m + 0.5 * (self.columns - 1), y / self.pitch_m + 0.5 * (self.rows - 1)
+        # Both turn NaN into a number, so that it can be an index.
+        nearest_column = np.fmin(np.fmax(np.rint(column), 0), self.columns - 1)
+        nearest_row = np.fmin(np.fmax(np.rint(row), 0), self.rows - 1)
+        large = self.large[nearest_row.astype(np.intp), nearest_column.astype(np.intp)]
+        from_centre = self.pitch_m * np.sqrt((column - nearest_column) ** 2 + (row - nearest_row) ** 2)
+        beyond_edge = from_centre - np.where(large, 0.5 * self.large_m, 0.5 * self.small_m).astype(x.dtype)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ramp = np.clip(beyond_edge / softness_m + 0.5, 0.0, 1.0)
+        white = np.where(np.asarray(softness_m) > 0, ramp, beyond_edge > 0)
+        width, height = self.size_m
+        return np.where((np.abs(x) <= 0.5 * width) & (np.abs(y) <= 0.5 * height), white, np.nan)
+
+    def svg_shapes(self) -> list[str]:
+        """Circles in millimetres from the top left corner; large dots have the class "large", small ones "small"."""
+        index = self.indices()
+        centre_mm = 1e3 * (self.point_of(index)[:, :2] + 0.5 * self.size_m)
+        return [
+            f'<circle class="{"large" if diameter == self.large_m else "small"}" '
+            f'cx="{x:.4f}" cy="{y:.4f}" r="{500.0 * diameter:.4f}"/>'
+            for (x, y), diameter in zip(centre_mm, self.diameter_of(index), strict=True)
+        ]
+
+    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
+        """Find and identify the dots in a photograph.
+
+        Dots whose size is not as printed, or which lie beside the lattice of their neighbours, are left out and
+        counted.
+
+        Args:
+            image: (h, w) grey, of any exposure.
+            name: of the photograph, for the error.
+
+        Raises:
+            BoardNotFoundError: the board is not in the picture or too little of it, another board is, the picture is
+                mirrored, or it is too dark or too bright to show anything.
+        """
+        dots = find_dots(image)
+        lattices = link_lattices(dots)
+        if not lattices:
+            raise BoardNotFoundError(f"{name}: {_why_nothing(image, len(dots))}")
+        complaint: BoardNotFoundError | None = None
+        lattices = lattices[:_TRIES]
+        measured = measure_dots(image, dots, np.concatenate([lattice.dot for lattice in lattices]))
+        for lattice in lattices:
+            try:
+                return _identified(lattice, measured, self)
+            except BoardNotFoundError as error:
+                complaint = complaint or error
+        raise BoardNotFoundError(f"{name}: {complaint}")
+
+
+def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) -> BoardObservation:
+    """Identify one lattice.
+
+    Raises:
+        BoardNotFoundError: the sentence lacks the photograph's name.
+    """
+    smooth, shape = _smooth_part(lattice, measured)
+    dot = smooth.dot
+    is_large = _large(measured, dot, shape, board)
+    index = identify(smooth.index, is_large, board.large)
+
+    on_board = np.all((index >= 0) & (index < [board.columns, board.rows]), axis=-1)
+    diameter = board.diameter_of(np.where(on_board[:, None], index, 0))
+    agreeing = on_board & (is_large == (diameter == board.large_m))
+    pixel = measured.dots.centre[dot] - shape.centroid_shift(0.5 * diameter / board.pitch_m)
+    order = np.nonzero(agreeing)[0]
+    order = order[np.lexsort(index[order].T)]
+    return BoardObservation(
+        index[order],
+        pixel[order],
+        measured.sigma_px[dot][order],
+        unidentified=len(lattice) - int(on_board.sum()),
+        disagreeing=int((on_board & ~agreeing).sum()),
+    )
+
+
+def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattice, LatticeShape]:
+    """The dots that lie where their neighbours expect them, the worst taken out first.
+
+    Raises:
+        BoardNotFoundError: too few are left.
+    """
+    keep = np.isfinite(measured.sigma_px[lattice.dot])
+    while True:
+        lattice = DotLattice(lattice.dot[keep], lattice.index[keep])
+        if len(lattice) < LEAST_DOTS:
+            raise BoardNotFoundError(f"only {len(lattice)} dots in one piece were seen whole; show more of the board.")
+        pixel = measured.dots.centre[lattice.dot]
+        shape = lattice_shape(lattice.index, pixel)
+        off = np.linalg.norm(pixel - shape.expected, axis=-1) / shape.doubt
+        most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
+        # An outlier makes its neighbours look like outliers too; only the worst of a neighbourhood goes.
+        keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
+        keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
+        if keep.all():
+            return lattice, shape
+
+
+def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: DotBoard) -> BoolArray:
+    """(k,) which dots are large: by area over the area of a lattice cell, which no view of the board changes."""
+    contrast = measured.contrast[dot]
+    nearby = np.concatenate([contrast[:, None], contrast[shape.neighbour]], axis=1)
+    area: FloatArray = measured.darkness_px2[dot] / np.percentile(nearby, _LARGE_ARE_DARKEST, axis=1)
+    between = 0.25 * np.pi * board.large_m * board.small_m / board.pitch_m**2
+    return np.asarray(area / shape.cell_px2 > between)
+
+
+def _why_nothing(image: Photograph, dots: int) -> str:
+    low, high = np.percentile(image, [1, 99])
+    if high == image.max() > 0.5 * np.iinfo(image.dtype).max and np.mean(image == high) > 0.5:
+        return f"most of the picture is at its brightest value, {high:.0f}; expose it less."
+    return (
+        f"no board is in the picture: {dots} dark spots were seen, no {LEAST_DOTS} of them on a lattice, among grey "
+        f"values from {low:.0f} to {high:.0f}; expose it more, or show more of the board."
+    )

@@ -1,0 +1,78 @@
+"""Smooth maps from lattice coordinates to pixels around each feature of a board.
+
+Such a map predicts where a feature should be, how large a lattice cell is there, and the offset between the centre of a
+disc's picture and the picture of the disc's centre.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+_NEIGHBOURS = 24  # a 5 x 5 window without its middle
+_POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # of x and y: 1, x, y, x^2, x y, y^2, ...
+_STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to show them
+
+_LEAST_STIFFNESS = 1e-9  # of first orders: a row of dots alone has no slope across, and gets zero
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeShape:
+    """Third-order maps around n dots, each fitted to its neighbours without itself.
+
+    At the edge of a fragment all neighbours lie on one side; with second orders only, third ones would pass for them.
+
+    Attributes:
+        expected: (n, 2) pixel where the neighbours say that the dot is.
+        doubt: (n,) standard deviation per axis of the dot's distance from there, for dots of unit noise.
+        slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
+        curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
+        neighbour: (n, k) which dots were used.
+    """
+
+    expected: FloatArray
+    doubt: FloatArray
+    slope: FloatArray
+    curvature: FloatArray
+    neighbour: IntArray
+
+    @property
+    def cell_px2(self) -> FloatArray:
+        """(n,) area of a lattice cell in the picture."""
+        return np.asarray(np.abs(np.linalg.det(self.slope)))
+
+    def centroid_shift(self, radius: FloatArray) -> FloatArray:
+        """(n, 2) centre of area of a disc's picture less the picture of its centre, pixels.
+
+        With f the map, J its slope and the disc's second moments radius^2 / 4 per axis: the integral of f |J| over the
+        integral of |J|, to second order. For a plane seen in perspective it is what J. Heikkila, "Geometric camera
+        calibration using circular control points", PAMI 22 (2000) 1066, corrects; lenses and optics are in it too.
+
+        Args:
+            radius: (n,) of the discs, lattice units.
+        """
+        growth = np.einsum("nlc,nckl->nk", np.linalg.inv(self.slope), self.curvature)  # of ln |J|
+        mean_lift = 0.5 * np.einsum("nckk->nc", self.curvature)
+        return np.asarray(0.25 * radius[:, None] ** 2 * (mean_lift + np.einsum("nck,nk->nc", self.slope, growth)))
+
+
+def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
+    """Fit a third-order map around each dot.
+
+    Args:
+        index: (n, 2) lattice coordinates, n >= 2.
+        pixel: (n, 2) where they are seen.
+    """
+    near = cKDTree(index).query(index, min(_NEIGHBOURS + 1, len(index)))[1][:, 1:]
+    x, y = np.moveaxis((index[near] - index[:, None, :]).astype(np.float64), -1, 0)
+    basis = np.stack([x**i * y**j / (math.factorial(i) * math.factorial(j)) for i, j in _POWERS], axis=-1)
+    held = np.diag([(0.0, _LEAST_STIFFNESS, _STIFFNESS, _STIFFNESS)[i + j] for i, j in _POWERS])
+    transposed = np.swapaxes(basis, 1, 2)
+    covariance = np.linalg.inv(transposed @ basis + held)
+    term = covariance @ (transposed @ (pixel[near] - pixel[:, None, :]))
+    slope = np.stack([term[:, 1], term[:, 2]], axis=-1)
+    curvature = np.stack([np.stack([term[:, 3], term[:, 4]], -1), np.stack([term[:, 4], term[:, 5]], -1)], -1)
+    return LatticeShape(pixel + term[:, 0], np.sqrt(1.0 + covariance[:, 0, 0]), slope, curvature, near)
