@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import (
     BadPhotographError,
     check_photograph,
@@ -48,12 +49,12 @@ def test_photographs_of_a_set_must_have_one_size(tmp_path):
 
 def test_what_a_camera_cannot_have_given_is_refused():
     grey = np.full((10, 20), 100, np.uint16)
-    check_photograph(grey, (20, 10), 255, "a")
+    check_photograph(grey, (20, 10), PhotographFormat(bits=8), "a")
     with pytest.raises(BadInputError, match="20 x 10 pixels, but its camera has 10 x 20"):
-        check_photograph(grey, (10, 20), 255, "a")
+        check_photograph(grey, (10, 20), PhotographFormat(bits=8), "a")
     with pytest.raises(BadInputError, match="values up to 5000, beyond the camera's 4095"):
-        check_photograph(grey * 50, (20, 10), 4095, "a")
+        PhotographFormat(bits=12).convert(grey * 50, "a")
     with pytest.raises(BadPhotographError, match="black"):
-        check_photograph(grey, (20, 10), 65535, "a")
+        check_photograph(grey, (20, 10), PhotographFormat(bits=16), "a")
     with pytest.raises(BadPhotographError, match="blown out"):
-        check_photograph(np.full((10, 20), 255, np.uint8), (20, 10), 255, "a")
+        check_photograph(np.full((10, 20), 255, np.uint8), (20, 10), PhotographFormat(), "a")

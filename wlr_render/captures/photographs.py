@@ -1,4 +1,4 @@
-"""Read and write photographs: unprocessed grey values of 8 to 16 bits."""
+"""Read and write photographs: linear values of one channel, 8 to 16 bits."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -8,63 +8,99 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_image
 
 Photograph = NDArray[np.unsignedinteger[Any]]
-"""(h, w) grey, uint8 or uint16, as it came from the camera."""
+"""(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""
 
 _BLACK = 0.01  # of full scale: where the brightest twentieth of a picture is darker, it is black
-SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg")
+_RAW = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf")
+SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg", ".npy", *_RAW)
 
 
 class BadPhotographError(BadInputError):
     """An unusable photograph, e.g. black or cut short; the message names it and the reason."""
 
 
-def read_photograph(path: str | Path) -> Photograph:
-    """Read one photograph as (h, w), uint8 or uint16; of a coloured one its grey value.
+def read_photograph(path: str | Path, kind: PhotographFormat | None = None) -> Photograph:
+    """Read one photograph as (h, w), uint8 or uint16, linear values of one channel.
+
+    Orientation tags are ignored: pixels stay where the sensor has them.
+
+    Args:
+        path: PNG, TIFF, BMP, PGM, JPEG or NumPy file; a raw file if `rawpy` is installed.
+        kind: format of the camera's files. None: grey values that fill the bits of the file.
 
     Raises:
-        BadInputError: there is no such file, or it does not have 8 or 16 bits.
+        BadInputError: there is no such file, or its values do not fit the format.
         BadPhotographError: the file is no picture, or is cut short.
     """
-    if not Path(path).is_file():
+    stored = _stored_values(Path(path))
+    return (kind or PhotographFormat(bits=8 * stored.itemsize)).convert(stored, str(path))
+
+
+def _stored_values(path: Path) -> Photograph:
+    """(h, w) or (h, w, 3) red, green, blue as the file has them; uint8 or uint16."""
+    if not path.is_file():
         raise BadInputError(f"{path}: there is no such photograph; take it, or correct its name.")
-    image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise BadPhotographError(f"{path}: cannot be read as a picture; take it again, or leave it out.")
-    if image.dtype not in (np.uint8, np.uint16):
-        raise BadInputError(f"{path}: holds {image.dtype} values; a photograph must have 8 or 16 bits.")
-    return np.asarray(image)
+    if path.suffix.lower() == ".npy":
+        stored = _numpy_file(path)
+    elif path.suffix.lower() in _RAW:
+        stored = _raw_file(path)
+    else:
+        flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        image = cv2.imread(str(path), flags)
+        if image is None:
+            raise BadPhotographError(f"{path}: cannot be read as a picture; take it again, or leave it out.")
+        stored = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    if stored.dtype not in (np.uint8, np.uint16):
+        raise BadInputError(f"{path}: holds {stored.dtype} values; a photograph must have 8 or 16 bits.")
+    return stored
 
 
-def check_photograph(image: Photograph, size_px: tuple[int, int], full_scale: int, name: str) -> None:
-    """Refuse a photograph of another size or depth than its camera's, or that is black or blown out.
+def _numpy_file(path: Path) -> Photograph:
+    try:
+        stored = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise BadPhotographError(f"{path}: is not a NumPy array, or is cut short; write it again.") from error
+    if not isinstance(stored, np.ndarray) or stored.ndim not in (2, 3) or stored.shape[2:] not in ((), (3,)):
+        raise BadInputError(f"{path}: must hold (height, width) values, or (height, width, 3) red, green and blue.")
+    return np.asarray(stored)
+
+
+def _raw_file(path: Path) -> Photograph:
+    try:
+        import rawpy
+    except ImportError as error:
+        raise BadInputError(
+            f"{path}: raw files need the package rawpy, which is not installed; install it, or convert to .tiff."
+        ) from error
+    try:
+        with rawpy.imread(str(path)) as raw:
+            return np.asarray(raw.raw_image_visible.copy())
+    except rawpy.LibRawError as error:
+        raise BadPhotographError(f"{path}: cannot be read as a raw file ({error}); take it again.") from error
+
+
+def check_photograph(image: Photograph, size_px: tuple[int, int], kind: PhotographFormat, name: str) -> None:
+    """Refuse a photograph of another size than its camera's, or that is black or blown out.
 
     Raises:
-        BadInputError: it has another size than the camera, or brighter values than the camera can give.
+        BadInputError: it has another size than the camera.
         BadPhotographError: it is black or blown out.
     """
     height, width = image.shape
-    if full_scale > np.iinfo(image.dtype).max:
-        raise BadInputError(
-            f"{name}: has {8 * image.itemsize} bits a pixel, too few for a camera with values up to {full_scale}; "
-            "check its 'bits'."
-        )
     if (width, height) != tuple(size_px):
         raise BadInputError(
             f"{name}: is {width} x {height} pixels, but its camera has {size_px[0]} x {size_px[1]}; "
             "take it again, or correct the camera's size."
         )
     dark, bright = np.percentile(image, [5, 95])
-    if image.max() > full_scale:
-        raise BadInputError(
-            f"{name}: has values up to {image.max()}, beyond the camera's {full_scale}; check its 'bits'."
-        )
-    if bright < _BLACK * full_scale:
+    if bright < _BLACK * kind.full_scale:
         raise BadPhotographError(f"{name}: is black; nothing can be found in it.")
-    if dark >= full_scale:
+    if dark >= kind.full_scale and not kind.synthetic:
         raise BadPhotographError(f"{name}: is blown out; nothing can be found in it.")
 
 
@@ -88,7 +124,7 @@ def photographs_in(folder: str | Path) -> list[Path]:
     return sorted(found, key=_natural)
 
 
-def read_each(paths: Sequence[Path]) -> Iterator[Photograph]:
+def read_each(paths: Sequence[Path], kind: PhotographFormat | None = None) -> Iterator[Photograph]:
     """Read photographs one at a time, all of one size.
 
     Raises:
@@ -96,11 +132,11 @@ def read_each(paths: Sequence[Path]) -> Iterator[Photograph]:
     """
     first = ""
     for path in paths:
-        image = read_photograph(path)
-        kind = describe_pixels(image)
-        first = first or kind
-        if kind != first:
-            raise BadInputError(f"{path}: is {kind}, but {paths[0].name} is {first}; all of a set must be alike.")
+        image = read_photograph(path, kind)
+        pixels = describe_pixels(image)
+        first = first or pixels
+        if pixels != first:
+            raise BadInputError(f"{path}: is {pixels}, but {paths[0].name} is {first}; all of a set must be alike.")
         yield image
 
 

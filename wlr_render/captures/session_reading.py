@@ -19,6 +19,7 @@ from wlr_render.captures.boards.board_file import board_table
 from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import (
     BadPhotographError,
     check_photograph,
@@ -121,8 +122,8 @@ def read_session(
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
     for each in session.display:
-        size_px = session.eyeball_camera.size_px
-        yield _PanelTask(session.name_of(each.folder), each.folder, session.pattern, session.decoding, size_px)
+        size_px, kind = session.eyeball_camera.size_px, PhotographFormat(bits=session.eyeball_camera.bits)
+        yield _PanelTask(session.name_of(each.folder), each.folder, session.pattern, session.decoding, size_px, kind)
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
@@ -134,7 +135,8 @@ def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
     ]
     for camera, paths in by_camera:
         for path in dict.fromkeys(paths):
-            yield _BoardTask(session.name_of(path), path, session.board, camera.size_px, camera.full_scale)
+            kind = PhotographFormat(bits=camera.bits)
+            yield _BoardTask(session.name_of(path), path, session.board, camera.size_px, kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,14 +147,14 @@ class _BoardTask:
     path: Path
     board: Board
     size_px: tuple[int, int]
-    full_scale: int
+    kind: PhotographFormat
 
     def fingerprint(self) -> str:
-        return _fingerprint([self.path], [board_table(self.board), self.size_px, self.full_scale])
+        return _fingerprint([self.path], [board_table(self.board), self.size_px, self.kind.fingerprint])
 
     def read(self) -> dict[str, NDArray[Any]]:
-        image = read_photograph(self.path)
-        check_photograph(image, self.size_px, self.full_scale, self.name)
+        image = read_photograph(self.path, self.kind)
+        check_photograph(image, self.size_px, self.kind, self.name)
         found = self.board.find(image, self.name)
         counts = np.array([found.unidentified, found.disagreeing, found.ambiguous_half_turn])
         return {"index": found.index, "pixel": found.pixel, "sigma_px": found.sigma_px, "counts": counts}
@@ -172,13 +174,16 @@ class _PanelTask:
     pattern: Pattern
     decoding: DecodeOptions
     size_px: tuple[int, int]
+    kind: PhotographFormat
 
     @property
     def path(self) -> Path:
         return self.folder
 
     def fingerprint(self) -> str:
-        return _fingerprint(photographs_in(self.folder), [self.pattern, self.decoding, self.size_px])
+        return _fingerprint(
+            photographs_in(self.folder), [self.pattern, self.decoding, self.size_px, self.kind.fingerprint]
+        )
 
     def read(self) -> dict[str, NDArray[Any]]:
         paths = photographs_in(self.folder)
@@ -186,10 +191,10 @@ class _PanelTask:
             raise BadInputError(
                 f"holds {len(paths)} photographs, but the code has {wanted} pictures; give one photograph a picture."
             )
-        first = read_photograph(paths[0])
+        first = read_photograph(paths[0], self.kind)
         # The first picture shows the panel white: what is wrong with it is wrong with all.
-        check_photograph(first, self.size_px, self.decoding.full_scale, f"{self.name}/{paths[0].name}")
-        decoded = self.pattern.decode(read_each(paths), self.decoding)
+        check_photograph(first, self.size_px, self.kind, f"{self.name}/{paths[0].name}")
+        decoded = self.pattern.decode(read_each(paths, self.kind), self.decoding)
         samples = sample(decoded)
         if len(samples) == 0:
             raise BadInputError(_why_nothing(decoded))

@@ -14,6 +14,7 @@ from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_strengths
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in, read_each, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.code_quality import (
@@ -72,11 +73,12 @@ class CodePhotographs:
     photographs: tuple[Path, ...]
     pattern: Pattern
     options: DecodeOptions
+    kind: PhotographFormat
     lenses: Lenses = field(default_factory=Lenses)
 
     def decoded(self) -> Decoded:
         """Panel positions of the camera's pixels."""
-        return self.pattern.decode(read_each(self.photographs), self.options)
+        return self.pattern.decode(read_each(self.photographs, self.kind), self.options)
 
 
 def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -> Report:
@@ -96,7 +98,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     label = find_planes(decoded, camera_only)
     surveys = {_lens_names(lenses): fit_planes(decoded, label, lenses) for lenses in _variants(codes.lenses)}
     survey = surveys[_lens_names(camera_only)]
-    strengths = bit_strengths(read_each(codes.photographs), codes.pattern, codes.options)
+    strengths = bit_strengths(read_each(codes.photographs, codes.kind), codes.pattern, codes.options)
     heading = f"Residual of flat surfaces, distortion corrected: {_lens_names(camera_only)}"
     pictures = [
         Picture("Decoded positions", _draw_positions(folder / "positions.png", decoded), "Panel position u and v."),
@@ -131,15 +133,16 @@ def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
     folder = options.folder
     if options.source == "procam-graycode":
         capture = read_procam_graycode(folder)
-        full_scale = int(np.iinfo(read_photograph(capture.photographs[0]).dtype).max)
+        kind = PhotographFormat(bits=8 * read_photograph(capture.photographs[0]).itemsize)
         lenses = Lenses(capture.camera, capture.projector)
         pattern = GrayCode(capture.panel)
-        return CodePhotographs(folder.name, capture.photographs, pattern, DecodeOptions(full_scale), lenses)
+        return CodePhotographs(folder.name, capture.photographs, pattern, DecodeOptions(kind.full_scale), kind, lenses)
     if options.panel is None:
         raise BadInputError("--panel is missing: how many pixels has the panel, e.g. 1920x1080?")
     pattern_shown = make_pattern(options.pattern, Panel(*options.panel))
     photographs = tuple(photographs_in(folder))
-    return CodePhotographs(folder.name, photographs, pattern_shown, DecodeOptions(2**options.bits - 1))
+    kind = PhotographFormat(bits=options.bits)
+    return CodePhotographs(folder.name, photographs, pattern_shown, DecodeOptions(kind.full_scale), kind)
 
 
 def _variants(known: Lenses) -> list[Lenses]:

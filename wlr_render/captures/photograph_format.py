@@ -1,0 +1,269 @@
+"""Format of a camera's files: how stored values become linear grey values, and which of them are saturated."""
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.toml_files import Table
+
+StoredValues = NDArray[np.unsignedinteger[Any]]
+
+CHANNELS = ("grey", "red", "green", "blue")
+MOSAICS = {
+    "rggb": cv2.COLOR_BAYER_RGGB2RGB,
+    "grbg": cv2.COLOR_BAYER_GRBG2RGB,
+    "gbrg": cv2.COLOR_BAYER_GBRG2RGB,
+    "bggr": cv2.COLOR_BAYER_BGGR2RGB,
+}
+_LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, as cv2.COLOR_RGB2GRAY
+_LINEARISED = 65535  # full scale of linearised values: finer than any camera's
+
+
+@dataclass(frozen=True)
+class PhotographFormat:
+    """How a camera's files become linear values of one channel, uint8 or uint16.
+
+    A saturated pixel has the value `full_scale`, and no other pixel has. Saturation is tested in the stored values,
+    channel by channel, before colours are mixed and before linearisation.
+
+    Attributes:
+        bits: of the camera, 8 to 16.
+        saturation: smallest stored value that counts as saturated; None: the largest value of `bits`. Counted in
+            right-justified values.
+        left_justified: whether values of less than 16 bits fill the upper bits of 16. None: they do where all lower
+            bits of a picture are zero.
+        black_level: stored value without light. It matters for `gamma` and for brackets; all else is differences.
+        gamma: the stored value is proportional to light ** (1 / gamma).
+        linearisation: pairs (stored value, light), in increasing order; in place of `gamma`.
+        linearisation_file: path of that table as session.toml names it.
+        channel: of coloured files and mosaics: "grey", "red", "green" or "blue".
+        mosaic: colours of the top-left 2 x 2 pixels of raw files, e.g. "rggb"; empty: none.
+        interpolate: of a mosaic: whether to interpolate the channel at all pixels. Otherwise the picture has half the
+            width and height: red and blue are one pixel of each 2 x 2, green is the mean of two.
+        synthetic: the files are pictures that no camera took: nothing is saturated.
+    """
+
+    bits: int = 8
+    saturation: float | None = None
+    left_justified: bool | None = None
+    black_level: float = 0.0
+    gamma: float = 1.0
+    linearisation: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    linearisation_file: str = ""
+    channel: str = "grey"
+    mosaic: str = ""
+    interpolate: bool = True
+    synthetic: bool = False
+
+    @property
+    def full_scale(self) -> int:
+        """Value of a saturated pixel after conversion."""
+        if self.gamma != 1.0 or self.linearisation:
+            return _LINEARISED
+        return int(np.ceil(self._end))
+
+    @property
+    def fingerprint(self) -> str:
+        """Text that differs between formats that convert differently."""
+        return f"{self!r} {hash(self.linearisation)}"
+
+    @property
+    def _largest(self) -> int:
+        return int(2**self.bits) - 1
+
+    @property
+    def _end(self) -> float:
+        return self._largest if self.saturation is None else self.saturation
+
+    @classmethod
+    def from_table(cls, table: Table, root: Path = Path()) -> "PhotographFormat":
+        """Read the keys of a camera's table; all are optional but `bits`. The caller calls `table.finish`.
+
+        Args:
+            table: e.g. [eyeball_camera] of session.toml.
+            root: folder that the path of `linearisation` starts from.
+
+        Raises:
+            BadInputError: a value is out of range, keys exclude each other, or the linearisation cannot be read.
+        """
+        bits = table.whole("bits", 1)
+        if not 8 <= bits <= 16:
+            raise table.fail(f"'bits' is {bits}; it must be 8 to 16.")
+        largest = 2**bits - 1
+        saturation = table.number("saturation") if table.has("saturation") else None
+        black = table.number("black_level", 0.0)
+        if saturation is not None and not black < saturation <= largest:
+            raise table.fail(f"'saturation' is {saturation:g}; it must be above 'black_level' and at most {largest}.")
+        if not 0 <= black < largest:
+            raise table.fail(f"'black_level' is {black:g}; it must be 0 or more, and below {largest}.")
+        gamma = table.number("gamma", 1.0)
+        if not 0.2 <= gamma <= 5:
+            raise table.fail(f"'gamma' is {gamma:g}; it must be 0.2 to 5: the stored value is light ** (1 / gamma).")
+        name = table.text("linearisation", "")
+        if name and gamma != 1.0:
+            raise table.fail("give either 'gamma' or 'linearisation'.")
+        mosaic = table.text("mosaic", "", choices=["", *MOSAICS])
+        if table.has("interpolate") and not mosaic:
+            raise table.fail("'interpolate' is for raw files with a 'mosaic'; remove it, or state the mosaic.")
+        return cls(
+            bits=bits,
+            saturation=saturation,
+            left_justified=table.flag("left_justified", False) if table.has("left_justified") else None,
+            black_level=black,
+            gamma=gamma,
+            linearisation=_read_linearisation(root / name) if name else (),
+            linearisation_file=name,
+            channel=table.text("channel", "grey", choices=CHANNELS),
+            mosaic=mosaic,
+            interpolate=table.flag("interpolate", True),
+            synthetic=table.flag("synthetic", False),
+        )
+
+    def keys(self) -> dict[str, Any]:
+        """Keys of a camera's table from which `from_table` reads the same format; defaults are left out."""
+        found: dict[str, Any] = {"bits": self.bits}
+        default = PhotographFormat(bits=self.bits)
+        for name in ("saturation", "left_justified", "black_level", "gamma", "channel", "mosaic", "interpolate"):
+            if getattr(self, name) != getattr(default, name):
+                found[name] = getattr(self, name)
+        if self.linearisation_file:
+            found["linearisation"] = self.linearisation_file
+        return found | ({"synthetic": True} if self.synthetic else {})
+
+    def convert(self, stored: StoredValues, name: str) -> StoredValues:
+        """Convert stored values to linear values of one channel.
+
+        Args:
+            stored: (h, w) grey or mosaic, or (h, w, 3) red, green, blue; uint8 or uint16.
+            name: of the file, for messages.
+
+        Returns:
+            (h, w) uint8 or uint16; half as high and wide if a mosaic is not interpolated.
+
+        Raises:
+            BadInputError: the values do not fit the bits or the mosaic.
+        """
+        values, end = self._right_justified(stored, name)
+        if self.mosaic:
+            if values.ndim != 2:
+                raise BadInputError(f"{name}: has colours already; remove 'mosaic' ({self.mosaic}) from its camera.")
+            light, saturated = self._of_mosaic(values, end)
+        elif values.ndim == 3:
+            over = values >= end
+            light = self._of_colours(self._linear(values))
+            saturated = over.any(axis=-1) if self.channel == "grey" else over[..., CHANNELS.index(self.channel) - 1]
+        elif self.channel != "grey":
+            raise BadInputError(f"{name}: is grey; 'channel' is '{self.channel}': remove it, or state the 'mosaic'.")
+        else:
+            light, saturated = self._linear(values), values >= end
+        full = self.full_scale
+        if self.synthetic:
+            return _rounded(light, full)
+        linear = _rounded(light, full - 1)
+        linear[saturated] = full
+        return linear
+
+    def _right_justified(self, stored: StoredValues, name: str) -> tuple[StoredValues, float]:
+        """Values shifted down if they fill the upper bits, and the smallest saturated one."""
+        if 8 * stored.itemsize < self.bits:
+            raise BadInputError(
+                f"{name}: has {8 * stored.itemsize} bits a pixel, too few for a camera with values up to "
+                f"{self._largest}; check its 'bits'."
+            )
+        shift = 8 * stored.itemsize - self.bits if stored.itemsize > 1 else 0
+        if shift and (self.left_justified or (self.left_justified is None and is_left_justified(stored, self.bits))):
+            stored = stored >> np.uint16(shift)
+        end = self._end
+        if stored.itemsize > 1 and self.bits == 16 and self.saturation is None and self.left_justified is not False:
+            # 12-bit values in the upper bits of 16, stated as 16 bits: the largest is 65520.
+            unused = next((n for n in range(8, 1, -1) if is_left_justified(stored, 16 - n)), 0)
+            end = self._largest - (2**unused - 1)
+        if (largest := int(stored.max(initial=0))) > self._largest:
+            raise BadInputError(
+                f"{name}: has values up to {largest}, beyond the camera's {self._largest}; check its 'bits'."
+            )
+        return stored, end
+
+    def _linear(self, values: StoredValues) -> StoredValues:
+        """Stored values to light, 0 to `full_scale`; as they are if they are linear."""
+        if not self.linearisation and self.gamma == 1.0:
+            return values
+        return _linear_table(self)[values]
+
+    def _of_mosaic(self, values: StoredValues, end: float) -> tuple[StoredValues, NDArray[np.bool_]]:
+        over = values >= end
+        if self.interpolate:
+            colours = cv2.cvtColor(self._linear(values), MOSAICS[self.mosaic])
+            # Interpolation spreads a saturated pixel to its neighbours.
+            spread = cv2.dilate(over.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+            return self._of_colours(colours), spread
+        height, width = (size // 2 * 2 for size in values.shape)
+        linear = self._linear(values)
+        planes = [
+            (colour, linear[row:height:2, column:width:2], over[row:height:2, column:width:2])
+            for colour, (row, column) in zip(self.mosaic, ((0, 0), (0, 1), (1, 0), (1, 1)), strict=True)
+        ]
+        chosen = [plane for plane in planes if self.channel in ("grey", _COLOUR_NAMES[plane[0]])]
+        mean = np.mean([plane for _, plane, _ in chosen], axis=0)
+        return np.asarray(np.rint(mean), dtype=linear.dtype), np.asarray(np.any([mask for *_, mask in chosen], axis=0))
+
+    def _of_colours(self, linear: StoredValues) -> StoredValues:
+        """(h, w) the channel, of (h, w, 3) linear red, green and blue."""
+        if self.channel != "grey":
+            return np.ascontiguousarray(linear[..., CHANNELS.index(self.channel) - 1])
+        return np.asarray(np.rint(linear @ _LUMA), dtype=linear.dtype)
+
+
+_COLOUR_NAMES = {name[0]: name for name in CHANNELS[1:]}
+
+
+def is_left_justified(stored: StoredValues, bits: int) -> bool:
+    """Whether values of so many bits fill the upper bits of 16: all lower bits of the whole picture are zero."""
+    if stored.itemsize != 2 or not 8 <= bits < 16:
+        return False
+    return not int(np.bitwise_or.reduce(stored, axis=None)) & (2 ** (16 - bits) - 1)
+
+
+def _rounded(light: StoredValues, largest: int) -> StoredValues:
+    """A copy with no value above `largest`."""
+    return np.minimum(light, light.dtype.type(min(largest, np.iinfo(light.dtype).max)))
+
+
+@cache
+def _linear_table(kind: PhotographFormat) -> NDArray[np.uint16]:
+    """(65536,) uint16 light of each stored value: 0 at the black level, `full_scale` at saturation."""
+    value = np.arange(65536.0)
+    if kind.linearisation:
+        stored, light = np.array(kind.linearisation).T
+        light = np.interp(value, stored, light) - light[0]
+        light /= np.interp(kind._end, stored, np.array(kind.linearisation)[:, 1]) - kind.linearisation[0][1]
+    else:
+        light = np.maximum((value - kind.black_level) / (kind._end - kind.black_level), 0) ** kind.gamma
+    return np.asarray(np.rint(np.minimum(light, 1) * _LINEARISED), dtype=np.uint16)
+
+
+def _read_linearisation(path: Path) -> tuple[tuple[float, float], ...]:
+    """Pairs (stored value, light) of a text file: two columns, or one with the light of the values 0, 1, 2, ...
+
+    Raises:
+        BadInputError: there is no such file, it does not hold numbers, or they do not increase.
+    """
+    try:
+        numbers = np.loadtxt(path, delimiter="," if path.suffix.lower() == ".csv" else None, ndmin=2)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read; it should hold the camera's linearisation.") from error
+    except ValueError as error:
+        raise BadInputError(f"{path}: does not hold numbers only ({error}).") from error
+    if numbers.shape[1] == 1:
+        numbers = np.column_stack([np.arange(len(numbers)), numbers])
+    if numbers.shape[1] != 2 or len(numbers) < 2 or not np.all(np.isfinite(numbers)):
+        raise BadInputError(f"{path}: must hold two columns, stored value and light, or one, the light of 0, 1, 2, ...")
+    if np.any(np.diff(numbers, axis=0) < 0) or np.any(np.diff(numbers[:, 0]) == 0) or np.ptp(numbers[:, 1]) == 0:
+        raise BadInputError(f"{path}: stored values must increase, and light must not decrease with them.")
+    return tuple((float(value), float(light)) for value, light in numbers)
