@@ -157,7 +157,8 @@ class PhotographFormat:
         elif values.ndim == 3:
             over = values >= end
             light = self._of_colours(self._linear(values))
-            saturated = over.any(axis=-1) if self.channel == "grey" else over[..., CHANNELS.index(self.channel) - 1]
+            used = slice(None) if self.channel == "grey" else [CHANNELS.index(self.channel) - 1]
+            saturated = np.asarray(over[..., used].any(axis=-1))
         elif self.channel != "grey":
             raise BadInputError(f"{name}: is grey; 'channel' is '{self.channel}': remove it, or state the 'mosaic'.")
         else:
