@@ -22,18 +22,20 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.jobs.calibrate.photos import READ, CalibratePhotosOptions, calibrated, report_of
 from wlr_render.jobs.verify import session as verify
 from wlr_render.simulation.photographs import recipe, simulate_photo_session
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
     PhotoBench,
     PhotoBenchOptions,
     design_photo_bench,
-    plan_photographs,
 )
+from wlr_render.simulation.photographs.photo_plan import plan_photographs
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.toml_files import write_toml
 
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)
 TRACKING_PX = (400, 300)
+IMPERFECTIONS = replace(BenchImperfections.none(), repeatability_um=2.0)
 
 
 def in_this_process(run, tasks, workers):
@@ -153,7 +155,7 @@ def small_bench_of(made):
 
 def made_session(folder):
     """Simulate the session and calibrate it once; returns both."""
-    bench = PhotoBenchOptions(camera_px=CAMERA_PX)
+    bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS)
     made = SimulationRecipe(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=bench)
     session = SmallSession(folder / "session", folder / "out", made)
     with pytest.MonkeyPatch.context() as patch:

@@ -1,13 +1,14 @@
 """Simulate a session of photographs, as a lab would deliver it."""
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed, Workers, described, described_size
 from wlr_render.jobs.targets import Code
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
@@ -34,9 +35,27 @@ class SimulateOptions(Options):
     depths_m: Annotated[
         tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(at_least=0)
     ] = (0.4, 1.0)
+    perfect: Annotated[
+        bool, described("A bench without imperfections, but for those that the options below give.", flag=True)
+    ] = False
     stage_error_um: Annotated[
-        float, described("Error of each camera position in um, standard deviation per axis."), Range(at_least=0)
-    ] = 2.0
+        float | None, described("Repeatability of the stage in um, standard deviation per axis."), Range(at_least=0)
+    ] = None
+    turn_urad: Annotated[
+        float | None, described("Pitch, yaw and roll of the stage in urad, rms along each axis."), Range(at_least=0)
+    ] = None
+    bow_mm: Annotated[float | None, described("Bow of the board in mm, middle to corners."), Range(at_least=0)] = None
+    anisotropy: Annotated[
+        float | None, described("Part by which the board is printed longer in y than in x."), Range(at_least=0)
+    ] = None
+    extrinsics_mm: Annotated[
+        float | None, described("Error of the tracking camera's stated position in mm, per axis."), Range(at_least=0)
+    ] = None
+    extrinsics_deg: Annotated[
+        float | None,
+        described("Error of the tracking camera's stated rotation in degrees, per axis."),
+        Range(at_least=0),
+    ] = None
     seed: Seed = 1
     workers: Workers = None
 
@@ -50,10 +69,24 @@ class SimulateOptions(Options):
             self.focus_m,
             self.snr,
             self.depths_m,
-            self.stage_error_um,
             self.seed,
+            self._imperfections,
         )
         return SimulationRecipe(self.device, self.eye, self.viewpoints, self.pattern, bench)
+
+    @property
+    def _imperfections(self) -> BenchImperfections:
+        """Those of ordinary equipment or none, with the sizes that were given."""
+        given: dict[str, Any] = {
+            "repeatability_um": self.stage_error_um,
+            "turn_urad": self.turn_urad,
+            "bow_mm": self.bow_mm,
+            "anisotropy": self.anisotropy,
+            "extrinsics_mm": self.extrinsics_mm,
+            "extrinsics_deg": self.extrinsics_deg,
+        }
+        usual = BenchImperfections.none() if self.perfect else BenchImperfections()
+        return replace(usual, **{name: size for name, size in given.items() if size is not None})
 
 
 def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -> Report:

@@ -7,15 +7,16 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
     PhotoBenchOptions,
     design_photo_bench,
-    plan_photographs,
     stage_readings,
     target_at,
 )
+from wlr_render.simulation.photographs.photo_plan import plan_photographs
 
-OPTIONS = PhotoBenchOptions(camera_px=(640, 512))
+OPTIONS = PhotoBenchOptions(camera_px=(640, 512), imperfections=BenchImperfections.none())
 
 
 @pytest.fixture(scope="module", params=["birdbath28", "plane_plate"])

@@ -151,7 +151,7 @@ def _track_targets(
         BadInputError: it does not see it.
     """
     shots = tuple(BoardShot(folder / f"tracking_{_name(depth)}.png", target_at(bench, depth)) for depth in depths_m)
-    _retake(CameraPose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.board, shots))
+    _retake(CameraPose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.printed, shots))
     poses = []
     for shot in shots:
         observation = bench.board.find(read_photograph(shot.path), shot.path.name)
@@ -201,7 +201,7 @@ def _photograph(
                 bench.eyeball_sensor,
                 bench.camera_at(reading),
                 bench.optics,
-                bench.board,
+                bench.printed,
                 boards,
                 panels,
                 seed,

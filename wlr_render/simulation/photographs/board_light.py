@@ -7,6 +7,9 @@ import numpy as np
 from wlr_render.captures.boards.board import Board
 from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.simulation.photographs.printed_board import PrintedBoard
+
+_BOW_STEPS = 3  # of the intersection with a bowed board; each leaves a hundredth of the error before
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class BoardLight:
     """Radiance of a dot board before a background, as `CameraView.world_light` takes it.
 
     Attributes:
-        board: what is printed.
+        board: the board, flat and exact, or as it was printed.
         frame_from_target: (4, 4) pose of the board in the frame of the view; it is seen from its front only.
         wall: the background.
         white: brightness of its white.
@@ -44,7 +47,7 @@ class BoardLight:
             stands for 1 / sqrt(n).
     """
 
-    board: Board
+    board: Board | PrintedBoard
     frame_from_target: FloatArray
     wall: FarWall = FarWall()
     white: float = 0.8
@@ -61,15 +64,24 @@ class BoardLight:
         return light
 
     def _place(self, ray: Float32Array) -> Float32Array:
-        """Where rays (h, w, 6) meet the board's plane from its front: x and y (h, w, 2), board frame; else NaN."""
+        """Where rays (h, w, 6) meet the board from its front: x and y (h, w, 2), board frame; else NaN."""
         target_from_frame = inverse(self.frame_from_target).astype(np.float32)
         rotation, shift = target_from_frame[:3, :3], target_from_frame[:3, 3]
         origin, direction = ray[..., :3] @ rotation.T + shift, ray[..., 3:] @ rotation.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = -origin[..., 2] / direction[..., 2]
-        along[~((along > 0.0) & (direction[..., 2] > 0.0))] = np.nan
-        # Axis by axis: numpy is slow over a last axis of two.
-        return np.stack([origin[..., axis] + along * direction[..., axis] for axis in range(2)], axis=-1)
+        place = _on_plane(origin, direction, origin[..., 2])
+        if isinstance(self.board, PrintedBoard) and not self.board.is_flat:
+            for _ in range(_BOW_STEPS):
+                place = _on_plane(origin, direction, origin[..., 2] - self.board.height(place).astype(np.float32))
+        return place
+
+
+def _on_plane(origin: Float32Array, direction: Float32Array, depth: Float32Array) -> Float32Array:
+    """x and y (h, w, 2) where rays reach a plane whose z is `depth` (h, w) below their origins'; NaN from behind."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = -depth / direction[..., 2]
+    along[~((along > 0.0) & (direction[..., 2] > 0.0))] = np.nan
+    # Axis by axis: numpy is slow over a last axis of two.
+    return np.stack([origin[..., axis] + along * direction[..., axis] for axis in range(2)], axis=-1)
 
 
 def _footprint(place: Float32Array) -> Float32Array:

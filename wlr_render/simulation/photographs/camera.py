@@ -121,6 +121,8 @@ class Sensor:
         vignetting: part of the light that is lost in the corners; it grows with the square of the distance from the
             middle.
         gamma: grey values are the signal to the power of 1 / gamma.
+        black_clip: part of full scale subtracted from the signal: a black level that is too low, so that dark pixels
+            are clipped to 0.
 
     Raises:
         BadInputError: a value that no sensor has.
@@ -132,13 +134,15 @@ class Sensor:
     read_noise_e: float = 5.0
     vignetting: float = 0.0
     gamma: float = 1.0
+    black_clip: float = 0.0
 
     def __post_init__(self) -> None:
         positive = min(self.exposure, self.full_well_e, self.gamma) > 0.0
-        if not (1 <= self.bits <= 16 and positive and self.read_noise_e >= 0.0 and 0.0 <= self.vignetting <= 1.0):
+        parts = 0.0 <= self.vignetting <= 1.0 and 0.0 <= self.black_clip < 1.0
+        if not (1 <= self.bits <= 16 and positive and self.read_noise_e >= 0.0 and parts):
             raise BadInputError(
                 f"{self} cannot be; give 1 to 16 bits, a positive exposure, full well and gamma, a read noise of 0 or "
-                "more, and vignetting between 0 and 1."
+                "more, vignetting between 0 and 1, and a black_clip below 1."
             )
 
     @classmethod
@@ -160,7 +164,7 @@ class Sensor:
         signal = light * self._falloff(light.shape) * self.exposure
         noise_e = np.sqrt(signal * self.full_well_e + self.read_noise_e**2)
         signal += rng.standard_normal(light.shape, dtype=np.float32) * noise_e / self.full_well_e
-        grey = np.clip(signal, 0.0, 1.0) ** (1.0 / self.gamma) * (2**self.bits - 1)
+        grey = np.clip(signal - np.float32(self.black_clip), 0.0, 1.0) ** (1.0 / self.gamma) * (2**self.bits - 1)
         return np.asarray(np.rint(grey), dtype=np.uint8 if self.bits <= 8 else np.uint16)
 
     def _falloff(self, shape: tuple[int, ...]) -> NDArray[np.float32]:

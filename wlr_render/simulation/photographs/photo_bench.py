@@ -1,6 +1,6 @@
 """A simulated photographic bench with known true values, and the photographs a session takes on it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
+from wlr_render.simulation.photographs.printed_board import PrintedBoard
+from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar
 
@@ -23,10 +26,9 @@ _LARGEST_BOARD_M = (1.189, 0.841)  # A0, what a plotter prints
 _PITCH_PX = 24.0  # of the board at its farthest place, camera pixels
 _EXPOSURE = 0.85  # of a white panel: just below full scale
 _TRACKING_SNR = 60.0
+_STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of random numbers
 
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-_TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
-_FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,8 @@ class PhotoBenchOptions:
         focus_m: where it is focused, for all photographs.
         snr: of a panel at full white: signal over noise.
         target_depths_m: where the target stands, in front of the eye box; one pose each.
-        stage_error_um: standard deviation of the stage's own place about its reading, per axis.
         seed: of all random numbers.
+        imperfections: errors of stage, board, lenses, extrinsics and sensors.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -50,8 +52,8 @@ class PhotoBenchOptions:
     focus_m: float = 1.0
     snr: float = 50.0
     target_depths_m: tuple[float, ...] = (0.4, 1.0)
-    stage_error_um: float = 2.0
     seed: int = 1
+    imperfections: BenchImperfections = field(default_factory=BenchImperfections)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,37 +63,62 @@ class PhotoBench:
     Attributes:
         device: the headset.
         eye: which of its eyes.
-        board: the printed target.
+        board: the target as board.toml states it.
+        printed: the target as it is.
         eyeball, tracking: the lenses of the camera in the place of the eye, and of the headset's own camera.
         eyeball_sensor, tracking_sensor: what is behind them.
-        device_from_camera: (4, 4) where the eyeball camera is when the stage reads zero.
-        stage_axes: (3, 3) its displacement in the device frame = axes @ reading.
+        device_from_camera: (4, 4) where the eyeball camera is when the stage stands at zero.
+        stage_axes: (3, 3) its displacement in the device frame = axes @ position of the stage, but for `stage_errors`.
+        stage_errors: smooth errors of the stage.
         device_from_tracking: (4, 4) where the headset's camera sits.
+        stated_device_from_tracking: (4, 4) where session.toml says that it sits.
         device_from_target: (k, 4, 4) the target's poses.
+        options: what the bench was designed from.
     """
 
     device: Device
     eye: str
     board: DotBoard
+    printed: PrintedBoard
     eyeball: SimulatedLens
     eyeball_sensor: Sensor
     tracking: SimulatedLens
     tracking_sensor: Sensor
     device_from_camera: FloatArray
     stage_axes: FloatArray
+    stage_errors: StageErrors
     device_from_tracking: FloatArray
+    stated_device_from_tracking: FloatArray
     device_from_target: FloatArray
+    options: PhotoBenchOptions
 
     @property
     def optics(self) -> EyeOptics:
         """The eye's optics."""
         return self.device.eyes[self.eye]
 
-    def camera_at(self, stage: FloatArray) -> FloatArray:
-        """device_from_camera (4, 4) at a stage reading (3,)."""
-        return transforms.rigid(
-            self.device_from_camera[:3, :3], self.device_from_camera[:3, 3] + self.stage_axes @ stage
-        )
+    def camera_at(self, position: FloatArray, error: FloatArray | None = None) -> FloatArray:
+        """device_from_camera (4, 4) at a stage position (3,).
+
+        Args:
+            position: of the stage, metres.
+            error: (6,) rotation vector (rad) and displacement (m) beside the smooth errors, device frame.
+        """
+        motion = self.stage_errors.motion(position)
+        motion = motion if error is None else motion + error
+        rotation, origin = self.device_from_camera[:3, :3], self.device_from_camera[:3, 3] + self.stage_axes @ position
+        return transforms.rigid(transforms.rotations_of_vectors(motion[:3]) @ rotation, origin + motion[3:])
+
+    def eyeball_focused(self, target_pose: int) -> SimulatedLens:
+        """The eyeball lens while it photographs the target: the focal length depends on the distance (breathing)."""
+        nearness = 1.0 / np.linalg.norm(self.device_from_target[:, :3, 3] - self.optics.eye_box.centre, axis=-1)
+        reach = float(np.ptp(nearness))
+        if reach == 0.0 or self.options.imperfections.focus_breathing == 0.0:
+            return self.eyeball
+        part = float(nearness[target_pose] - nearness.min()) / reach - 0.5
+        camera = self.eyeball.camera
+        focal = camera.focal_px * (1.0 + self.options.imperfections.focus_breathing * part)
+        return replace(self.eyeball, camera=replace(camera, focal_px=focal))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,24 +166,64 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
     """
     truth = traced_eye(device, eye)
     CaptureSetup(truth, target_depths_m=options.target_depths_m)  # refuses depths that give no ray
-    aim = _Aim.at(truth)
+    aim, sizes = _Aim.at(truth), options.imperfections
     box = device.eyes[eye].eye_box
+    stage, printing, lenses, extrinsics, sensors = (
+        np.random.default_rng([options.seed, stream, int(eye == "left")])
+        for stream in (_STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS)
+    )
     pose = transforms.rigid(aim.device_from_looking @ _turned(0.4, -0.3, 0.5), box.centre)
     eyeball = _camera(options.camera_px, aim.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
     tracking = _camera((1600, 1200), np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
+    board = _board(aim, max(options.target_depths_m), eyeball)
+    device_from_tracking = _tracking_pose(aim, box.centre)
     return PhotoBench(
         device=device,
         eye=eye,
-        board=_board(aim, max(options.target_depths_m), eyeball),
-        eyeball=SimulatedLens(eyeball, 1e-3 * options.pupil_mm, options.focus_m),
-        eyeball_sensor=Sensor.with_snr(options.snr, options.bits, _EXPOSURE, vignetting=0.3),
-        tracking=SimulatedLens(tracking, 0.8e-3, 0.8),
-        tracking_sensor=Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3),
+        board=board,
+        printed=PrintedBoard.draw(board, sizes, printing),
+        eyeball=SimulatedLens(_decentred(eyeball, sizes, lenses), 1e-3 * options.pupil_mm, options.focus_m),
+        eyeball_sensor=_imperfect(
+            Sensor.with_snr(options.snr, options.bits, _EXPOSURE, vignetting=0.3), sizes, sensors
+        ),
+        tracking=SimulatedLens(_decentred(tracking, sizes, lenses), 0.8e-3, 0.8),
+        tracking_sensor=_imperfect(Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3), sizes, sensors),
         device_from_camera=pose,
-        stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]),
-        device_from_tracking=_tracking_pose(aim, box.centre),
+        stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]) @ _skewed(sizes.axes_skew_mrad, stage),
+        stage_errors=StageErrors.draw(sizes, _half_travel(truth), stage),
+        device_from_tracking=device_from_tracking,
+        stated_device_from_tracking=_misstated(device_from_tracking, sizes, extrinsics),
         device_from_target=np.stack([_target_pose(aim, box.centre, depth) for depth in options.target_depths_m]),
+        options=options,
     )
+
+
+def _half_travel(truth: EyeMappings) -> FloatArray:
+    """(3,) the farthest that a session's readings reach from the middle."""
+    size, reach = truth.eye_box.size, CaptureSetup(truth).field.reach
+    return np.asarray(0.5 * size + [*(0.5 * size[2] * reach), 0.0])
+
+
+def _skewed(skew_mrad: float, rng: np.random.Generator) -> FloatArray:
+    """(3, 3) axes of unit length to first order, each pair off a right angle by `skew_mrad`."""
+    return np.asarray(np.eye(3) + 1e-3 * skew_mrad * np.triu(rng.choice([-1.0, 1.0], (3, 3)), 1))
+
+
+def _decentred(camera: LensCamera, sizes: BenchImperfections, rng: np.random.Generator) -> LensCamera:
+    signs = rng.choice([-1.0, 1.0], 2)
+    return replace(camera, distortion=camera.distortion + sizes.decentring * np.array([0.0, 0.0, *signs, 0.0]))
+
+
+def _misstated(true: FloatArray, sizes: BenchImperfections, rng: np.random.Generator) -> FloatArray:
+    """The pose (4, 4) with random errors of its place and of its rotation about its own origin."""
+    turn, shift = rng.standard_normal((2, 3))
+    rotation = transforms.rotations_of_vectors(np.deg2rad(sizes.extrinsics_deg) * turn) @ true[:3, :3]
+    return transforms.rigid(rotation, true[:3, 3] + 1e-3 * sizes.extrinsics_mm * shift)
+
+
+def _imperfect(sensor: Sensor, sizes: BenchImperfections, rng: np.random.Generator) -> Sensor:
+    gamma = 1.0 + float(rng.choice([-1.0, 1.0])) * sizes.gamma_error
+    return replace(sensor, gamma=gamma, black_clip=sizes.black_clip)
 
 
 def target_at(bench: PhotoBench, depth_m: float) -> FloatArray:
@@ -198,50 +265,3 @@ def _tracking_pose(aim: _Aim, eye: FloatArray) -> FloatArray:
 def _target_pose(aim: _Aim, eye: FloatArray, depth_m: float) -> FloatArray:
     tilt = _turned(7.0, -9.0, 1.5)
     return transforms.rigid(aim.device_from_looking @ tilt, eye + aim.forward * depth_m)
-
-
-@dataclass(frozen=True, eq=False)
-class PhotoPlan:
-    """Places of the photographs of a session.
-
-    Attributes:
-        sweep: (m, 3) stage readings for the panel, and for the target through the optics.
-        bare: (n, 3) stage readings for the target without the headset, along all three axes.
-        bare_poses: the target's poses that are photographed without the headset: the first before it is mounted, the
-            last after it is taken off again, so that a target that moved in between is noticed.
-        eyeball_boards, tracking_boards: (k, 4, 4) camera_from_board, for the intrinsics of each camera.
-    """
-
-    sweep: FloatArray
-    bare: FloatArray
-    bare_poses: tuple[int, ...]
-    eyeball_boards: FloatArray
-    tracking_boards: FloatArray
-
-
-def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
-    """Plan all photographs of a session with `viewpoints` camera positions."""
-    sweep = stage_readings(bench, viewpoints)
-    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
-    steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-    reach = [*np.abs(sweep[:, :2]).max(axis=0), 0.5 * bench.optics.eye_box.size[2]]
-    poses = len(bench.device_from_target)
-    return PhotoPlan(
-        sweep,
-        np.round(steps * reach, 4),
-        tuple(dict.fromkeys((0, poses - 1))),
-        _boards_before(bench.eyeball.camera, bench.board.size_m),
-        _boards_before(bench.tracking.camera, bench.board.size_m),
-    )
-
-
-def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
-    """camera_from_board (k, 4, 4): the board tilted every way, filling the picture or more, also off its middle."""
-    poses = []
-    for number, tilt in enumerate(_TILTS_DEG):
-        for fill, side in zip(_FILL, (1, -1), strict=True):
-            depth = float(np.max(board_m / np.array(camera.size_px) * camera.focal_px)) / fill
-            shift = 0.12 * side * depth * np.array(camera.size_px) / camera.focal_px
-            turn = transforms.rotations_of_vectors(np.deg2rad([*tilt, 90.0 * (number % 4) + 11.0 * side]))
-            poses.append(transforms.rigid(turn, np.array([shift[0], shift[1] * (-1) ** number, depth])))
-    return np.stack(poses)

@@ -1,13 +1,14 @@
 """simulation.toml: how the photographs of a simulated session were made."""
 
 import hashlib
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
 from wlr_render.optics.device_file import load_device
+from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
 from wlr_render.toml_files import Table, read_toml, write_toml
 
@@ -59,7 +60,9 @@ def load_recipe(folder: Path) -> SimulationRecipe:
         )
     file = read_toml(folder / FILE)
     table = file.table("bench")
-    bench = PhotoBenchOptions(**{each.name: _value(table, each.name) for each in fields(PhotoBenchOptions)})
+    imperfections = _imperfections(table)
+    own = {each.name: _value(table, each.name) for each in fields(PhotoBenchOptions) if each.name != "imperfections"}
+    bench = PhotoBenchOptions(**own, imperfections=imperfections)
     table.finish()
     device = file.text("device")
     recipe = SimulationRecipe(
@@ -81,11 +84,26 @@ def difference(first: SimulationRecipe, second: SimulationRecipe) -> str:
 
 def _flat(recipe: SimulationRecipe) -> dict[str, Any]:
     content = asdict(recipe)
-    flat: dict[str, Any] = {key: value for key, value in content.items() if key != "bench"} | content["bench"]
+    bench = content.pop("bench")
+    flat: dict[str, Any] = content | bench.pop("imperfections") | bench
     if Path(recipe.device).suffix == ".toml":
         digest = hashlib.sha256(Path(recipe.device).read_bytes()).hexdigest()[:8]
         flat["device"] = f"a device file ({digest})"
     return flat
+
+
+def _imperfections(bench: Table) -> BenchImperfections:
+    """Those of a table [bench]; sessions from before they were simulated state the stage's repeatability alone."""
+    if bench.has("stage_error_um"):
+        return replace(BenchImperfections.none(), repeatability_um=bench.number("stage_error_um"))
+    table = bench.table("imperfections")
+    sizes: dict[str, Any] = {
+        each.name: table.number(each.name) for each in fields(BenchImperfections) if each.name != "lens"
+    }
+    sizes["lens"] = table.text("lens", choices=get_args(LensKind))
+    found = BenchImperfections(**sizes)
+    table.finish()
+    return found
 
 
 def _value(table: Table, name: str) -> Any:

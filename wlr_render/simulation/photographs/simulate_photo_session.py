@@ -5,6 +5,7 @@ take more photographs on the same bench. Calibration never opens it.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,10 +13,8 @@ import numpy as np
 
 from wlr_render.captures.boards.board_drawing import write_board_svg
 from wlr_render.captures.boards.board_file import save_board
-from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
@@ -23,10 +22,13 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
 from wlr_render.simulation.photographs import recipe as recipe_file
-from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
-from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoPlan, plan_photographs
+from wlr_render.simulation.photographs.camera import SimulatedLens
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
+from wlr_render.simulation.photographs.planned_session import planned_session
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
+from wlr_render.simulation.photographs.visits import SessionVisits, Visit, true_camera_poses
 
 BOARD = "board.toml"
 _MOST_WORKERS = 4  # each takes up to 0.4 GB
@@ -53,8 +55,9 @@ def simulate_photo_session(
     else:
         recipe_file.save_recipe(root, recipe)
     plan = plan_photographs(bench, recipe.viewpoints)
-    session = _session(root, bench, plan, pattern, recipe)
-    poses = list(_poses(session, bench, plan, recipe.bench.stage_error_um, recipe.bench.seed))
+    visits = true_camera_poses(bench, plan)
+    session = planned_session(root, bench, plan, visits, pattern)
+    poses = list(_poses(session, bench, plan, visits))
     total = sum(len(pose.paths()) for pose in poses)
     taken = sum(progress(as_finished(take, poses, workers or few_workers(_MOST_WORKERS)), len(poses), "camera poses"))
     save_board(session.board, root / BOARD)
@@ -63,70 +66,34 @@ def simulate_photo_session(
     return taken, total - taken
 
 
-def _session(
-    root: Path, bench: PhotoBench, plan: PhotoPlan, pattern: Pattern, recipe: SimulationRecipe
-) -> PhotoSession:
-    """What session.toml is to say: names and readings, and nothing of the truth."""
-    poses = range(len(bench.device_from_target))
-    eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
-    tracking = _camera(
-        root / "intrinsics" / "tracking", bench.tracking, bench.tracking_sensor, len(plan.tracking_boards)
-    )
-    # The first reading once more at the end of each sweep: what moved meanwhile shows there.
-    readings = [*plan.sweep, plan.sweep[0]]
-    return PhotoSession(
-        folder=root,
-        device=bench.device.name,
+def _poses(session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits) -> Iterator[CameraPose]:
+    """All photographs; those that the eyeball camera takes from one pose with one lens are traced together."""
+    sizes = bench.options.imperfections
+    pose = partial(
+        CameraPose,
+        board=bench.printed,
+        seed=bench.options.seed,
         eye=bench.eye,
-        eye_box=bench.optics.eye_box,
-        pattern=pattern,
-        decoding=DecodeOptions(full_scale=eyeball.full_scale),
-        board=bench.board,
-        eyeball_camera=eyeball,
-        tracking_camera=tracking,
-        device_from_tracking=bench.device_from_tracking,
-        bare=tuple(
-            BoardPhotograph(root, f"bare/pose{pose}_{number:02d}.png", pose, stage)
-            for pose in plan.bare_poses
-            for number, stage in enumerate(plan.bare)
-        ),
-        tracking=tuple(
-            BoardPhotograph(root, f"tracking/pose{pose}_{when}.png", pose, np.zeros(3))
-            for pose in poses
-            for when in ("before", "after")
-        ),
-        see_through=tuple(
-            BoardPhotograph(root, f"see_through/pose{pose}_{number:02d}.png", pose, stage)
-            for pose in poses
-            for number, stage in enumerate(readings)
-        ),
-        display=tuple(CodeSet(root / "display" / f"{number:02d}", stage) for number, stage in enumerate(plan.sweep)),
+        vibration_px=sizes.vibration_px,
+        stray_light=sizes.stray_light,
     )
-
-
-def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:
-    return SessionCamera(
-        lens.camera.size_px, sensor.bits, tuple(folder / f"{number:02d}.png" for number in range(count))
-    )
-
-
-def _poses(
-    session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, stage_error_um: float, seed: int
-) -> Iterator[CameraPose]:
-    rng = np.random.default_rng([seed, 17, int(bench.eye == "left")])
-
-    def camera_at(stage: FloatArray) -> FloatArray:
-        return bench.camera_at(stage + rng.normal(0.0, 1e-6 * stage_error_um, 3))
-
-    pose = partial(CameraPose, board=bench.board, seed=seed, eye=bench.eye)
     eyeball = partial(pose, bench.eyeball, bench.eyeball_sensor)
     tracking = partial(pose, bench.tracking, bench.tracking_sensor, optics=None)
-    for number, stage in enumerate(plan.sweep):
-        boards = [_on_bench(each, bench) for each in session.see_through if np.array_equal(each.stage, stage)]
-        panels = [PanelShots(session.display[number].folder, session.pattern)]
-        yield eyeball(camera_at(stage), bench.optics, boards=boards, panels=panels)
-    for each in session.bare:
-        yield eyeball(camera_at(each.stage), None, boards=[_on_bench(each, bench)])
+    together: dict[bytes, CameraPose] = {}
+
+    def add(lens: SimulatedLens, visit: Visit, boards: list[BoardShot], panels: list[PanelShots]) -> None:
+        key = visit.device_from_camera.tobytes() + lens.camera.focal_px.tobytes()
+        one = together.setdefault(key, pose(lens, bench.eyeball_sensor, visit.device_from_camera, bench.optics))
+        together[key] = replace(one, boards=[*one.boards, *boards], panels=[*one.panels, *panels])
+
+    for code_set, visit in zip(session.display, visits.display, strict=True):
+        add(bench.eyeball, visit, [], [PanelShots(code_set.folder, session.pattern)])
+    for photograph, visit in zip(session.see_through, visits.see_through, strict=True):
+        add(bench.eyeball_focused(photograph.target_pose), visit, [_on_bench(photograph, bench)], [])
+    yield from together.values()
+    for photograph, visit in zip(session.bare, visits.bare, strict=True):
+        lens = bench.eyeball_focused(photograph.target_pose)
+        yield pose(lens, bench.eyeball_sensor, visit.device_from_camera, None, boards=[_on_bench(photograph, bench)])
     yield eyeball(np.eye(4), None, boards=_shots(session.eyeball_camera, plan.eyeball_boards))
     yield tracking(bench.device_from_tracking, boards=[_on_bench(each, bench) for each in session.tracking])
     yield tracking(np.eye(4), boards=_shots(session.tracking_camera, plan.tracking_boards))

@@ -6,17 +6,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.photographs import write_photograph
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
+from wlr_render.simulation.photographs.printed_board import PrintedBoard
 
+_SMALL_PX = 64
+_SPREAD = 0.1  # of the picture's sides, standard deviation
+_WIDEST_STEP_PX2 = 0.25  # variance that a kernel of 3 x 3 pixels can have without much ringing
 _DARK_ROOM = FarWall(brightness=0.03)  # while the panel is photographed
 
 
@@ -69,21 +74,25 @@ class CameraPose:
         lens, sensor: the camera.
         frame_from_camera: (4, 4); the frame is the device's if `optics` are given.
         optics: what it looks through; None without the headset.
-        board: the target.
+        board: the target, flat and exact, or as it was printed.
         boards, panels: the photographs.
         seed: of the noise.
         eye: "left" or "right", so that both eyes do not get mirrored noise.
+        vibration_px: standard deviation of each photograph's motion blur, along a random direction.
+        stray_light: part of the light that is spread over the picture.
     """
 
     lens: SimulatedLens
     sensor: Sensor
     frame_from_camera: FloatArray
     optics: EyeOptics | None
-    board: Board
+    board: Board | PrintedBoard
     boards: Sequence[BoardShot] = field(default_factory=tuple)
     panels: Sequence[PanelShots] = field(default_factory=tuple)
     seed: int = 1
     eye: str = "right"
+    vibration_px: float = 0.0
+    stray_light: float = 0.0
 
     def paths(self) -> list[Path]:
         """Of all photographs."""
@@ -102,16 +111,41 @@ def take(pose: CameraPose) -> int:
     for shot in pose.boards:
         if shot.path in missing:
             light = view.world_light(BoardLight(pose.board, shot.frame_from_board))
-            write_photograph(shot.path, pose.sensor.expose(light, _noise(pose, shot.path)))
+            _photograph(pose, light, shot.path)
     for shots in pose.panels:
         dark = view.world_light(_DARK_ROOM)
         for number, path in enumerate(shots.paths()):
             if path in missing:
                 light = view.panel_light(shots.pictures.image(number)) + dark
-                write_photograph(path, pose.sensor.expose(light, _noise(pose, path)))
+                _photograph(pose, light, path)
     return len(missing)
 
 
-def _noise(pose: CameraPose, path: Path) -> np.random.Generator:
-    """The same for a photograph whenever and in whatever order it is taken."""
-    return np.random.default_rng([pose.seed, zlib.crc32("/".join(path.parts[-2:]).encode()), int(pose.eye == "left")])
+def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:
+    """Expose light (h, w). Random numbers are the same whenever and in whatever order photographs are taken."""
+    seed = [pose.seed, zlib.crc32("/".join(path.parts[-2:]).encode()), int(pose.eye == "left")]
+    if pose.stray_light:
+        light = light + np.float32(pose.stray_light) * _spread(light)
+    if pose.vibration_px:
+        angle = np.random.default_rng([*seed, 1]).uniform(0.0, np.pi)
+        light = _blurred(light, pose.vibration_px * np.array([np.cos(angle), np.sin(angle)]))
+    write_photograph(path, pose.sensor.expose(light, np.random.default_rng(seed)))
+
+
+def _spread(light: Float32Array) -> Float32Array:
+    """Light (h, w) blurred over a tenth of the picture; dark beyond its edge. It is smooth: a small copy serves."""
+    height, width = light.shape
+    small = cv2.resize(light, (_SMALL_PX, _SMALL_PX), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), _SPREAD * _SMALL_PX, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.resize(blurred, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _blurred(light: Float32Array, deviation_px: FloatArray) -> Float32Array:
+    """Light (h, w) blurred along a line with a standard deviation of (2,) pixels: a kernel of those second moments."""
+    steps = int(np.ceil(np.sum(deviation_px**2) / _WIDEST_STEP_PX2))
+    (xx, xy), (_, yy) = np.outer(deviation_px, deviation_px) / steps
+    second = 0.5 * np.array([[0.5 * xy, yy, -0.5 * xy], [xx, -2 * (xx + yy), xx], [-0.5 * xy, yy, 0.5 * xy]])
+    kernel = second + [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    for _ in range(steps):
+        light = np.asarray(cv2.filter2D(light, -1, kernel, borderType=cv2.BORDER_REPLICATE))
+    return np.maximum(light, np.float32(0.0))

@@ -1,0 +1,90 @@
+"""Imperfections of a simulated photographic bench, with the sizes of ordinary equipment."""
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from wlr_render.errors import BadInputError
+
+LensKind = Literal["brown", "rational", "thin-prism", "fisheye"]
+
+
+@dataclass(frozen=True)
+class BenchImperfections:
+    """Sizes of the errors of a photographic bench. The signs and directions are drawn from the bench's seed.
+
+    "rms" is the root mean square over the range of one stage axis; "random" a standard deviation.
+
+    Attributes:
+        turn_urad: rms pitch, yaw and roll (each) of the carriage along each stage axis, cubic curves of it.
+        turn_jitter_urad: random rotation of each visit, per axis.
+        straightness_um: rms departure from a straight line along each stage axis, in each direction.
+        arm_mm: distance of the pupil from the point about which the carriage turns. The turns displace the pupil by it.
+        repeatability_um: random displacement of each visit, per axis.
+        readback_um: random error of the reading that session.toml states, per axis.
+        axes_skew_mrad: each pair of stage axes departs from a right angle by this much.
+        creep_um: displacement of the stage by temperature from the first photograph to the last. It slows down
+            exponentially.
+        bow_mm: height of the board's corners over its middle; see `printed_board`.
+        twist_mm: height of the board's corners by twist, of alternating sign.
+        anisotropy: the board is printed longer in y than in x by this part.
+        scale_error: the whole board is printed larger or smaller by this part.
+        dot_error_um: random displacement of each dot on the board, per axis.
+        lens: distortion model of the true eyeball lens and tracking lens.
+        lens_px: rms in pixels that a fit of the five Brown terms leaves of a "rational" or "thin-prism" lens.
+        decentring: tangential distortion added to each lens, p1 and p2 each.
+        focus_breathing: relative change of the eyeball camera's focal length between the farthest and nearest target.
+        extrinsics_mm: random error of the stated position of the tracking camera, per axis.
+        extrinsics_deg: random error of its stated rotation, per axis.
+        black_clip: part of full scale that the sensor's black level is too low by; darker pixels become 0.
+        gamma_error: departure of the sensors' response from a straight line, as a departure of gamma from 1.
+        vibration_px: standard deviation of the motion blur of each photograph, along a random direction.
+        stray_light: part of the light that is spread over the picture (veiling glare).
+    """
+
+    turn_urad: float = 100.0
+    turn_jitter_urad: float = 10.0
+    straightness_um: float = 2.0
+    arm_mm: float = 50.0
+    repeatability_um: float = 5.0
+    readback_um: float = 0.5
+    axes_skew_mrad: float = 1.0
+    creep_um: float = 3.0
+    bow_mm: float = 0.2
+    twist_mm: float = 0.05
+    anisotropy: float = 5e-4
+    scale_error: float = 2e-4
+    dot_error_um: float = 10.0
+    lens: LensKind = "rational"
+    lens_px: float = 0.08
+    decentring: float = 3e-4
+    focus_breathing: float = 2e-4
+    extrinsics_mm: float = 0.3
+    extrinsics_deg: float = 0.05
+    black_clip: float = 0.02
+    gamma_error: float = 0.02
+    vibration_px: float = 0.15
+    stray_light: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name, value in self._sizes().items():
+            if not 0.0 <= value < float("inf"):
+                raise BadInputError(f"The imperfection '{name}' is {value}; give a finite size of 0 or more.")
+        if not (self.gamma_error < 1.0 and self.black_clip < 1.0 and self.anisotropy < 0.1 and self.scale_error < 0.1):
+            raise BadInputError(
+                f"{self} cannot be; 'gamma_error' and 'black_clip' must be below 1, 'anisotropy' and 'scale_error' "
+                "below 0.1."
+            )
+
+    @classmethod
+    def none(cls) -> "BenchImperfections":
+        """The perfect bench with lenses of five Brown terms."""
+        return cls().scaled(0.0)
+
+    def scaled(self, factor: float) -> "BenchImperfections":
+        """All sizes times a factor, 0 or more; a factor of 0 makes the lens a "brown" one, others keep its kind."""
+        return BenchImperfections(
+            **{name: factor * size for name, size in self._sizes().items()}, lens=self.lens if factor else "brown"
+        )
+
+    def _sizes(self) -> dict[str, float]:
+        return {name: value for name, value in asdict(self).items() if name != "lens"}

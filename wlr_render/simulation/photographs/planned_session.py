@@ -1,0 +1,61 @@
+"""session.toml of a simulated session: names and readings, and nothing of the truth."""
+
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan
+from wlr_render.simulation.photographs.visits import SessionVisits
+
+
+def planned_session(
+    root: Path, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits, pattern: Pattern
+) -> PhotoSession:
+    """The session of these visits, whose photographs are to lie in the folder `root`."""
+    poses = range(len(bench.device_from_target))
+    eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
+    tracking = _camera(
+        root / "intrinsics" / "tracking", bench.tracking, bench.tracking_sensor, len(plan.tracking_boards)
+    )
+    bare = [f"bare/pose{pose}_{n:02d}.png" for pose in plan.bare_poses for n in range(len(plan.bare))]
+    # The first reading once more at the end of each sweep: what moved meanwhile shows there.
+    through = [(pose, f"see_through/pose{pose}_{n:02d}.png") for pose in poses for n in range(len(plan.sweep) + 1)]
+    return PhotoSession(
+        folder=root,
+        device=bench.device.name,
+        eye=bench.eye,
+        eye_box=bench.optics.eye_box,
+        pattern=pattern,
+        decoding=DecodeOptions(full_scale=eyeball.full_scale),
+        board=bench.board,
+        eyeball_camera=eyeball,
+        tracking_camera=tracking,
+        device_from_tracking=bench.stated_device_from_tracking,
+        bare=tuple(
+            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading)
+            for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
+        ),
+        tracking=tuple(
+            BoardPhotograph(root, f"tracking/pose{pose}_{when}.png", pose, np.zeros(3))
+            for pose in poses
+            for when in ("before", "after")
+        ),
+        see_through=tuple(
+            BoardPhotograph(root, name, pose, visit.reading)
+            for (pose, name), visit in zip(through, visits.see_through, strict=True)
+        ),
+        display=tuple(
+            CodeSet(root / "display" / f"{number:02d}", visit.reading) for number, visit in enumerate(visits.display)
+        ),
+    )
+
+
+def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:
+    return SessionCamera(
+        lens.camera.size_px, sensor.bits, tuple(folder / f"{number:02d}.png" for number in range(count))
+    )

@@ -1,0 +1,117 @@
+"""A board as it was printed and hangs: bowed, twisted, scaled unequally, its features off their places.
+
+Where the design has a feature at (x, y, 0), the print has it at (scale * (x, y) + its offset, height), in the same
+frame. With hx and hy half the width and height of the features' grid, the height is
+
+    bow * (w (x / hx)^2 + (1 - w) (y / hy)^2) + twist * (x / hx) (y / hy)
+
+less its mean over the features: `bow` is how far the corners stand off the middle, w how much of it is along x.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from wlr_render.captures.boards.board import Board, RealArray
+from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
+
+_CELLS = 512  # across and along a board, of each of which the nearest feature is known
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedBoard:
+    """True places of a board's features.
+
+    Attributes:
+        design: the board as board.toml states it.
+        scale: (2,) printed length per length of the design, x and y.
+        bow_m, twist_m: heights as above; positive away from the viewer, who sees the board from -z.
+        bow_along_x: w above, 0 to 1.
+        offset_m: (n, 2) displacement of each feature on the print, in the order of `design.indices()`.
+    """
+
+    design: Board
+    scale: FloatArray
+    bow_m: float
+    twist_m: float
+    bow_along_x: float
+    offset_m: FloatArray
+
+    @classmethod
+    def draw(cls, design: Board, sizes: BenchImperfections, rng: np.random.Generator) -> "PrintedBoard":
+        """A print of the sizes given, with random signs."""
+        larger, longer, bow, twist = rng.choice([-1.0, 1.0], 4)
+        along_x = float(rng.uniform(0.2, 0.8))
+        return cls(
+            design,
+            (1.0 + larger * sizes.scale_error) * np.array([1.0, 1.0 + longer * sizes.anisotropy]),
+            1e-3 * float(bow) * sizes.bow_mm,
+            1e-3 * float(twist) * sizes.twist_mm,
+            along_x,
+            1e-6 * sizes.dot_error_um * rng.standard_normal((len(design.indices()), 2)),
+        )
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the board has neither bow nor twist."""
+        return self.bow_m == self.twist_m == 0.0
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """True places (n, 3) of all features, board frame, in the order of `design.indices()`."""
+        place = self._designed * self.scale + self.offset_m
+        return np.concatenate([place, self.height(place)[:, None]], axis=-1)
+
+    def point_of(self, index: IntArray) -> FloatArray:
+        """True places (..., 3), board frame, of features by (column, row), (..., 2)."""
+        all_indices = self.design.indices()
+        number = np.zeros(all_indices.max(axis=0) + 1, dtype=np.int64)
+        number[tuple(all_indices.T)] = np.arange(len(all_indices))
+        return np.asarray(self.points[number[index[..., 0], index[..., 1]]])
+
+    def height(self, on_sheet: RealArray) -> RealArray:
+        """Height z (...) of the sheet at places (..., 2) on it, metres."""
+        shape = self._shape(on_sheet / self._half_size.astype(on_sheet.dtype))
+        return np.asarray(shape - np.asarray(self._mean_height, dtype=on_sheet.dtype))
+
+    def reflectance(self, on_sheet: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """As `Board.reflectance`, of the print at places (..., 2), x and y: a feature's neighbourhood moves with it."""
+        place = on_sheet / self.scale.astype(on_sheet.dtype)
+        if np.any(self.offset_m):
+            cell = (place / self.design.size_m.astype(on_sheet.dtype) + 0.5) * _CELLS
+            # Both turn NaN into a number, so that it can be an index.
+            x, y = np.moveaxis(np.fmin(np.fmax(cell, 0), _CELLS - 1).astype(np.intp), -1, 0)
+            place = place - self._offset_of_cell[y, x].astype(on_sheet.dtype)
+        return self.design.reflectance(place, softness_m)
+
+    @property
+    def _designed(self) -> FloatArray:
+        return np.asarray(self.design.point_of(self.design.indices())[:, :2])
+
+    @cached_property
+    def _half_size(self) -> FloatArray:
+        return np.asarray(np.abs(self._designed).max(axis=0))
+
+    @cached_property
+    def _mean_height(self) -> float:
+        return float(self._shape(self._designed / self._half_size).mean())
+
+    def _shape(self, unit: RealArray) -> NDArray[np.floating]:
+        u, v = unit[..., 0], unit[..., 1]
+        across, along, twist = (
+            np.asarray(size, dtype=unit.dtype)
+            for size in (self.bow_m * self.bow_along_x, self.bow_m * (1.0 - self.bow_along_x), self.twist_m)
+        )
+        return np.asarray(across * u * u + along * v * v + twist * u * v)
+
+    @cached_property
+    def _offset_of_cell(self) -> Float32Array:
+        """(cells, cells, 2) offset of the feature nearest to each cell of the design, by y and x."""
+        middle = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
+        cells = np.stack(np.meshgrid(middle, middle), axis=-1) * self.design.size_m
+        nearest = cKDTree(self._designed).query(cells)[1]
+        return np.asarray(self.offset_m[nearest], dtype=np.float32)
