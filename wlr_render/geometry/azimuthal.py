@@ -60,7 +60,7 @@ def _direction_of_angles(position: FloatArray) -> FloatArray:
 
 def _direction_of_stereographic(position: FloatArray) -> FloatArray:
     quarter = np.sum(position**2, axis=-1, keepdims=True) / 4.0
-    return np.concatenate([position, 1.0 - quarter], axis=-1) / (1.0 + quarter)
+    return np.asarray(np.concatenate([position, 1.0 - quarter], axis=-1) / (1.0 + quarter))
 
 
 def _direction_of_tangents(position: FloatArray) -> FloatArray:
