@@ -1,0 +1,93 @@
+"""Faults of a photographic session: somebody moved something, or wrote something down wrongly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A rigid motion in the axes of the device frame.
+
+    Attributes:
+        mm: displacement.
+        deg: rotation vector, about the moved thing's own origin.
+    """
+
+    mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def moved(self, pose: FloatArray) -> FloatArray:
+        """The pose (4, 4) after the motion."""
+        turn = transforms.rotations_of_vectors(np.deg2rad(self.deg))
+        return transforms.rigid(turn @ pose[:3, :3], pose[:3, 3] + 1e-3 * np.array(self.mm))
+
+
+@dataclass(frozen=True)
+class BoardMove:
+    """The target was moved at one of its poses.
+
+    Attributes:
+        target_pose: at which.
+        shift: how.
+        visit: of the pose's sweep, from which on it stands there; ignored by `Faults.board_moved`.
+    """
+
+    target_pose: int
+    shift: Shift
+    visit: int = 0
+
+
+@dataclass(frozen=True)
+class HeadsetSlip:
+    """The headset moved on its mount, with its tracking camera.
+
+    Attributes:
+        target_pose: in the sweep of which.
+        visit: of that sweep, from which on it stands there.
+        shift: how.
+    """
+
+    target_pose: int
+    visit: int
+    shift: Shift
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """The readings of two entries of a list of session.toml were exchanged.
+
+    Attributes:
+        of: "bare", "see_through" or "display".
+        first, second: numbers of the entries.
+    """
+
+    of: str
+    first: int
+    second: int
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What went wrong in a session; nothing by default.
+
+    Attributes:
+        board_moved: the target moved between its bare photographs and those with the headset mounted.
+        board_moved_in_sweep: the target moved during a sweep; the tracking photograph after it sees it moved.
+        headset_slipped: the headset moved during a sweep. Everything after it, also at later target poses, is seen from
+            the moved headset; bare photographs are not.
+        exchanged: readings exchanged in session.toml.
+        axis_off_deg: the stage's y axis is off its right angle to x by this much.
+    """
+
+    board_moved: BoardMove | None = None
+    board_moved_in_sweep: BoardMove | None = None
+    headset_slipped: HeadsetSlip | None = None
+    exchanged: Exchange | None = None
+    axis_off_deg: float = 0.0
+
+
+NO_FAULTS = Faults()

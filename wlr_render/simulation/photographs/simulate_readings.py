@@ -1,0 +1,305 @@
+"""Simulate what is read from a session's photographs, without the photographs.
+
+Camera poses, lenses, board and optics are those of the photographs that `simulate_photo_session` would take. Dots and
+panel positions are computed exactly and given white noise; errors of finding dots and of decoding are not simulated.
+"""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.captures.decoded import DecodedSamples, Rejection
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.photo_session import PhotoSession
+from wlr_render.captures.session_reading import PanelReading, Reading
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
+from wlr_render.simulation.photographs.faults import NO_FAULTS, Exchange, Faults
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
+from wlr_render.simulation.photographs.planned_session import planned_session
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.visits import SessionVisits, Visit, true_camera_poses
+
+_EDGE_PX = 6.0  # from the edge of the picture to the centre of a dot that is seen whole
+_NEAR = 1.1  # of the picture: beyond, optics do not bring a point into it
+_COARSE = 24  # camera pixels across, at which the panel is looked for
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """Noise and number of simulated readings.
+
+    Attributes:
+        dot_px: white noise of each dot's place, per axis, camera pixels; also its stated sigma.
+        panel_px: white noise of each panel position, per axis, panel pixels; also its stated sigma.
+        stated: stated sigmas over true ones.
+        most_dots: of a photograph, chosen at random among those that are seen.
+        panel_samples: about so many of each panel set.
+    """
+
+    dot_px: float = 0.02
+    panel_px: float = 0.03
+    stated: float = 1.0
+    most_dots: int = 600
+    panel_samples: int = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class BenchTruth:
+    """True values behind a simulated session. Device frame, metres; lists are in the order of those of the session.
+
+    Attributes:
+        bench: the bench, with the stage axes that it had.
+        eyeball: the eyeball lens at its middle focus, as of the panel and of the photographs for the intrinsics.
+        eyeball_at_target: the eyeball lens at each target pose.
+        tracking: the tracking camera's lens.
+        bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set.
+        device_from_target: (k, 4, 4) the target's poses before any fault of the sweeps.
+        bare_targets, see_through_targets, tracking_targets: (n, 4, 4) device_from_target at each photograph.
+        device_from_tracking, stated_device_from_tracking: (4, 4).
+        stage_axes: (3, 3) displacement = axes @ position, but for the stage's smooth and random errors.
+        board_points: (n, 3) true places of the board's features in the order of `board.indices()`.
+    """
+
+    bench: PhotoBench
+    eyeball: LensCamera
+    eyeball_at_target: tuple[LensCamera, ...]
+    tracking: LensCamera
+    bare: FloatArray
+    see_through: FloatArray
+    display: FloatArray
+    device_from_target: FloatArray
+    bare_targets: FloatArray
+    see_through_targets: FloatArray
+    tracking_targets: FloatArray
+    device_from_tracking: FloatArray
+    stated_device_from_tracking: FloatArray
+    stage_axes: FloatArray
+    board_points: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedReadings:
+    """A session, what its photographs say, and the truth.
+
+    Attributes:
+        session: as session.toml would state it, with the faults of its readings.
+        reading: as `read_session` would return it.
+        truth: the true values.
+    """
+
+    session: PhotoSession
+    reading: Reading
+    truth: BenchTruth
+
+
+def simulate_readings(
+    recipe: SimulationRecipe,
+    options: ReadingOptions = ReadingOptions(),
+    *,
+    faults: Faults = NO_FAULTS,
+    folder: Path = Path("simulated"),
+) -> SimulatedReadings:
+    """Simulate the readings of the session that `simulate_photo_session` would photograph with this recipe.
+
+    Args:
+        recipe: device, eye, number of camera positions, bench and seed.
+        options: noise and number of readings.
+        faults: what goes wrong.
+        folder: by which photographs are named; nothing is read or written there.
+
+    Raises:
+        BadInputError: an unknown device, eye or pattern, or a fault of a photograph that there is not.
+    """
+    bench = recipe.build()
+    off = np.deg2rad(faults.axis_off_deg)
+    skew = np.array([[1.0, np.sin(off), 0.0], [0.0, np.cos(off), 0.0], [0.0, 0.0, 1.0]])
+    bench = replace(bench, stage_axes=bench.stage_axes @ skew)
+    plan = plan_photographs(bench, recipe.viewpoints)
+    visits = true_camera_poses(bench, plan)
+    session = planned_session(folder, bench, plan, visits, make_pattern(recipe.pattern, bench.optics.panel.pixels))
+    truth = _truth(session, bench, visits, faults)
+    reading = _Reader(session, truth, options).reading(plan)
+    if faults.exchanged is not None:
+        session = _exchanged(session, faults.exchanged)
+    return SimulatedReadings(session, reading, truth)
+
+
+def _truth(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faults: Faults) -> BenchTruth:
+    """Where cameras and target stand at each photograph: the frame is the headset's, also after it slipped."""
+    poses = range(len(bench.device_from_target))
+    sweep = len(session.see_through) // len(poses)
+    camera = _poses_of(visits.see_through)
+    target = np.repeat(bench.device_from_target, sweep, axis=0)
+    tracked = np.repeat(bench.device_from_target, 2, axis=0)
+    bare_target = np.stack([bench.device_from_target[each.target_pose] for each in session.bare])
+    if (moved := faults.board_moved) is not None:
+        # The poses of the bench are those in the sweeps: the bare photographs saw the target elsewhere.
+        for number, each in enumerate(session.bare):
+            if each.target_pose == _known(moved.target_pose, poses, "target pose"):
+                bare_target[number] = moved.shift.moved(bare_target[number])
+    if (moved := faults.board_moved_in_sweep) is not None:
+        pose = _known(moved.target_pose, poses, "target pose")
+        from_visit = pose * sweep + _known(moved.visit, range(sweep), "visit")
+        later = slice(from_visit, (pose + 1) * sweep)
+        target[later] = moved.shift.moved(bench.device_from_target[pose])
+        tracked[2 * pose + 1] = target[later.stop - 1]
+    if (slip := faults.headset_slipped) is not None:
+        pose = _known(slip.target_pose, poses, "target pose")
+        from_visit = pose * sweep + _known(slip.visit, range(sweep), "visit")
+        now_from_before = transforms.inverse(slip.shift.moved(np.eye(4)))
+        camera[from_visit:] = now_from_before @ camera[from_visit:]
+        target[from_visit:] = now_from_before @ target[from_visit:]
+        tracked[2 * pose + 1 :] = now_from_before @ tracked[2 * pose + 1 :]
+    return BenchTruth(
+        bench=bench,
+        eyeball=bench.eyeball.camera,
+        eyeball_at_target=tuple(bench.eyeball_focused(pose).camera for pose in poses),
+        tracking=bench.tracking.camera,
+        bare=_poses_of(visits.bare),
+        see_through=camera,
+        display=camera[: len(session.display)],
+        device_from_target=bench.device_from_target,
+        bare_targets=bare_target,
+        see_through_targets=target,
+        tracking_targets=tracked,
+        device_from_tracking=bench.device_from_tracking,
+        stated_device_from_tracking=bench.stated_device_from_tracking,
+        stage_axes=bench.stage_axes,
+        board_points=bench.printed.points,
+    )
+
+
+def _poses_of(visits: Sequence[Visit]) -> FloatArray:
+    return np.stack([visit.device_from_camera for visit in visits])
+
+
+def _known(number: int, numbers: range, kind: str) -> int:
+    if number not in numbers:
+        raise BadInputError(f"The fault is of {kind} {number}; the session has {numbers.start} to {numbers.stop - 1}.")
+    return number
+
+
+def _exchanged(session: PhotoSession, fault: Exchange) -> PhotoSession:
+    entries = list(getattr(session, fault.of, ()))
+    first, second = (_known(number, range(len(entries)), fault.of) for number in (fault.first, fault.second))
+    one, other = entries[first], entries[second]
+    entries[first], entries[second] = replace(one, stage=other.stage), replace(other, stage=one.stage)
+    changed: dict[str, Any] = {fault.of: tuple(entries)}
+    return replace(session, **changed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Reader:
+    """Reads photographs that were never taken."""
+
+    session: PhotoSession
+    truth: BenchTruth
+    options: ReadingOptions
+
+    def reading(self, plan: PhotoPlan) -> Reading:
+        session, truth = self.session, self.truth
+        boards: dict[Path, BoardObservation] = {}
+
+        def free(path: Path, lens: LensCamera, camera_from_target: FloatArray) -> None:
+            boards[path] = self._free(path, lens, camera_from_target)
+
+        for path, pose in zip(session.eyeball_camera.intrinsics, plan.eyeball_boards, strict=True):
+            free(path, truth.eyeball, pose)
+        for path, pose in zip(session.tracking_camera.intrinsics, plan.tracking_boards, strict=True):
+            free(path, truth.tracking, pose)
+        for each, camera, target in zip(session.bare, truth.bare, truth.bare_targets, strict=True):
+            lens = truth.eyeball_at_target[each.target_pose]
+            free(each.path, lens, transforms.inverse(camera) @ target)
+        for each, target in zip(session.tracking, truth.tracking_targets, strict=True):
+            free(each.path, truth.tracking, transforms.inverse(truth.device_from_tracking) @ target)
+        for each, camera, target in zip(session.see_through, truth.see_through, truth.see_through_targets, strict=True):
+            boards[each.path] = self._through(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
+        panels = {
+            each.folder: self._panel(each.folder, camera)
+            for each, camera in zip(session.display, truth.display, strict=True)
+        }
+        return Reading(
+            {path: seen for path, seen in boards.items() if len(seen)},
+            {path: seen for path, seen in panels.items() if len(seen.samples)},
+        )
+
+    def _free(self, path: Path, lens: LensCamera, camera_from_target: FloatArray) -> BoardObservation:
+        """The board without the optics."""
+        rng = self._rng(path)
+        pixel = lens.pixel_of_point(transforms.apply(camera_from_target, self.truth.board_points))
+        number = self._chosen(_inside(pixel, lens.size_px, _EDGE_PX), rng)
+        return self._observed(number, pixel[number], rng)
+
+    def _through(
+        self, path: Path, camera: LensCamera, device_from_camera: FloatArray, device_from_target: FloatArray
+    ) -> BoardObservation:
+        """The board through the optics."""
+        rng = self._rng(path)
+        point = transforms.apply(device_from_target, self.truth.board_points)
+        straight = camera.pixel_of_point(transforms.apply(transforms.inverse(device_from_camera), point))
+        near = _inside(straight, camera.size_px, -(_NEAR - 1.0) * max(camera.size_px))
+        number = self._chosen(near, rng)
+        pixel = pixel_of_real_point(self.truth.bench.optics, camera, device_from_camera, point[number])
+        seen = _inside(pixel, camera.size_px, _EDGE_PX)
+        return self._observed(number[seen], pixel[seen], rng)
+
+    def _chosen(self, seen: BoolArray, rng: np.random.Generator) -> IntArray:
+        number = np.flatnonzero(seen)
+        if len(number) > self.options.most_dots:
+            number = np.sort(rng.choice(number, self.options.most_dots, replace=False))
+        return number
+
+    def _observed(self, number: IntArray, pixel: FloatArray, rng: np.random.Generator) -> BoardObservation:
+        noise = self.options.dot_px
+        index = self.session.board.indices()[number]
+        sigma = np.full(len(number), noise * self.options.stated)
+        return BoardObservation(index, pixel + rng.normal(0.0, noise, pixel.shape), sigma)
+
+    def _panel(self, folder: Path, device_from_camera: FloatArray) -> PanelReading:
+        camera, rng = self.truth.eyeball, self._rng(folder)
+        width, height = camera.size_px
+        lit = self._panel_at(_grid(camera.size_px, max(width, height) / _COARSE), device_from_camera)
+        share = max(float(np.isfinite(lit[..., 0]).mean()), 1.0 / lit.size)
+        every = max(1.0, np.floor(np.sqrt(share * width * height / self.options.panel_samples)))
+        pixel = _grid(camera.size_px, every)
+        place = self._panel_at(pixel, device_from_camera)
+        down, right = (np.gradient(place, every, axis=axis) for axis in (0, 1))
+        scale = np.sqrt(np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]))
+        seen = np.isfinite(place).all(axis=-1) & np.isfinite(scale)
+        found = place[seen] + rng.normal(0.0, self.options.panel_px, (int(seen.sum()), 2))
+        sigma = np.full(len(found), self.options.panel_px * self.options.stated)
+        counts = np.zeros(len(Rejection), dtype=np.int64)
+        counts[Rejection.ACCEPTED], counts[Rejection.DARK] = seen.sum(), (~seen).sum()
+        fates = np.where(seen, Rejection.ACCEPTED, Rejection.DARK).astype(np.uint8)
+        extent = np.stack([found.min(axis=0), found.max(axis=0)]) if len(found) else np.zeros((2, 2))
+        return PanelReading(DecodedSamples(pixel[seen], found, sigma, scale[seen]), counts, fates, extent)
+
+    def _panel_at(self, pixel: FloatArray, device_from_camera: FloatArray) -> FloatArray:
+        return panel_position(self.truth.bench.optics, self.truth.eyeball, device_from_camera, pixel).value
+
+    def _rng(self, path: Path) -> np.random.Generator:
+        """Noise of one photograph, whatever others there are."""
+        bench = self.truth.bench
+        name = zlib.crc32(self.session.name_of(path).encode())
+        return np.random.default_rng([bench.options.seed, 23, name, int(bench.eye == "left")])
+
+
+def _inside(pixel: FloatArray, size_px: tuple[int, int], edge_px: float) -> BoolArray:
+    """Which pixels (..., 2) lie in a picture, by more than `edge_px` from its edge; not those that are NaN."""
+    return np.asarray(np.all((pixel > edge_px) & (pixel < np.array(size_px) - edge_px), axis=-1))
+
+
+def _grid(size_px: tuple[int, int], every: float) -> FloatArray:
+    """Centres (rows, columns, 2) of pixels on a grid of this step."""
+    u, v = (np.floor(np.arange(0.5 * every, length, every)) + 0.5 for length in size_px)
+    return np.stack(np.meshgrid(u, v), axis=-1)
