@@ -64,21 +64,21 @@ def _exact_captures(bench: PhotoBench, found: SessionCalibration, rng: np.random
     headset = Headset(session.device, session.eye, session.eye_box)
     panels = []
     for each, panel in found.reading.decoded(session.display):
-        pose, samples = bench.camera_at(each.stage), panel.samples
+        pose, samples = bench.camera_at(np.asarray(each.stage)), panel.samples
         seen = camera_view.panel_position(bench.optics, camera, pose, samples.camera_pixel)
         noise = rng.normal(size=seen.value.shape) * samples.sigma_px[:, None]
         whole = DecodedSamples(samples.camera_pixel, seen.value + noise, samples.sigma_px, samples.scale)
         panels.append(PanelView(pose, _rows(whole, seen.usable)))
     targets = []
-    places: dict[bytes, int] = {}
+    places: dict[str, int] = {}
     for photograph, observation in found.reading.seen(session.see_through):
-        pose, target = bench.camera_at(photograph.stage), bench.device_from_target[photograph.target_pose]
+        pose, target = bench.camera_at(np.asarray(photograph.stage)), bench.device_from_target[photograph.target_pose]
         point = transforms.apply(target, session.board.point_of(observation.index))
         pixel = camera_view.pixel_of_real_point(bench.optics, camera, pose, point)
         pixel = pixel + rng.normal(size=pixel.shape) * observation.sigma_px[:, None]
         sound = np.asarray(np.isfinite(pixel).all(axis=-1))
         whole_observation = replace(observation, pixel=pixel).only(sound)
-        place = places.setdefault(photograph.stage.tobytes(), len(places))
+        place = places.setdefault(photograph.place, len(places))
         targets.append(TargetView(pose, target, photograph.target_pose, place, whole_observation))
     display = display_captures(headset, session.pattern.panel, camera, panels)
     return EyeCaptures(display, within_field(see_through_captures(headset, session.board, camera, targets), display))

@@ -145,7 +145,7 @@ def bench(seed, faults=Faults(), bare_targets=(0, 1), targets=(0, 1), steps=4):
             name = f"tracking/{k}{when}.png"
             tracking_from_target = transforms.inverse(world_from_device @ DEVICE_FROM_TRACKING) @ world_from_target
             tracking.append(scaled(board_view(name, TRACKING, tracking_from_target, rng, 3), faults.printed_scale))
-            tracking_photos.append(BoardPhotograph(Path(), name, k, np.zeros(3)))
+            tracking_photos.append(BoardPhotograph(Path(), name, k))
         camera = device_from_camera(grid[0])
         moved_camera = faults.camera_moved_in_sweep.get(k, identity) @ camera
         first, last = (

@@ -163,11 +163,11 @@ def test_a_fault_leaves_the_sound_photographs_their_precision():
     assert in_sigmas(faulty.pose_at(CORNER), device_from_camera(CORNER)) < 4
 
 
-def test_repeated_photographs_are_found_by_target_and_reading():
+def test_repeated_photographs_are_found_by_target_and_place():
     made = bench(1)
     views = {view.name: view for view in made.bare}
     photos = [
-        BoardPhotograph(Path(), name, target, np.array([x, 0.0, 0.0]))
+        BoardPhotograph(Path(), name, target, np.array([x, 0.0, 0.0]), place=str(x))
         for name, target, x in [
             ("bare/00.png", 0, 0.0),
             ("bare/01.png", 0, 0.001),

@@ -10,8 +10,9 @@ from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera, SessionPanel
 from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -26,22 +27,23 @@ def session(tmp_path):
     for number in range(3):
         write_photograph(tmp_path / "lens" / f"{number}.png", np.zeros((4, 4), np.uint8))
     lens = LensCamera((640, 480), np.array([700.0, 701.0]), np.array([321.0, 239.5]), np.array([0.1, 0.0, 0.0, 0, 0]))
-    pattern = make_pattern("gray-fringes", Panel(320, 200))
     made = PhotoSession(
         folder=tmp_path,
         device="a headset",
-        eye="left",
-        eye_box=EyeBox(np.array([0.001, -0.002, 0.003]), np.array([0.01, 0.008, 0.006])),
-        pattern=pattern,
+        eyes=("left",),
+        eye_boxes={"left": EyeBox(np.array([0.001, -0.002, 0.003]), np.array([0.01, 0.008, 0.006]))},
+        panels={"left": SessionPanel(make_pattern("gray-fringes", Panel(320, 200)))},
         decoding=DecodeOptions(full_scale=4095),
         board=board,
-        eyeball_camera=SessionCamera((640, 512), 12, tuple(tmp_path / "lens" / f"{number}.png" for number in range(3))),
-        tracking_camera=SessionCamera((640, 480), 8, known=lens),
+        eyeball_camera=SessionCamera(
+            (640, 512), PhotographFormat(12), tuple(tmp_path / "lens" / f"{k}.png" for k in range(3))
+        ),
+        tracking_camera=SessionCamera((640, 480), PhotographFormat(8), known=lens),
         device_from_tracking=transforms.rigid(
             transforms.rotation_about("x", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.01, 0.04, -0.05])
         ),
         bare=(BoardPhotograph(tmp_path, "bare/0.png", 0, np.array([0.001, 0.002, -0.003])),),
-        tracking=(BoardPhotograph(tmp_path, "t.png", 0, np.zeros(3)),),
+        tracking=(BoardPhotograph(tmp_path, "t.png", 0),),
         see_through=(BoardPhotograph(tmp_path, "s.png", 0, np.array([0.004, 0.0, 0.0])),),
         display=(CodeSet(tmp_path / "d0", np.zeros(3)), CodeSet(tmp_path / "d1", np.array([0.004, 0.001, 0.0]))),
     )

@@ -116,21 +116,58 @@ def calibrate_session(
         raise BadInputError(f"{error}{before}") from error
 
 
+def tracking_of(session: PhotoSession) -> tuple[SessionCamera, FloatArray]:
+    """Return the tracking camera and device_from_tracking (4, 4) of a session that can be calibrated.
+
+    Raises:
+        BadInputError: session.toml is valid, but describes what calibration does not take yet.
+    """
+    axes = session.stage.axes if session.stage else ()
+    photographs = (*session.bare, *session.see_through)
+    orientations = {each.orientation for each in photographs} | {each.orientation for each in session.display}
+    lacking = {
+        "has no stage with three linear axes": [axis.kind for axis in axes] != ["linear"] * 3,
+        "has a stage axis with a stated direction": any(axis.direction is not None for axis in axes),
+        "has several orientations of the camera": len(orientations) > 1,
+        "is of both eyes": len(session.eyes) > 1,
+        "has [[target]] poses": bool(session.targets),
+        "has a 'gauge'": session.gauge is not None,
+        "has [[beside]] photographs": bool(session.beside),
+        "has sets of single primaries": any(each.channel for each in session.display),
+        **{f"{name!r} is empty": not getattr(session, name) for name in ("bare", "see_through", "display")},
+    }
+    if reasons := [reason for reason, applies in lacking.items() if applies]:
+        raise BadInputError(
+            f"{session.folder}: {', '.join(reasons)}; `calibrate photos` needs one eye, a tracking camera, a stage "
+            "with three linear axes, and [[bare]], [[see_through]] and [[display]] photographs."
+        )
+    if session.tracking_camera is None or session.device_from_tracking is None:
+        raise BadInputError(f"{session.folder}: has no [tracking_camera], which `calibrate photos` needs.")
+    unseen = {each.target_pose for each in photographs} - {each.target_pose for each in session.tracking}
+    if unseen:
+        raise BadInputError(
+            f"{session.folder}: there is no [[tracking]] photograph of target pose {min(unseen)}, which "
+            "`calibrate photos` needs; add one, or leave out the photographs of that pose."
+        )
+    return session.tracking_camera, session.device_from_tracking
+
+
 def _calibrated(
     session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], KindComparison]
 ) -> SessionCalibration:
+    tracking_camera, device_from_tracking = tracking_of(session)
     bare, tracked = reading.seen(session.bare), reading.seen(session.tracking)
     eyeball = _lens(session, session.eyeball_camera, "eyeball_camera", bare, reading)
-    tracking = _lens(session, session.tracking_camera, "tracking_camera", tracked, reading)
+    tracking = _lens(session, tracking_camera, "tracking_camera", tracked, reading)
     through = reading.seen(session.see_through)
     views = {
         each.name: BoardView.of_observation(each.name, observation, session.board) for each, observation in through
     }
     repeated = repeated_views([each for each, _ in through], views)
     photos = StationPhotos([each for each, _ in bare], [each for each, _ in tracked], repeated)
-    station = find_station(photos, eyeball.poses, tracking.poses, session.device_from_tracking)
+    station = find_station(photos, eyeball.poses, tracking.poses, device_from_tracking)
     file = folder / f"station-{session.eye}.json"
-    save_station(file, station, eyeball.camera, tracking.camera, session.device_from_tracking)
+    save_station(file, station, eyeball.camera, tracking.camera, device_from_tracking)
     refuse_contradictions(station.checks)
     places = _camera_places([each for each, _ in through])
     captures = _captures(session, reading, eyeball.camera, station, through, places)
@@ -168,12 +205,12 @@ def _captures(
     """Captures from both kinds of photographs; `places` numbers the camera position of each see-through photograph."""
     headset = Headset(session.device, session.eye, session.eye_box)
     panels = [
-        PanelView(station.device_from_camera(each.stage), found.samples)
+        PanelView(station.device_from_camera(np.asarray(each.stage)), found.samples)
         for each, found in reading.decoded(session.display)
     ]
     targets = [
         TargetView(
-            station.device_from_camera(each.stage),
+            station.device_from_camera(np.asarray(each.stage)),
             station.device_from_target[each.target_pose].b_from_a,
             each.target_pose,
             place,
@@ -215,9 +252,9 @@ def _sound_captures(
 
 
 def _camera_places(photographs: Sequence[BoardPhotograph]) -> list[int]:
-    """A number for each photograph, the same for those at one stage reading."""
-    numbers: dict[tuple[float, ...], int] = {}
-    return [numbers.setdefault(tuple(each.stage), len(numbers)) for each in photographs]
+    """A number for each photograph, the same for those of one camera place."""
+    numbers: dict[str, int] = {}
+    return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
 
 
 def _photographs(captures: SeeThroughCaptures) -> tuple[list[tuple[int, int]], IntArray]:

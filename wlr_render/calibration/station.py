@@ -31,7 +31,7 @@ class StationPhotos:
     Attributes:
         bare: by the eyeball camera, without the headset.
         tracking: by the tracking camera; the first of a target pose before its sweep, the last after it.
-        repeated: through the optics, pairs at one stage reading.
+        repeated: through the optics, pairs at one camera place.
     """
 
     bare: Sequence[BoardPhotograph]
@@ -40,18 +40,18 @@ class StationPhotos:
 
 
 def repeated_views(photos: Sequence[BoardPhotograph], views: Mapping[str, BoardView]) -> tuple[RepeatedView, ...]:
-    """Return first and last photographs through the optics where target pose and stage reading were repeated.
+    """Return first and last photographs through the optics where target pose and camera place were repeated.
 
     Args:
         photos: through the optics, in the order of taking.
         views: name of a photograph -> what was found of the board in it; photographs that are not here are left out.
     """
-    places: dict[tuple[float, ...], list[BoardPhotograph]] = {}
+    places: dict[tuple[int, str], list[BoardPhotograph]] = {}
     for photo in photos:
         if photo.name in views:
-            places.setdefault((photo.target_pose, *np.asarray(photo.stage).tolist()), []).append(photo)
+            places.setdefault((photo.target_pose, photo.place), []).append(photo)
     return tuple(
-        RepeatedView(taken[0].target_pose, taken[0].stage, views[taken[0].name], views[taken[-1].name])
+        RepeatedView(taken[0].target_pose, np.asarray(taken[0].stage), views[taken[0].name], views[taken[-1].name])
         for taken in places.values()
         if len(taken) > 1
     )

@@ -1,18 +1,27 @@
 """Photographic session: the content, position and camera of each photograph.
 
-Device frame (OpenXR), metres; cameras have OpenCV's axes. Photographs are named by their place, not held: a session may
-have thousands. The lists are in the order of taking.
+Device frame (OpenXR), metres, radians; cameras have OpenCV's axes. Photographs are named by their path, not held: a
+session may have thousands. The lists are in the order of taking.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+
+CHANNELS = ("red", "green", "blue")
+"""Primaries of a panel."""
+CODE_ORDERS = ("as shown", "opencv")
+"""Orders of the photographs in a folder of a panel's code: that of `Pattern.names`, or that of OpenCV's Gray code."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,20 +30,79 @@ class SessionCamera:
 
     Attributes:
         size_px: width and height of its photographs.
-        bits: by so many bits its largest value is reached: 8, 10, 12, 16.
+        format: how its files become linear values.
         intrinsics: photographs of the board from many sides, without the headset, to calibrate it from.
         known: the camera where it is calibrated already, else None.
+        lens: lens model to fit, a key of `lens_camera.LENS_KINDS`, or "auto": held-out photographs choose.
+        known_sigma: (4 + k,) standard deviations of `known`: fx, fy, cx, cy in pixels, then the k distortion terms;
+            None where the lens is stated as exact.
+        lens_file: the file that `known` was read from, else None.
     """
 
     size_px: tuple[int, int]
-    bits: int
+    format: PhotographFormat
     intrinsics: tuple[Path, ...] = ()
     known: LensCamera | None = None
+    lens: str = "auto"
+    known_sigma: FloatArray | None = None
+    lens_file: Path | None = None
+
+    @property
+    def bits(self) -> int:
+        """Bits of a stored value, 8 to 16."""
+        return self.format.bits
 
     @property
     def full_scale(self) -> int:
-        """Largest value that it gives."""
-        return int(2**self.bits) - 1
+        """Value of a saturated pixel."""
+        return self.format.full_scale
+
+
+@dataclass(frozen=True, eq=False)
+class StageAxis:
+    """An axis of the stage that carries the eyeball camera.
+
+    Attributes:
+        kind: "linear" or "rotary".
+        direction: (3,) unit vector in the device frame: of travel, or of right-handed rotation; None if unknown.
+        direction_sigma: standard deviation of `direction` about each perpendicular axis, radians; None if the
+            direction is unknown or stated as exact.
+        pivot: (3,) a point on a rotary axis at the stage's reference, metres, device frame; None if unknown.
+    """
+
+    kind: str = "linear"
+    direction: FloatArray | None = None
+    direction_sigma: float | None = None
+    pivot: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StageDescription:
+    """The stage that carries the eyeball camera; its readings are (m,), metres or radians, in the order of `axes`."""
+
+    axes: tuple[StageAxis, ...] = (StageAxis(), StageAxis(), StageAxis())
+
+    @property
+    def units(self) -> FloatArray:
+        """(m,) metres per millimetre of each linear axis, radians per degree of each rotary axis."""
+        return np.array([1e-3 if axis.kind == "linear" else np.pi / 180 for axis in self.axes])
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPose:
+    """A target pose that session.toml states.
+
+    Attributes:
+        device_from: (4, 4) device_from_board.
+        sigma: standard deviations of rotation, radians, and translation, metres, per axis.
+        board: the board at this pose, where it is another than the session's.
+        board_file: name of that board's file in the session's folder.
+    """
+
+    device_from: FloatArray
+    sigma: tuple[float, float]
+    board: Board | None = None
+    board_file: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,18 +113,41 @@ class BoardPhotograph:
         folder: of the session.
         name: path from there, by which reports name the photograph.
         target_pose: index of the target's position.
-        stage: (3,) stage reading, metres; zero for the tracking camera, which is not on the stage.
+        stage: (m,) stage reading, metres or radians; None without a stage, and for the tracking camera.
+        place: name of the camera place: photographs of one place were taken without moving the camera; "" for the
+            tracking camera.
+        orientation: index of the camera's mounting orientation on the stage.
+        eye: "left" or "right".
+        regions: (n, 4) lowest u, v and highest u, v of the parts of the picture that see the target past the optics,
+            pixels from the outer corner of the top-left pixel; None for the whole picture.
+        time_s: when it was taken, seconds from any origin; None if unknown.
+        temperature_c: of the bench, degrees Celsius; None if unknown.
     """
 
     folder: Path
     name: str
     target_pose: int
-    stage: FloatArray
+    stage: FloatArray | None = None
+    place: str = ""
+    orientation: int = 0
+    eye: str = "right"
+    regions: FloatArray | None = None
+    time_s: float | None = None
+    temperature_c: float | None = None
 
     @property
     def path(self) -> Path:
         """Path of the file."""
         return self.folder / self.name
+
+    def in_regions(self, pixel: FloatArray) -> BoolArray:
+        """Which pixels (n, 2) lie in one of the regions, (n,); all if there are no regions."""
+        if self.regions is None:
+            return np.ones(len(pixel), dtype=bool)
+        inside = np.zeros(len(pixel), dtype=bool)
+        for region in self.regions:
+            inside |= np.all((pixel >= region[:2]) & (pixel <= region[2:]), axis=1)
+        return inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +156,31 @@ class CodeSet:
 
     Attributes:
         folder: that holds them, in the order of showing by their names.
-        stage: (3,) the stage's reading.
+        stage, place, orientation, eye, time_s, temperature_c: as of a `BoardPhotograph`.
+        channel: the primary that the panel showed, one of `CHANNELS`; None for white.
     """
 
     folder: Path
-    stage: FloatArray
+    stage: FloatArray | None = None
+    place: str = ""
+    orientation: int = 0
+    eye: str = "right"
+    channel: str | None = None
+    time_s: float | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SessionPanel:
+    """The panel of an eye.
+
+    Attributes:
+        pattern: what it showed.
+        primary_offsets: channel -> (2,) position of that primary in the pixel relative to the pixel's centre, pixels.
+    """
+
+    pattern: Pattern
+    primary_offsets: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,34 +190,108 @@ class PhotoSession:
     Attributes:
         folder: that holds session.toml; photographs are named in reports from there.
         device: the headset's name.
-        eye: "left" or "right".
-        eye_box: where the pupil may be, device frame.
-        pattern: what the panel showed.
-        decoding: when a decoded pixel is believed.
+        eyes: of which the session is: "left", "right" or both.
+        eye_boxes: eye -> where the pupil may be, device frame.
+        panels: eye -> its panel; one object for both eyes if they are alike.
+        decoding: when a decoded pixel is accepted.
         board: the printed target.
         eyeball_camera: the camera in the place of the eye.
-        tracking_camera: the headset's own camera.
-        device_from_tracking: (4, 4) where that camera sits.
-        bare: of the target, by the eyeball camera, without the headset.
-        tracking: of the target, by the tracking camera.
-        see_through: of the target, by the eyeball camera, through the optics.
-        display: of the panel, by the eyeball camera.
+        see_through: photographs of the target by the eyeball camera, through the optics.
+        display: photographs of the panel by the eyeball camera.
+        bare: of the target by the eyeball camera, without the headset.
+        beside: of the target by the eyeball camera, past the optics of the mounted headset.
+        tracking: of the target by the tracking camera.
+        tracking_camera: the headset's own camera, if it has one.
+        device_from_tracking: (4, 4) its pose, if it has one.
+        tracking_sigma: standard deviations of that pose, radians and metres; None if it is stated as exact.
+        stage: that carries the eyeball camera; None for a robot arm or a hand: camera places are free.
+        targets: index -> target pose that session.toml states.
+        gauge: "target N": the device frame is the board's at target pose N, with OpenXR's axes. "camera": it is the
+            eyeball camera's at the stage's reference, with OpenXR's axes, moved so that the eye box is where it is
+            stated. None: tracking camera or `targets` fix it.
+        code_order: order of the photographs of a code, one of `CODE_ORDERS`.
+        code_manifest: file that says which picture each photograph of a code shows, or None.
+        place_tolerance: stage readings that differ less are one place, metres.
     """
 
     folder: Path
     device: str
-    eye: str
-    eye_box: EyeBox
-    pattern: Pattern
+    eyes: tuple[str, ...]
+    eye_boxes: Mapping[str, EyeBox]
+    panels: Mapping[str, SessionPanel]
     decoding: DecodeOptions
     board: Board
     eyeball_camera: SessionCamera
-    tracking_camera: SessionCamera
-    device_from_tracking: FloatArray
-    bare: tuple[BoardPhotograph, ...]
-    tracking: tuple[BoardPhotograph, ...]
-    see_through: tuple[BoardPhotograph, ...]
-    display: tuple[CodeSet, ...]
+    see_through: tuple[BoardPhotograph, ...] = ()
+    display: tuple[CodeSet, ...] = ()
+    bare: tuple[BoardPhotograph, ...] = ()
+    beside: tuple[BoardPhotograph, ...] = ()
+    tracking: tuple[BoardPhotograph, ...] = ()
+    tracking_camera: SessionCamera | None = None
+    device_from_tracking: FloatArray | None = None
+    tracking_sigma: tuple[float, float] | None = None
+    stage: StageDescription | None = StageDescription()
+    targets: Mapping[int, GivenPose] = field(default_factory=dict)
+    gauge: str | None = None
+    code_order: str = CODE_ORDERS[0]
+    code_manifest: Path | None = None
+    place_tolerance: float = 2e-6
+
+    @property
+    def eye(self) -> str:
+        """The eye of a session of one eye; ValueError for both."""
+        (eye,) = self.eyes
+        return eye
+
+    @property
+    def eye_box(self) -> EyeBox:
+        """The eye box of a session of one eye; ValueError for both."""
+        return self.eye_boxes[self.eye]
+
+    @property
+    def pattern(self) -> Pattern:
+        """What the panel showed; ValueError where the two eyes' panels differ."""
+        return self._panel.pattern
+
+    @property
+    def primary_offsets(self) -> Mapping[str, FloatArray]:
+        """Positions of the panel's primaries, as of `SessionPanel`; ValueError where the two eyes' panels differ."""
+        return self._panel.primary_offsets
+
+    @property
+    def _panel(self) -> SessionPanel:
+        (panel,) = {id(each): each for each in self.panels.values()}.values()
+        return panel
+
+    @property
+    def gauge_target(self) -> int | None:
+        """Index of the target pose whose frame is the device frame, or None."""
+        named = self.gauge is not None and self.gauge.startswith("target ")
+        return int(str(self.gauge).removeprefix("target ")) if named else None
+
+    def board_of(self, target_pose: int) -> Board:
+        """The board at a target pose."""
+        given = self.targets.get(target_pose)
+        return self.board if given is None or given.board is None else given.board
+
+    def past_optics(self, photograph: BoardPhotograph, pixel: FloatArray) -> BoolArray:
+        """Which pixels (n, 2) of a photograph see the target past the optics by the entries of `beside`, (n,)."""
+        past = np.zeros(len(pixel), dtype=bool)
+        for each in self.beside:
+            if each.path == photograph.path:
+                past |= each.in_regions(pixel)
+        return past
+
+    def for_eye(self, eye: str) -> "PhotoSession":
+        """The session of one of its eyes: its own panel photographs and those through its optics, all others shared."""
+        return replace(
+            self,
+            eyes=(eye,),
+            eye_boxes={eye: self.eye_boxes[eye]},
+            panels={eye: self.panels[eye]},
+            see_through=tuple(each for each in self.see_through if each.eye == eye),
+            display=tuple(each for each in self.display if each.eye == eye),
+        )
 
     def name_of(self, path: Path) -> str:
         """A photograph's or folder's name as reports give it."""

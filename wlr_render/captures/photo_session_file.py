@@ -1,20 +1,37 @@
 """session.toml of a photographic session: reading and writing (docs/photo-session.md has the format)."""
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
-from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
-from wlr_render.captures.photographs import photographs_in
+from wlr_render.captures.photo_session import (
+    CHANNELS,
+    CODE_ORDERS,
+    GivenPose,
+    PhotoSession,
+    SessionCamera,
+    SessionPanel,
+)
+from wlr_render.captures.photo_session_cameras import read_camera, written_camera
+from wlr_render.captures.photo_session_checks import check_range, check_session
+from wlr_render.captures.photo_session_entries import (
+    Entry,
+    EntryFormat,
+    place_names,
+    positive,
+    read_stage,
+    rounded,
+    written_stage,
+)
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
-from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -23,20 +40,24 @@ from wlr_render.toml_files import Table, read_toml, write_toml
 FILE = "session.toml"
 FORMAT = "photo-session"
 VERSION = 1
+EYES = ("left", "right")
 _MM = 1e-3
+_ON_STAGE = ("bare", "beside", "see_through", "display")
 
 # What lengths of a bench can be, in millimetres: beyond, somebody has written metres or micrometres.
 _EYE_BOX_MM = (0.5, 100.0)
 _CAMERA_PLACE_MM = (0.5, 1000.0)
-_TRAVEL_MM = (0.5, 500.0)
+_TARGET_PLACE_MM = (0.5, 50000.0)
+
+Value = TypeVar("Value")
 
 
 def load_photo_session(folder: str | Path) -> PhotoSession:
     """Read the session.toml of a folder; the photographs themselves are not opened.
 
     Raises:
-        BadInputError: the file is missing or breaks the format, or its lengths cannot be millimetres; the sentence says
-            which key.
+        BadInputError: the file is missing or breaks the format, its lengths cannot be millimetres, or it contradicts
+            itself; the sentence says which key.
     """
     root = Path(folder)
     if not (root / FILE).is_file():
@@ -49,137 +70,166 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     file = read_toml(root / FILE)
     file.check_head(FORMAT, VERSION, "a session")
     axes = FRAMES[file.text("frame", choices=sorted(FRAMES))]
-    device, eye = file.text("device"), file.text("eye", choices=("left", "right"))
-    pattern, decoding_keys = _pattern(file)
+    device, eyes = file.text("device"), _eyes(file)
+    panels, decoding_keys, order, manifest = _panels(file, root, eyes)
     eyeball_table = file.table("eyeball_camera")
-    eyeball = _camera(eyeball_table, root)
+    eyeball = read_camera(eyeball_table, root)
     eyeball_table.finish()
-    tracking, device_from_tracking = _tracking_camera(file, root, axes)
+    tracking, device_from_tracking, tracking_sigma = _tracking_camera(file, root, axes)
+    stage, tolerance = read_stage(file, axes)
+    form = EntryFormat.of_axes(root, eyes, stage, axes)
     session = PhotoSession(
         folder=root,
         device=device,
-        eye=eye,
-        eye_box=_eye_box(file, axes),
-        pattern=pattern,
+        eyes=eyes,
+        eye_boxes=_of_each_eye(file, "eye_box", eyes, lambda table: _eye_box(table, axes), alike=False),
+        panels=panels,
         decoding=DecodeOptions(full_scale=eyeball.full_scale, **decoding_keys),
         board=load_board(root / file.text("board")),
         eyeball_camera=eyeball,
+        see_through=tuple(form.through(table) for table in file.tables("see_through", required=False)),
+        display=tuple(form.code_set(table) for table in file.tables("display", required=False)),
+        bare=tuple(form.photograph(table) for table in file.tables("bare", required=False)),
+        beside=tuple(form.beside(table) for table in file.tables("beside", required=False)),
+        tracking=tuple(form.photograph(table, on_stage=False) for table in file.tables("tracking", required=False)),
         tracking_camera=tracking,
         device_from_tracking=device_from_tracking,
-        bare=tuple(_board_photograph(table, root, axes) for table in file.tables("bare")),
-        tracking=tuple(_board_photograph(table, root, axes, on_stage=False) for table in file.tables("tracking")),
-        see_through=tuple(_board_photograph(table, root, axes) for table in file.tables("see_through")),
-        display=tuple(_code_set(table, root, axes) for table in file.tables("display")),
+        tracking_sigma=tracking_sigma,
+        stage=stage,
+        targets=_targets(file, root, axes),
+        gauge=_gauge(file),
+        code_order=order,
+        code_manifest=manifest,
+        place_tolerance=tolerance,
     )
     file.finish()
-    _check_lists(file, session)
-    _check_poses(file, session)
-    _check_travel(file, session)
+    lists = _entries(session)
+    names = iter(place_names([each for entries in lists.values() for each in entries], form, tolerance))
+    placed: dict[str, Any] = {
+        name: tuple(replace(each, place=next(names)) for each in entries) for name, entries in lists.items()
+    }
+    session = replace(session, **placed)
+    check_session(file, session)
     return session
 
 
-def _pattern(file: Table) -> tuple[Pattern, dict[str, float]]:
-    size = file.table("panel")
-    panel = Panel(size.whole("width_px", 1), size.whole("height_px", 1))
-    size.finish()
+def _entries(session: PhotoSession) -> dict[str, Sequence[Entry]]:
+    return {name: getattr(session, name) for name in _ON_STAGE}
+
+
+def _eyes(file: Table) -> tuple[str, ...]:
+    if not file.has("eyes"):
+        return (file.text("eye", choices=EYES),)
+    if file.has("eye"):
+        raise file.fail("give either 'eye' or 'eyes', not both.")
+    eyes = file.texts("eyes")
+    if len(set(eyes)) < len(eyes) or not set(eyes) <= set(EYES):
+        raise file.fail(f'\'eyes\' is {eyes}; it must hold "left", "right", or both.')
+    return tuple(eyes)
+
+
+def _of_each_eye(
+    file: Table, key: str, eyes: Sequence[str], read: Callable[[Table], Value], alike: bool = True
+) -> dict[str, Value]:
+    """Read the tables [key.left] and [key.right], or [key] for one eye; for both where they may be `alike`."""
+    table = file.table(key)
+    if any(table.has(eye) for eye in eyes):
+        found = {eye: read(table.table(eye)) for eye in eyes}
+        table.finish()
+        return found
+    if len(eyes) > 1 and not alike:
+        raise file.fail(f"[{key}] is one table for both eyes; give [{key}.left] and [{key}.right].")
+    return dict.fromkeys(eyes, read(table))
+
+
+def _panels(
+    file: Table, root: Path, eyes: Sequence[str]
+) -> tuple[dict[str, SessionPanel], dict[str, float], str, Path | None]:
+    """The panels, and of [code]: limits of decoding, order and manifest of the photographs."""
+    sizes = _of_each_eye(file, "panel", eyes, _panel)
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
     numbers = {key: table.whole(key, 1) for key in pattern_keys(name) if table.has(key)}
     decoding = {key: table.number(key) for key in ("min_contrast", "min_confidence") if table.has(key)}
+    order = table.text("order", CODE_ORDERS[0], CODE_ORDERS)
+    manifest = root / table.text("manifest") if table.has("manifest") else None
     table.finish()
     try:
-        return make_pattern(name, panel, **numbers), decoding
+        made = {id(size): SessionPanel(make_pattern(name, size[0], **numbers), size[1]) for size in sizes.values()}
     except BadInputError as error:
         raise table.fail(str(error)) from error
+    return {eye: made[id(size)] for eye, size in sizes.items()}, decoding, order, manifest
 
 
-def _eye_box(file: Table, axes: FloatArray) -> EyeBox:
-    table = file.table("eye_box")
+def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
+    panel = Panel(table.whole("width_px", 1), table.whole("height_px", 1))
+    offsets: dict[str, FloatArray] = {}
+    if table.has("primary_offsets_px"):
+        given = table.table("primary_offsets_px")
+        offsets = {channel: given.vector(channel, 2) for channel in CHANNELS if given.has(channel)}
+        given.finish()
+        if any(np.any(np.abs(offset) > 1) for offset in offsets.values()):
+            raise given.fail("an offset is more than one pixel; it must be a fraction of the panel's pixel.")
+    table.finish()
+    return panel, offsets
+
+
+def _eye_box(table: Table, axes: FloatArray) -> EyeBox:
     centre, size = table.vector("centre_mm", 3), table.vector("size_mm", 3)
     table.finish()
-    _check_range(table, "size_mm", size, _EYE_BOX_MM)
+    check_range(table, "size_mm", size, _EYE_BOX_MM)
     return EyeBox(_MM * axes @ centre, _MM * size)
 
 
-def _tracking_camera(file: Table, root: Path, axes: FloatArray) -> tuple[SessionCamera, FloatArray]:
+def _tracking_camera(
+    file: Table, root: Path, axes: FloatArray
+) -> tuple[SessionCamera | None, FloatArray | None, tuple[float, float] | None]:
+    if not file.has("tracking_camera"):
+        return None, None, None
     table = file.table("tracking_camera")
-    camera = _camera(table, root)
-    rotation, translation = table.vectors("rotation", 3), table.vector("translation_mm", 3)
+    camera = read_camera(table, root)
+    sigma = _pose_sigma(table) if table.has("sigma_mm") or table.has("sigma_deg") else None
+    pose = _pose(table, axes, _CAMERA_PLACE_MM)
     table.finish()
+    return camera, pose, sigma
+
+
+def _pose(table: Table, axes: FloatArray, limits_mm: tuple[float, float]) -> FloatArray:
+    rotation, translation = table.vectors("rotation", 3), table.vector("translation_mm", 3)
     if rotation.shape != (3, 3) or not is_rotation(rotation):
         raise table.fail("'rotation' must be a rotation matrix (orthogonal to 1e-6, determinant +1).")
     if np.any(translation):
-        _check_range(table, "translation_mm", float(np.linalg.norm(translation)), _CAMERA_PLACE_MM)
-    return camera, rigid(axes @ rotation, _MM * axes @ translation)
+        check_range(table, "translation_mm", float(np.linalg.norm(translation)), limits_mm)
+    return rigid(axes @ rotation, _MM * axes @ translation)
 
 
-def _camera(table: Table, root: Path) -> SessionCamera:
-    size, bits = (table.whole("width_px", 1), table.whole("height_px", 1)), table.whole("bits", 1)
-    if not 8 <= bits <= 16:
-        raise table.fail(f"'bits' is {bits}; it must be 8 to 16.")
-    if table.has("intrinsics") == table.has("focal_px"):
-        raise table.fail(
-            "give either 'intrinsics', a folder of pictures of the board, or 'focal_px' and 'opencv_centre_px'."
+def _pose_sigma(table: Table) -> tuple[float, float]:
+    """Standard deviations of rotation and translation, radians and metres."""
+    return float(np.radians(positive(table, "sigma_deg"))), _MM * positive(table, "sigma_mm")
+
+
+def _targets(file: Table, root: Path, axes: FloatArray) -> dict[int, GivenPose]:
+    targets: dict[int, GivenPose] = {}
+    for table in file.tables("target", required=False):
+        pose = table.whole("pose")
+        if pose in targets:
+            raise table.fail(f"target pose {pose} is given twice; remove one.")
+        file_name = table.text("board") if table.has("board") else None
+        board = None if file_name is None else load_board(root / file_name)
+        targets[pose] = GivenPose(_pose(table, axes, _TARGET_PLACE_MM), _pose_sigma(table), board, file_name)
+        table.finish()
+    return targets
+
+
+def _gauge(file: Table) -> str | None:
+    if not file.has("gauge"):
+        return None
+    gauge = file.text("gauge")
+    if not re.fullmatch(r"camera|target \d+", gauge):
+        raise file.fail(
+            f"'gauge' is '{gauge}'; it must be \"camera\", or \"target 0\" with the number of a target pose."
         )
-    if table.has("intrinsics"):
-        return SessionCamera(size, bits, intrinsics=tuple(photographs_in(root / table.text("intrinsics"))))
-    focal, centre = table.vector("focal_px", 2), table.vector("opencv_centre_px", 2)
-    if np.any(focal <= 0):
-        raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
-    distortion = table.vector("distortion", len(DISTORTION_TERMS), [0.0] * len(DISTORTION_TERMS))
-    return SessionCamera(size, bits, known=LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, distortion))
-
-
-def _board_photograph(table: Table, root: Path, axes: FloatArray, on_stage: bool = True) -> BoardPhotograph:
-    name, pose = str(Path(table.text("photograph"))), table.whole("target_pose")
-    stage = _stage(table, axes) if on_stage else np.zeros(3)
-    table.finish()
-    return BoardPhotograph(root, name, pose, stage)
-
-
-def _code_set(table: Table, root: Path, axes: FloatArray) -> CodeSet:
-    code_set = CodeSet(root / table.text("photographs"), _stage(table, axes))
-    table.finish()
-    return code_set
-
-
-def _stage(table: Table, axes: FloatArray) -> FloatArray:
-    return np.asarray(_MM * axes @ table.vector("stage_mm", 3))
-
-
-def _check_range(table: Table, key: str, value: FloatArray | float, limits: tuple[float, float]) -> None:
-    low, high = limits
-    if np.any(np.asarray(value) < low) or np.any(np.asarray(value) > high):
-        raise table.fail(
-            f"'{key}' should be between {low:g} and {high:g} mm and is {np.round(value, 6).tolist()}: "
-            "is it in another unit? Lengths are millimetres."
-        )
-
-
-def _check_lists(file: Table, session: PhotoSession) -> None:
-    for name in ("bare", "tracking", "see_through", "display"):
-        if not getattr(session, name):
-            raise file.fail(f"'{name}' is empty; a calibration needs its photographs: list them as [[{name}]].")
-
-
-def _check_poses(file: Table, session: PhotoSession) -> None:
-    """Every pose of the target must have been seen by the tracking camera, and one of them without the headset."""
-    tracked = {photograph.target_pose for photograph in session.tracking}
-    for name, photographs in (("bare", session.bare), ("see_through", session.see_through)):
-        for number, photograph in enumerate(photographs, start=1):
-            if photograph.target_pose not in tracked:
-                raise file.fail(
-                    f"[[{name}]] number {number} is of target pose {photograph.target_pose}, of which there is no "
-                    "[[tracking]] photograph: nothing says where that target stood."
-                )
-
-
-def _check_travel(file: Table, session: PhotoSession) -> None:
-    for name in ("bare", "see_through", "display"):
-        stage = np.array([item.stage for item in getattr(session, name)]) / _MM
-        travel = float(np.linalg.norm(np.ptp(stage, axis=0)))
-        if travel > 0:
-            _check_range(file, f"stage_mm (travel of [[{name}]])", travel, _TRAVEL_MM)
+    return gauge
 
 
 def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) -> Path:
@@ -187,60 +237,77 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
 
     Args:
         session: its paths lie below its folder.
-        code: the table [code]: `pattern` and its numbers.
+        code: of the table [code]: `pattern` and its numbers.
         board: name of the board's file in the folder.
     """
     axes = FRAMES["opencv"]
-    panel, box = session.pattern.panel, session.eye_box
-    pose = session.device_from_tracking
-    content = {
+    form = EntryFormat.of_axes(session.folder, session.eyes, session.stage, axes)
+    boxes = {eye: _written_eye_box(box, axes) for eye, box in session.eye_boxes.items()}
+    panels = {eye: _written_panel(panel) for eye, panel in session.panels.items()}
+    one_panel = len({id(panel) for panel in session.panels.values()}) == 1
+    content: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "unit": "mm",
         "frame": "opencv",
         "device": session.device,
-        "eye": session.eye,
+        **({"eye": session.eye} if len(session.eyes) == 1 else {"eyes": list(session.eyes)}),
         "board": board,
-        "panel": {"width_px": panel.width_px, "height_px": panel.height_px},
-        "code": code,
-        "eye_box": {"centre_mm": _in_file(box.centre, axes), "size_mm": _in_file(box.size, np.eye(3))},
-        "eyeball_camera": _written_camera(session.eyeball_camera, session.folder),
-        "tracking_camera": _written_camera(session.tracking_camera, session.folder)
-        | {"rotation": (axes.T @ pose[:3, :3]).tolist(), "translation_mm": _in_file(pose[:3, 3], axes)},
-        "bare": _written(session.bare, axes),
-        "tracking": [{"photograph": each.name, "target_pose": each.target_pose} for each in session.tracking],
-        "see_through": _written(session.see_through, axes),
-        "display": [
-            {"photographs": session.name_of(each.folder), "stage_mm": _in_file(each.stage, axes)}
-            for each in session.display
-        ],
+        **({} if session.gauge is None else {"gauge": session.gauge}),
+        "panel": panels[session.eyes[0]] if one_panel else panels,
+        "code": code | _written_code(session),
+        "eye_box": boxes if len(boxes) > 1 else boxes[session.eye],
+        "eyeball_camera": written_camera(session.eyeball_camera, session.folder),
     }
+    if session.tracking_camera is not None and session.device_from_tracking is not None:
+        content["tracking_camera"] = written_camera(session.tracking_camera, session.folder) | _written_pose(
+            session.device_from_tracking, session.tracking_sigma, axes
+        )
+    if stage := written_stage(session, axes):
+        content["stage"] = stage
+    targets = [
+        {"pose": pose}
+        | _written_pose(each.device_from, each.sigma, axes)
+        | ({} if each.board_file is None else {"board": each.board_file})
+        for pose, each in session.targets.items()
+    ]
+    lists = {"target": targets} | _written_entries(session, form)
+    content |= {name: written for name, written in lists.items() if written}
     return write_toml(session.folder / FILE, content, "docs/photo-session.md has the format")
 
 
-def _in_file(value: FloatArray, axes: FloatArray) -> list[float]:
-    """Metres to millimetres without the digits that only rounding makes."""
-    return [float(number) for number in np.round(axes.T @ value / _MM, 9) + 0.0]
+def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list[dict[str, Any]]]:
+    """The lists of photographs; of places only those that do not follow from the stage readings."""
+    entries = [(name, each) for name, listed in _entries(session).items() for each in listed]
+    unnamed = [each if session.stage is None else replace(each, place="") for _, each in entries]
+    written: dict[str, list[dict[str, Any]]] = {name: [] for name in _ON_STAGE}
+    for (name, each), derived in zip(entries, place_names(unnamed, form, session.place_tolerance), strict=True):
+        own = each.place if session.stage is None or each.place != derived else None
+        written[name].append(form.written(each, own))
+    return written | {"tracking": [form.written(each, None) for each in session.tracking]}
 
 
-def _written(photographs: Iterable[BoardPhotograph], axes: FloatArray) -> list[dict[str, Any]]:
-    return [
-        {
-            "photograph": each.name,
-            "target_pose": each.target_pose,
-            "stage_mm": _in_file(each.stage, axes),
-        }
-        for each in photographs
-    ]
+def _written_code(session: PhotoSession) -> dict[str, str]:
+    keys = {} if session.code_order == CODE_ORDERS[0] else {"order": session.code_order}
+    return keys if session.code_manifest is None else keys | {"manifest": session.name_of(session.code_manifest)}
 
 
-def _written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
-    keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1], "bits": camera.bits}
-    if camera.known is None:
-        return keys | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}
-    known = camera.known
-    return keys | {
-        "focal_px": known.focal_px.tolist(),
-        "opencv_centre_px": (known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
-        "distortion": known.distortion.tolist(),
+def _written_panel(panel: SessionPanel) -> dict[str, Any]:
+    size = panel.pattern.panel
+    offsets = {channel: offset.tolist() for channel, offset in panel.primary_offsets.items()}
+    keys: dict[str, Any] = {"width_px": size.width_px, "height_px": size.height_px}
+    return keys | ({"primary_offsets_px": offsets} if offsets else {})
+
+
+def _written_eye_box(box: EyeBox, axes: FloatArray) -> dict[str, Any]:
+    return {"centre_mm": rounded(axes.T @ box.centre / _MM), "size_mm": rounded(box.size / _MM)}
+
+
+def _written_pose(pose: FloatArray, sigma: tuple[float, float] | None, axes: FloatArray) -> dict[str, Any]:
+    keys: dict[str, Any] = {
+        "rotation": (axes.T @ pose[:3, :3]).tolist(),
+        "translation_mm": rounded(axes.T @ pose[:3, 3] / _MM),
     }
+    if sigma is None:
+        return keys
+    return keys | {"sigma_deg": rounded(np.degrees(sigma[0])), "sigma_mm": rounded(sigma[1] / _MM)}

@@ -122,21 +122,22 @@ def read_session(
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
     for each in session.display:
-        size_px, kind = session.eyeball_camera.size_px, PhotographFormat(bits=session.eyeball_camera.bits)
-        yield _PanelTask(session.name_of(each.folder), each.folder, session.pattern, session.decoding, size_px, kind)
+        camera, pattern = session.eyeball_camera, session.panels[each.eye].pattern
+        name = session.name_of(each.folder)
+        yield _PanelTask(name, each.folder, pattern, session.decoding, camera.size_px, camera.format)
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
     """Every photograph of the board once."""
-    eyeball, tracking = session.eyeball_camera, session.tracking_camera
-    by_camera: list[tuple[SessionCamera, list[Path]]] = [
-        (eyeball, [*eyeball.intrinsics, *(each.path for each in (*session.bare, *session.see_through))]),
-        (tracking, [*tracking.intrinsics, *(each.path for each in session.tracking)]),
-    ]
-    for camera, paths in by_camera:
-        for path in dict.fromkeys(paths):
-            kind = PhotographFormat(bits=camera.bits)
-            yield _BoardTask(session.name_of(path), path, session.board, camera.size_px, kind)
+    taken = (*session.bare, *session.beside, *session.see_through)
+    by_camera: list[tuple[SessionCamera, Sequence[BoardPhotograph]]] = [(session.eyeball_camera, taken)]
+    if session.tracking_camera is not None:
+        by_camera.append((session.tracking_camera, session.tracking))
+    for camera, photographs in by_camera:
+        boards = dict.fromkeys(camera.intrinsics, session.board)
+        boards |= {each.path: session.board_of(each.target_pose) for each in photographs}
+        for path, board in boards.items():
+            yield _BoardTask(session.name_of(path), path, board, camera.size_px, camera.format)
 
 
 @dataclass(frozen=True, eq=False)

@@ -252,7 +252,7 @@ def in_metres(content):
         (lambda content: content.update(frame="openxr"), "check 'frame'"),
         (lambda content: content["eyeball_camera"].update(bits=12), "check its 'bits'"),
         (lambda content: content.update(bare=[]), "'bare' is empty"),
-        (lambda content: content.pop("bare"), "key 'bare' is missing"),
+        (lambda content: content.pop("bare"), "add [[bare]] photographs of a target"),
         (lambda content: content.update(display=[]), "'display' is empty"),
         (lambda content: content.update(see_through=[]), "'see_through' is empty"),
         (lambda content: content.update(tracking=[]), "'tracking' is empty"),

@@ -4,7 +4,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
+from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session, tracking_of
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.files import output_folder
@@ -44,7 +44,8 @@ def calibrate_photos(options: CalibratePhotosOptions, *, progress: ProgressArgum
 def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
     """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz."""
     session = load_photo_session(options.session)
-    options.fit.prescription_of(session.eye)  # a faulty one is refused before anything is read
+    tracking_of(session)  # what cannot be calibrated is refused before anything is read
+    options.fit.prescription_of(session.eye)
     folder = output_folder(options.out)
     reading = read_session(session, folder / READ, options.workers, progress)
     progress.say("calibrating cameras and station, fitting the models")

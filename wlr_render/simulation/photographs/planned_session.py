@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera, SessionPanel
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan
@@ -28,34 +27,34 @@ def planned_session(
     return PhotoSession(
         folder=root,
         device=bench.device.name,
-        eye=bench.eye,
-        eye_box=bench.optics.eye_box,
-        pattern=pattern,
+        eyes=(bench.eye,),
+        eye_boxes={bench.eye: bench.optics.eye_box},
+        panels={bench.eye: SessionPanel(pattern)},
         decoding=DecodeOptions(full_scale=eyeball.full_scale),
         board=bench.board,
         eyeball_camera=eyeball,
         tracking_camera=tracking,
         device_from_tracking=bench.stated_device_from_tracking,
         bare=tuple(
-            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading)
+            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading, eye=bench.eye)
             for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
         ),
         tracking=tuple(
-            BoardPhotograph(root, f"tracking/pose{pose}_{when}.png", pose, np.zeros(3))
+            BoardPhotograph(root, f"tracking/pose{pose}_{when}.png", pose)
             for pose in poses
             for when in ("before", "after")
         ),
         see_through=tuple(
-            BoardPhotograph(root, name, pose, visit.reading)
+            BoardPhotograph(root, name, pose, visit.reading, eye=bench.eye)
             for (pose, name), visit in zip(through, visits.see_through, strict=True)
         ),
         display=tuple(
-            CodeSet(root / "display" / f"{number:02d}", visit.reading) for number, visit in enumerate(visits.display)
+            CodeSet(root / "display" / f"{number:02d}", visit.reading, eye=bench.eye)
+            for number, visit in enumerate(visits.display)
         ),
     )
 
 
 def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:
-    return SessionCamera(
-        lens.camera.size_px, sensor.bits, tuple(folder / f"{number:02d}.png" for number in range(count))
-    )
+    paths = tuple(folder / f"{number:02d}.png" for number in range(count))
+    return SessionCamera(lens.camera.size_px, PhotographFormat(sensor.bits), paths)

@@ -96,7 +96,8 @@ def _poses(session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: Se
         yield pose(lens, bench.eyeball_sensor, visit.device_from_camera, None, boards=[_on_bench(photograph, bench)])
     yield eyeball(np.eye(4), None, boards=_shots(session.eyeball_camera, plan.eyeball_boards))
     yield tracking(bench.device_from_tracking, boards=[_on_bench(each, bench) for each in session.tracking])
-    yield tracking(np.eye(4), boards=_shots(session.tracking_camera, plan.tracking_boards))
+    if session.tracking_camera is not None:
+        yield tracking(np.eye(4), boards=_shots(session.tracking_camera, plan.tracking_boards))
 
 
 def _on_bench(photograph: BoardPhotograph, bench: PhotoBench) -> BoardShot:

@@ -1,0 +1,95 @@
+"""Cameras in session.toml: reading and writing (docs/photo-session.md has the format)."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wlr_render.captures.photo_session import SessionCamera
+from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.captures.photographs import photographs_in
+from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table
+
+_SOURCES = ("intrinsics", "focal_px", "lens_file")
+
+
+def read_camera(table: Table, folder: Path) -> SessionCamera:
+    """Read the keys of a camera; other keys of its table are left to the caller.
+
+    Args:
+        table: [eyeball_camera] or [tracking_camera].
+        folder: of the session.
+
+    Raises:
+        BadInputError: a key is missing, faulty or contradicts another; the sentence names it.
+    """
+    size, form = (table.whole("width_px", 1), table.whole("height_px", 1)), PhotographFormat.from_table(table, folder)
+    lens = table.text("lens", "auto", ("auto", *LENS_KINDS))
+    if sum(table.has(key) for key in _SOURCES) != 1:
+        raise table.fail(
+            "give either 'intrinsics', a folder of pictures of the board, or 'focal_px' and 'opencv_centre_px'."
+        )
+    if table.has("intrinsics"):
+        return SessionCamera(size, form, tuple(photographs_in(folder / table.text("intrinsics"))), lens=lens)
+    known = _known(table, size, lens)
+    return SessionCamera(size, form, known=known, lens=lens, known_sigma=_sigma(table, len(known.distortion)))
+
+
+def _known(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
+    focal, centre = table.vector("focal_px", 2), table.vector("opencv_centre_px", 2)
+    if np.any(focal <= 0):
+        raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
+    distortion = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
+    return LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
+
+
+def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray, str]:
+    """Distortion terms, filled with zeros as OpenCV does, and the kind of lens: where it is auto, by their number."""
+    if lens == "auto":
+        lens = {8: "rational", 12: "thin-prism"}.get(len(terms), "brown")
+    wanted = len(LENS_KINDS[lens])
+    if len(terms) not in {0, 4, wanted}:
+        raise table.fail(
+            f"'distortion' has {len(terms)} terms, but a lens of kind '{lens}' has {wanted}: "
+            f"{', '.join(LENS_KINDS[lens])}."
+        )
+    return np.concatenate([terms, np.zeros(wanted - len(terms))]), lens
+
+
+def _sigma(table: Table, terms: int) -> FloatArray | None:
+    """(4 + terms,) standard deviations of fx, fy, cx, cy and the distortion; None if the file states none."""
+    several = [key for key in ("focal_sigma_px", "centre_sigma_px") if table.has(key)]
+    if table.has("sigma") and several:
+        raise table.fail(f"give either 'sigma' or '{several[0]}', not both.")
+    if table.has("sigma"):
+        sigma = table.vector("sigma", 4 + terms)
+    elif several:
+        focal, centre = table.number("focal_sigma_px"), table.number("centre_sigma_px")
+        sigma = np.array([focal, focal, centre, centre, *[0.0] * terms])
+    else:
+        return None
+    if np.any(sigma < 0) or not np.any(sigma):
+        raise table.fail("standard deviations must be 0 or more, and one above 0; leave them out for an exact lens.")
+    return sigma
+
+
+def written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
+    """The keys that `read_camera` reads as the same camera."""
+    keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]}
+    keys |= camera.format.keys()
+    lens, usual = (camera.lens, "auto") if camera.known is None else (camera.known.kind, "brown")
+    if lens != usual:
+        keys["lens"] = lens
+    if camera.known_sigma is not None:
+        keys["sigma"] = camera.known_sigma.tolist()
+    if camera.lens_file is not None:
+        return keys | {"lens_file": str(camera.lens_file.relative_to(folder))}
+    if camera.known is None:
+        return keys | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}
+    return keys | {
+        "focal_px": camera.known.focal_px.tolist(),
+        "opencv_centre_px": (camera.known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
+        "distortion": camera.known.distortion.tolist(),
+    }

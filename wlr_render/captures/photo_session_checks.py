@@ -1,0 +1,215 @@
+"""Contradictions and gaps of a session.toml: each is refused in one sentence."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, StageDescription
+from wlr_render.captures.photo_session_entries import Entry, place_groups
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table
+
+_MM = 1e-3
+_TRAVEL_MM = (0.5, 500.0)  # beyond, somebody has written metres or micrometres
+
+Node = tuple[str, object]
+_DEVICE: Node = ("device", None)
+
+
+def check_range(table: Table, key: str, value: FloatArray | float, limits: tuple[float, float]) -> None:
+    """Refuse lengths that cannot be millimetres."""
+    low, high = limits
+    if np.any(np.asarray(value) < low) or np.any(np.asarray(value) > high):
+        raise table.fail(
+            f"'{key}' should be between {low:g} and {high:g} mm and is {np.round(value, 6).tolist()}: "
+            "is it in another unit? Lengths are millimetres."
+        )
+
+
+def check_session(file: Table, session: PhotoSession) -> None:
+    """Refuse a session whose photographs cannot be placed in the device frame, or that contradicts itself.
+
+    Raises:
+        BadInputError: as it says.
+    """
+    _check_lists(file, session)
+    _check_frame(file, session)
+    _check_travel(file, session)
+    _check_places(file, session)
+    _check_regions(file, session)
+    _check_links(file, session)
+
+
+def _lists(session: PhotoSession) -> dict[str, Sequence[Entry]]:
+    """The lists of the eyeball camera by their names in the file."""
+    return {name: getattr(session, name) for name in ("bare", "beside", "see_through", "display")}
+
+
+def _check_lists(file: Table, session: PhotoSession) -> None:
+    if not session.see_through and not session.display:
+        raise file.fail(
+            "'see_through' and 'display' are both empty; a calibration needs photographs of at least one: list them as "
+            "[[see_through]] or [[display]]."
+        )
+    of_optics: list[Entry] = [*session.see_through, *session.display]
+    for eye in session.eyes:
+        if not any(each.eye == eye for each in of_optics):
+            raise file.fail(f"there is no [[see_through]] and no [[display]] of the {eye} eye; add them, or its 'eye'.")
+    if session.tracking_camera is not None and not session.tracking:
+        raise file.fail(
+            "'tracking' is empty; list the photographs of [tracking_camera] as [[tracking]], or remove that table."
+        )
+    if session.tracking_camera is None and session.tracking:
+        raise file.fail("there are [[tracking]] photographs, but no [tracking_camera]; add that table.")
+
+
+def _check_frame(file: Table, session: PhotoSession) -> None:
+    """Exactly one kind of thing fixes the device frame."""
+    fixed = {"[tracking_camera]": session.tracking_camera is not None, "[[target]]": bool(session.targets)}
+    if session.gauge is None and not any(fixed.values()):
+        raise file.fail(
+            "nothing fixes the device frame: add [tracking_camera] with its pose and [[tracking]] photographs, or a "
+            '[[target]] whose pose in the device you know (fiducials on the headset, say), or gauge = "target 0" for a '
+            "calibration of the optics alone."
+        )
+    for name, given in fixed.items():
+        if given and session.gauge is not None:
+            raise file.fail(f"'gauge' and {name} both fix the device frame; remove one.")
+    photographed = {each.target_pose for each in (*session.bare, *session.beside, *session.tracking)}
+    for pose in (*session.targets, *([] if session.gauge_target is None else [session.gauge_target])):
+        if pose not in photographed | {each.target_pose for each in session.see_through}:
+            name = "'gauge'" if session.gauge else "[[target]]"
+            raise file.fail(f"{name} names target pose {pose}, of which there is no photograph; correct the number.")
+    if session.gauge == "camera" and session.stage is None:
+        raise file.fail(
+            'gauge = "camera" is the camera at the stage\'s reference, but there is no stage; name a target.'
+        )
+
+
+def _check_travel(file: Table, session: PhotoSession) -> None:
+    if session.stage is None:
+        return
+    linear = [axis.kind == "linear" for axis in session.stage.axes]
+    for name, entries in _lists(session).items():
+        if entries:
+            stage = np.array([each.stage for each in entries])[:, linear] / _MM
+            travel = float(np.linalg.norm(np.ptp(stage, axis=0)))
+            if travel > 0:
+                check_range(file, f"stage_mm (travel of [[{name}]])", travel, _TRAVEL_MM)
+
+
+def _check_places(file: Table, session: PhotoSession) -> None:
+    """One place has one stage reading and one orientation."""
+    entries = [each for listed in _lists(session).values() for each in listed]
+    groups = _groups(entries, session.stage, session.place_tolerance)
+    first: dict[str, int] = {}
+    for number, each in enumerate(entries):
+        other = first.setdefault(each.place, number)
+        if groups[other] != groups[number]:
+            raise file.fail(
+                f"place '{each.place}' has entries of several stage readings or orientations ({_name(entries[other])} "
+                f"and {_name(each)}); give them different places, or correct the readings."
+            )
+
+
+def _groups(entries: Sequence[Entry], stage: StageDescription | None, tolerance_m: float) -> Sequence[int]:
+    if stage is None:
+        return [each.orientation for each in entries]
+    return [int(group) for group in place_groups(entries, stage, tolerance_m)]
+
+
+def _name(entry: Entry) -> str:
+    return entry.name if isinstance(entry, BoardPhotograph) else entry.folder.name
+
+
+def _check_regions(file: Table, session: PhotoSession) -> None:
+    through = {each.path: each for each in session.see_through}
+    width, height = session.eyeball_camera.size_px
+    for number, each in enumerate(session.beside, start=1):
+        where = f"[[beside]] number {number}"
+        if each.regions is not None and np.any((each.regions < 0) | (each.regions > [width, height, width, height])):
+            raise file.fail(f"{where}: 'region_px' lies outside the picture of {width} x {height} pixels.")
+        if each.path in through:
+            if each.regions is None:
+                raise file.fail(
+                    f"{where} is also a [[see_through]] photograph; say with 'region_px' which part of it sees the "
+                    "target past the optics."
+                )
+            if each.place != through[each.path].place:
+                raise file.fail(f"{where} is also a [[see_through]] photograph, of another place; correct one.")
+
+
+def _check_links(file: Table, session: PhotoSession) -> None:
+    """Every target pose and every camera place must follow from the device frame."""
+    known = _reachable(session)
+    for name, photographs in (("bare", session.bare), ("beside", session.beside), ("see_through", session.see_through)):
+        for number, photograph in enumerate(photographs, start=1):
+            if ("target", photograph.target_pose) not in known:
+                raise file.fail(
+                    f"[[{name}]] number {number} is of target pose {photograph.target_pose}, of which there is no "
+                    "[[tracking]] photograph, no [[target]] pose and no chain of [[bare]] or [[beside]] photographs: "
+                    "nothing says where that target stood."
+                )
+    through: tuple[tuple[str, Sequence[Entry]], ...] = (
+        ("see_through", session.see_through),
+        ("display", session.display),
+    )
+    for name, entries in through:
+        for number, entry in enumerate(entries, start=1):
+            if _camera(session, entry) not in known:
+                raise file.fail(f"[[{name}]] number {number}: {_no_camera(session, entry)}")
+    _check_axes(file, session)
+
+
+def _reachable(session: PhotoSession) -> set[Node]:
+    """What photographs and stated poses tie to the device frame: target poses, places, or orientations on a stage."""
+    links: list[tuple[Node, Node]] = [
+        *((_DEVICE, ("target", each.target_pose)) for each in session.tracking),
+        *((_DEVICE, ("target", pose)) for pose in session.targets),
+        *((_camera(session, each), ("target", each.target_pose)) for each in (*session.bare, *session.beside)),
+    ]
+    if session.gauge_target is not None:
+        links.append((_DEVICE, ("target", session.gauge_target)))
+    elif session.gauge == "camera":
+        lowest = min(each.orientation for listed in _lists(session).values() for each in listed)
+        links.append((_DEVICE, ("camera", lowest)))
+    known, before = {_DEVICE}, 0
+    while len(known) > before:
+        before = len(known)
+        known |= {node for link in links if known.intersection(link) for node in link}
+    return known
+
+
+def _camera(session: PhotoSession, entry: Entry) -> Node:
+    """What fixes the camera: its orientation on the stage, or without a stage its place."""
+    return ("camera", entry.place if session.stage is None else entry.orientation)
+
+
+def _no_camera(session: PhotoSession, entry: BoardPhotograph | CodeSet) -> str:
+    if session.stage is None:
+        return (
+            f"nothing says where the camera of place '{entry.place}' stood; add a [[beside]] photograph of that place "
+            "that shows a target of known pose past the optics."
+        )
+    empty = "" if session.bare else "'bare' is empty; "
+    return (
+        f"{empty}nothing says where the camera stood at orientation {entry.orientation}; add [[bare]] photographs of a "
+        "target of known pose without the headset, or [[beside]] photographs past its optics."
+    )
+
+
+def _check_axes(file: Table, session: PhotoSession) -> None:
+    """Axes are found from photographs of a target past or without the optics, or they must be stated."""
+    if session.stage is None or session.bare or session.beside:
+        return
+    of_optics: list[Entry] = [*session.see_through, *session.display]
+    travel = np.ptp([np.asarray(each.stage) for each in of_optics], axis=0)
+    for number, axis in enumerate(session.stage.axes, start=1):
+        if travel[number - 1] > session.place_tolerance and (
+            axis.direction is None or (axis.kind == "rotary" and axis.pivot is None)
+        ):
+            wanted = "'direction' and 'pivot_mm'" if axis.kind == "rotary" else "'direction'"
+            raise file.fail(
+                f"stage axis {number} moves, but nothing says how: add [[bare]] or [[beside]] photographs of a target, "
+                f"or give the axis its {wanted}."
+            )

@@ -1,0 +1,274 @@
+"""Entries of session.toml: photographs and code sets with their stage readings and camera places.
+
+The format is in docs/photo-session.md.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from wlr_render.captures.photo_session import (
+    CHANNELS,
+    BoardPhotograph,
+    CodeSet,
+    PhotoSession,
+    StageAxis,
+    StageDescription,
+)
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.toml_files import Table
+
+Entry = BoardPhotograph | CodeSet
+EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
+
+_LEVER_M = 0.025
+"""Angles of rotary axes count as arcs of this radius when readings are compared: about that of a camera that rotates
+about its pupil."""
+
+
+def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, float]:
+    """Read [stage]; without one, the stage has three linear axes.
+
+    Args:
+        file: session.toml.
+        axes: (3, 3) rotation from the file's axes to the device frame's.
+
+    Returns:
+        The stage, None for a camera without one, and the tolerance of places in metres.
+
+    Raises:
+        BadInputError: a key is faulty; the sentence names it.
+    """
+    tolerance = PhotoSession.place_tolerance
+    if not file.has("stage"):
+        return StageDescription(), tolerance
+    table = file.table("stage")
+    if table.text("kind", "linear", ("linear", "none")) == "none":
+        table.finish()
+        return None, tolerance
+    tolerance = 1e-6 * table.number("place_tolerance_um", 1e6 * tolerance)
+    if tolerance < 0:
+        raise table.fail("'place_tolerance_um' must be 0 or more.")
+    stage = StageDescription()
+    if table.has("axes"):
+        stage = StageDescription(tuple(_axis(each, axes) for each in table.tables("axes")))
+    if not stage.axes:
+        raise table.fail("'axes' is empty; list an axis, or write kind = \"none\" for a camera without a stage.")
+    table.finish()
+    return stage, tolerance
+
+
+def _axis(table: Table, axes: FloatArray) -> StageAxis:
+    kind = table.text("kind", "linear", ("linear", "rotary"))
+    direction = sigma = pivot = None
+    if table.has("direction"):
+        direction = table.vector("direction", 3)
+        if not np.any(direction):
+            raise table.fail("'direction' is zero; give a vector along the axis, or leave it out if it is unknown.")
+        direction = axes @ direction / np.linalg.norm(direction)
+    if table.has("direction_sigma_deg"):
+        sigma = np.radians(positive(table, "direction_sigma_deg"))
+        if direction is None:
+            raise table.fail("'direction_sigma_deg' is given without 'direction'; give both, or neither.")
+    if table.has("pivot_mm"):
+        if kind == "linear":
+            raise table.fail("'pivot_mm' is for rotary axes; remove it, or write kind = \"rotary\".")
+        pivot = 1e-3 * axes @ table.vector("pivot_mm", 3)
+    table.finish()
+    return StageAxis(kind, direction, sigma, pivot)
+
+
+def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
+    """The table [stage] that `read_stage` reads as the same; empty if the file needs none."""
+    if session.stage is None:
+        return {"kind": "none"}
+    keys: dict[str, Any] = {}
+    if session.place_tolerance != PhotoSession.place_tolerance:
+        keys["place_tolerance_um"] = rounded(1e6 * session.place_tolerance)
+    if not _is_plain(session.stage):
+        keys["axes"] = [_written_axis(axis, axes) for axis in session.stage.axes]
+    return keys
+
+
+def _written_axis(axis: StageAxis, axes: FloatArray) -> dict[str, Any]:
+    keys: dict[str, Any] = {"kind": axis.kind}
+    if axis.direction is not None:
+        keys["direction"] = (axes.T @ axis.direction + 0.0).tolist()
+    if axis.direction_sigma is not None:
+        keys["direction_sigma_deg"] = rounded(np.degrees(axis.direction_sigma))
+    if axis.pivot is not None:
+        keys["pivot_mm"] = rounded(1e3 * axes.T @ axis.pivot)
+    return keys
+
+
+def _is_plain(stage: StageDescription) -> bool:
+    """Whether a file needs no axes for it: three linear ones about which nothing is known."""
+    return len(stage.axes) == 3 and all(each.kind == "linear" and each.direction is None for each in stage.axes)
+
+
+@dataclass(frozen=True, eq=False)
+class EntryFormat:
+    """How the entries of one session.toml are written.
+
+    Attributes:
+        folder: of the session.
+        eyes: of the session.
+        stage: that carries the eyeball camera, or None.
+        turn: (m, m) from readings in the file to readings along the axes of the stage.
+    """
+
+    folder: Path
+    eyes: tuple[str, ...]
+    stage: StageDescription | None
+    turn: FloatArray
+
+    @staticmethod
+    def of_axes(folder: Path, eyes: tuple[str, ...], stage: StageDescription | None, axes: FloatArray) -> "EntryFormat":
+        """Return the format of a file whose device axes are `axes`, (3, 3) rotation to the device frame's.
+
+        Readings of three linear axes are taken along the file's x, y and z; their signs are free while their
+        directions are unknown.
+        """
+        turn = axes if stage is None or _is_plain(stage) else np.eye(len(stage.axes))
+        return EntryFormat(folder, eyes, stage, turn)
+
+    def photograph(self, table: Table, on_stage: bool = True) -> BoardPhotograph:
+        """Read a photograph of the board; `on_stage` for the eyeball camera.
+
+        Raises:
+            BadInputError: a key is missing, faulty or contradicts [stage].
+        """
+        name, pose = str(Path(table.text("photograph"))), table.whole("target_pose")
+        found = BoardPhotograph(self.folder, name, pose, eye=self.eyes[0])
+        return self._completed(table, found, on_stage)
+
+    def beside(self, table: Table) -> BoardPhotograph:
+        """Read a photograph past the optics; raises as `photograph`."""
+        regions = None
+        if table.has("region_px"):
+            regions = table.vectors("region_px", 4)
+            if np.any(regions[:, :2] >= regions[:, 2:]):
+                raise table.fail("'region_px' must hold [u0, v0, u1, v1] with u0 below u1 and v0 below v1.")
+        return replace(self.photograph(table), regions=regions)
+
+    def through(self, table: Table) -> BoardPhotograph:
+        """Read a photograph through the optics; raises as `photograph`."""
+        self._need_eye(table)
+        return self.photograph(table)
+
+    def code_set(self, table: Table) -> CodeSet:
+        """Read a set of photographs of the panel; raises as `photograph`."""
+        self._need_eye(table)
+        channel = table.text("channel", choices=CHANNELS) if table.has("channel") else None
+        return self._completed(table, CodeSet(self.folder / table.text("photographs"), channel=channel))
+
+    def _need_eye(self, table: Table) -> None:
+        if len(self.eyes) > 1 and not table.has("eye"):
+            raise table.fail('key \'eye\' is missing; in a session of both eyes write eye = "left" or eye = "right".')
+
+    def _completed(self, table: Table, entry: EntryType, on_stage: bool = True) -> EntryType:
+        """Read the keys that photographs and sets share, and finish the table."""
+        times: dict[str, Any] = {key: table.number(key) for key in ("time_s", "temperature_c") if table.has(key)}
+        if on_stage:
+            orientation = table.whole("orientation") if table.has("orientation") else 0
+            eye = table.text("eye", self.eyes[0], self.eyes)
+            stage, place = self._reading(table), table.text("place", "")
+            if stage is None and not place:
+                raise table.fail(
+                    "key 'place' is missing; without a stage each entry names its camera place: entries with the "
+                    "same place were taken without moving the camera."
+                )
+            entry = replace(entry, stage=stage, place=place, orientation=orientation, eye=eye)
+        table.finish()
+        return replace(entry, **times)
+
+    def _reading(self, table: Table) -> FloatArray | None:
+        given = [key for key in ("stage", "stage_mm") if table.has(key)]
+        if self.stage is None:
+            if given:
+                raise table.fail(f"'{given[0]}' is a stage reading, but [stage] has kind = \"none\"; remove one.")
+            return None
+        if len(given) == 2:
+            raise table.fail("give either 'stage' or 'stage_mm', not both.")
+        key, kinds = given[0] if given else "stage_mm", [axis.kind for axis in self.stage.axes]
+        if not given and kinds != ["linear"] * 3:
+            key = "stage"
+        if key == "stage_mm" and "rotary" in kinds:
+            raise table.fail("'stage_mm' cannot hold the angle of a rotary axis; write 'stage', mm and degrees.")
+        return np.asarray(self.stage.units * (self.turn @ table.vector(key, len(kinds))))
+
+    def written(self, entry: Entry, place: str | None) -> dict[str, Any]:
+        """The keys that are read as the same entry; `place` is written if given."""
+        if isinstance(entry, BoardPhotograph):
+            keys: dict[str, Any] = {"photograph": entry.name, "target_pose": entry.target_pose}
+            if entry.regions is not None:
+                keys["region_px"] = entry.regions.tolist()
+        else:
+            near = entry.folder.is_relative_to(self.folder)
+            keys = {"photographs": str(entry.folder.relative_to(self.folder) if near else entry.folder)}
+            if entry.channel is not None:
+                keys["channel"] = entry.channel
+        if entry.stage is not None and self.stage is not None:
+            key = "stage_mm" if _is_plain(self.stage) else "stage"
+            keys[key] = rounded(self.turn.T @ (entry.stage / self.stage.units))
+        if place:
+            keys["place"] = place
+        if entry.orientation:
+            keys["orientation"] = entry.orientation
+        if len(self.eyes) > 1:
+            keys["eye"] = entry.eye
+        times = {"time_s": entry.time_s, "temperature_c": entry.temperature_c}
+        return keys | {key: value for key, value in times.items() if value is not None}
+
+
+def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m: float) -> IntArray:
+    """Number the groups of entries of one orientation whose stage readings lie within the tolerance, (n,)."""
+    orientation = np.array([each.orientation for each in entries])
+    lever = [1.0 if axis.kind == "linear" else _LEVER_M for axis in stage.axes]
+    reading = np.array([each.stage for each in entries], dtype=np.float64).reshape(len(entries), -1) * lever
+    pairs = cKDTree(reading).query_pairs(tolerance_m * (1 + 1e-9) + 1e-12, output_type="ndarray")
+    pairs = pairs[orientation[pairs[:, 0]] == orientation[pairs[:, 1]]]
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(entries), len(entries)))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def place_names(entries: Sequence[Entry], form: EntryFormat, tolerance_m: float) -> list[str]:
+    """The place of each entry: its own, or that of its group, or one named after the group's first stage reading."""
+    if form.stage is None or not entries:
+        return [each.place for each in entries]
+    groups = place_groups(entries, form.stage, tolerance_m)
+    name_of: dict[int, str] = {}
+    for group, each in zip(groups, entries, strict=True):
+        if group not in name_of:
+            reading = rounded(form.turn.T @ (np.asarray(each.stage) / form.stage.units))
+            suffix = f" orientation {each.orientation}" if each.orientation else ""
+            name_of[group] = " ".join(f"{number:.9g}" for number in reading) + suffix
+    given = {(group, each.place) for group, each in zip(groups, entries, strict=True) if each.place}
+    for group in name_of:
+        places = [place for other, place in given if other == group]
+        if len(places) == 1:
+            name_of[group] = places[0]
+    return [each.place or name_of[group] for group, each in zip(groups, entries, strict=True)]
+
+
+def positive(table: Table, key: str) -> float:
+    """A number above 0.
+
+    Raises:
+        BadInputError: it is not.
+    """
+    value = table.number(key)
+    if value <= 0:
+        raise table.fail(f"'{key}' is {value:g}; it must be above 0.")
+    return value
+
+
+def rounded(value: Any) -> Any:
+    """A number or an array as a list, without the digits that only rounding makes."""
+    return (np.round(value, 9) + 0.0).tolist()
