@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, StageDescription
-from wlr_render.captures.photo_session_entries import Entry, place_groups
+from wlr_render.captures.photo_session_entries import Entry, place_groups, stage_lists
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table
 
@@ -38,11 +38,6 @@ def check_session(file: Table, session: PhotoSession) -> None:
     _check_places(file, session)
     _check_regions(file, session)
     _check_links(file, session)
-
-
-def _lists(session: PhotoSession) -> dict[str, Sequence[Entry]]:
-    """The lists of the eyeball camera by their names in the file."""
-    return {name: getattr(session, name) for name in ("bare", "beside", "see_through", "display")}
 
 
 def _check_lists(file: Table, session: PhotoSession) -> None:
@@ -90,7 +85,7 @@ def _check_travel(file: Table, session: PhotoSession) -> None:
     if session.stage is None:
         return
     linear = [axis.kind == "linear" for axis in session.stage.axes]
-    for name, entries in _lists(session).items():
+    for name, entries in stage_lists(session).items():
         if entries:
             stage = np.array([each.stage for each in entries])[:, linear] / _MM
             travel = float(np.linalg.norm(np.ptp(stage, axis=0)))
@@ -100,7 +95,7 @@ def _check_travel(file: Table, session: PhotoSession) -> None:
 
 def _check_places(file: Table, session: PhotoSession) -> None:
     """One place has one stage reading and one orientation."""
-    entries = [each for listed in _lists(session).values() for each in listed]
+    entries = [each for listed in stage_lists(session).values() for each in listed]
     groups = _groups(entries, session.stage, session.place_tolerance)
     first: dict[str, int] = {}
     for number, each in enumerate(entries):
@@ -171,7 +166,7 @@ def _reachable(session: PhotoSession) -> set[Node]:
     if session.gauge_target is not None:
         links.append((_DEVICE, ("target", session.gauge_target)))
     elif session.gauge == "camera":
-        lowest = min(each.orientation for listed in _lists(session).values() for each in listed)
+        lowest = min(each.orientation for listed in stage_lists(session).values() for each in listed)
         links.append((_DEVICE, ("camera", lowest)))
     known, before = {_DEVICE}, 0
     while len(known) > before:

@@ -21,6 +21,7 @@ from wlr_render.captures.photo_session import (
     StageAxis,
     StageDescription,
 )
+from wlr_render.geometry.transforms import FRAMES
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.toml_files import Table
 
@@ -225,6 +226,27 @@ class EntryFormat:
             keys["eye"] = entry.eye
         times = {"time_s": entry.time_s, "temperature_c": entry.temperature_c}
         return keys | {key: value for key, value in times.items() if value is not None}
+
+
+def stage_lists(session: PhotoSession) -> dict[str, Sequence[Entry]]:
+    """The lists of what the eyeball camera took, by their names in the file."""
+    return {name: getattr(session, name) for name in ("bare", "beside", "see_through", "display")}
+
+
+def with_places(session: PhotoSession, form: EntryFormat | None = None) -> PhotoSession:
+    """Return a session whose entries without a place have the one that follows from their stage reading.
+
+    Args:
+        session: its entries have a reading, or a place.
+        form: of the file that the names of places are to follow; by default as a session is saved.
+    """
+    form = form or EntryFormat.of_axes(session.folder, session.eyes, session.stage, FRAMES["opencv"])
+    lists = stage_lists(session)
+    names = iter(place_names([each for entries in lists.values() for each in entries], form, session.place_tolerance))
+    placed: dict[str, Any] = {
+        name: tuple(replace(each, place=next(names)) for each in entries) for name, entries in lists.items()
+    }
+    return replace(session, **placed)
 
 
 def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m: float) -> IntArray:

@@ -22,12 +22,13 @@ from wlr_render.captures.photo_session import (
 from wlr_render.captures.photo_session_cameras import read_camera, written_camera
 from wlr_render.captures.photo_session_checks import check_range, check_session
 from wlr_render.captures.photo_session_entries import (
-    Entry,
     EntryFormat,
     place_names,
     positive,
     read_stage,
     rounded,
+    stage_lists,
+    with_places,
     written_stage,
 )
 from wlr_render.errors import BadInputError
@@ -42,7 +43,6 @@ FORMAT = "photo-session"
 VERSION = 1
 EYES = ("left", "right")
 _MM = 1e-3
-_ON_STAGE = ("bare", "beside", "see_through", "display")
 
 # What lengths of a bench can be, in millimetres: beyond, somebody has written metres or micrometres.
 _EYE_BOX_MM = (0.5, 100.0)
@@ -103,18 +103,9 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         place_tolerance=tolerance,
     )
     file.finish()
-    lists = _entries(session)
-    names = iter(place_names([each for entries in lists.values() for each in entries], form, tolerance))
-    placed: dict[str, Any] = {
-        name: tuple(replace(each, place=next(names)) for each in entries) for name, entries in lists.items()
-    }
-    session = replace(session, **placed)
+    session = with_places(session, form)
     check_session(file, session)
     return session
-
-
-def _entries(session: PhotoSession) -> dict[str, Sequence[Entry]]:
-    return {name: getattr(session, name) for name in _ON_STAGE}
 
 
 def _eyes(file: Table) -> tuple[str, ...]:
@@ -278,9 +269,9 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
 
 def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list[dict[str, Any]]]:
     """The lists of photographs; of places only those that do not follow from the stage readings."""
-    entries = [(name, each) for name, listed in _entries(session).items() for each in listed]
+    entries = [(name, each) for name, listed in stage_lists(session).items() for each in listed]
     unnamed = [each if session.stage is None else replace(each, place="") for _, each in entries]
-    written: dict[str, list[dict[str, Any]]] = {name: [] for name in _ON_STAGE}
+    written: dict[str, list[dict[str, Any]]] = {name: [] for name in stage_lists(session)}
     for (name, each), derived in zip(entries, place_names(unnamed, form, session.place_tolerance), strict=True):
         own = each.place if session.stage is None or each.place != derived else None
         written[name].append(form.written(each, own))

@@ -5,6 +5,7 @@ from pathlib import Path
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera, SessionPanel
+from wlr_render.captures.photo_session_entries import with_places
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
@@ -24,7 +25,7 @@ def planned_session(
     bare = [f"bare/pose{pose}_{n:02d}.png" for pose in plan.bare_poses for n in range(len(plan.bare))]
     # The first reading once more at the end of each sweep: what moved meanwhile shows there.
     through = [(pose, f"see_through/pose{pose}_{n:02d}.png") for pose in poses for n in range(len(plan.sweep) + 1)]
-    return PhotoSession(
+    session = PhotoSession(
         folder=root,
         device=bench.device.name,
         eyes=(bench.eye,),
@@ -53,6 +54,7 @@ def planned_session(
             for number, visit in enumerate(visits.display)
         ),
     )
+    return with_places(session)
 
 
 def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:

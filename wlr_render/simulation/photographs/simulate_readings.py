@@ -193,7 +193,8 @@ def _exchanged(session: PhotoSession, fault: Exchange) -> PhotoSession:
     entries = list(getattr(session, fault.of, ()))
     first, second = (_known(number, range(len(entries)), fault.of) for number in (fault.first, fault.second))
     one, other = entries[first], entries[second]
-    entries[first], entries[second] = replace(one, stage=other.stage), replace(other, stage=one.stage)
+    entries[first] = replace(one, stage=other.stage, place=other.place)
+    entries[second] = replace(other, stage=one.stage, place=one.place)
     changed: dict[str, Any] = {fault.of: tuple(entries)}
     return replace(session, **changed)
 
@@ -215,7 +216,8 @@ class _Reader:
 
         for path, pose in zip(session.eyeball_camera.intrinsics, plan.eyeball_boards, strict=True):
             free(path, truth.eyeball, pose)
-        for path, pose in zip(session.tracking_camera.intrinsics, plan.tracking_boards, strict=True):
+        tracking = () if session.tracking_camera is None else session.tracking_camera.intrinsics
+        for path, pose in zip(tracking, plan.tracking_boards, strict=True):
             free(path, truth.tracking, pose)
         for each, camera, target in zip(session.bare, truth.bare, truth.bare_targets, strict=True):
             lens = truth.eyeball_at_target[each.target_pose]
