@@ -126,14 +126,14 @@ class SplinedLens:
         index = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         position = (index - 0.5 * (self._counts - 1)) / self._knots_per_unit
         image, _ = self._image_and_slope(position)
-        seen = np.isfinite(image).all(axis=1)
+        seen = np.asarray(np.isfinite(image).all(axis=1))
         if not seen.any():
             raise BadInputError("the spline of the lens folds everywhere; check the order of its control points.")
         return position[seen], cKDTree(image[seen])
 
     def _image_and_slope(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distorted positions (n, 2) of positions (n, 2), and their Jacobian (n, 2, 2); NaN outside the model."""
-        known = np.isfinite(position).all(axis=1)
+        known = np.asarray(np.isfinite(position).all(axis=1))
         index = np.where(known[:, None], position * self._knots_per_unit + 0.5 * (self._counts - 1), _OUTSIDE)
         by_index = np.stack([self._shift(index, nu=nu) for nu in ((1, 0), (0, 1))], axis=-1)
         slope = np.eye(2) + by_index * self._knots_per_unit
