@@ -8,7 +8,7 @@ from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed,
 from wlr_render.jobs.targets import Code
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
-from wlr_render.simulation.photographs.imperfections import BenchImperfections
+from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
@@ -48,6 +48,7 @@ class SimulateOptions(Options):
     anisotropy: Annotated[
         float | None, described("Part by which the board is printed longer in y than in x."), Range(at_least=0)
     ] = None
+    lens: Annotated[LensKind | None, described("Distortion model of the true lenses.")] = None
     extrinsics_mm: Annotated[
         float | None, described("Error of the tracking camera's stated position in mm, per axis."), Range(at_least=0)
     ] = None
@@ -82,6 +83,7 @@ class SimulateOptions(Options):
             "turn_urad": self.turn_urad,
             "bow_mm": self.bow_mm,
             "anisotropy": self.anisotropy,
+            "lens": self.lens,
             "extrinsics_mm": self.extrinsics_mm,
             "extrinsics_deg": self.extrinsics_deg,
         }

@@ -29,8 +29,8 @@ class BenchImperfections:
         anisotropy: the board is printed longer in y than in x by this part.
         scale_error: the whole board is printed larger or smaller by this part.
         dot_error_um: random displacement of each dot on the board, per axis.
-        lens: distortion model of the true eyeball lens and tracking lens.
-        lens_px: rms in pixels that a fit of the five Brown terms leaves of a "rational" or "thin-prism" lens.
+        lens: kind of the true eyeball lens and tracking lens, see `geometry.lens_camera.LENS_KINDS`.
+        lens_px: rms in pixels per axis that a fit of the five Brown terms leaves of a "rational" or "thin-prism" lens.
         decentring: tangential distortion added to each lens, p1 and p2 each.
         focus_breathing: relative change of the eyeball camera's focal length between the farthest and nearest target.
         extrinsics_mm: random error of the stated position of the tracking camera, per axis.

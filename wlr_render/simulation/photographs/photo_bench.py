@@ -17,6 +17,7 @@ from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 from wlr_render.simulation.photographs.stage_errors import StageErrors
+from wlr_render.simulation.photographs.true_lens import true_lens
 from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar
 
@@ -182,11 +183,11 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         eye=eye,
         board=board,
         printed=PrintedBoard.draw(board, sizes, printing),
-        eyeball=SimulatedLens(_decentred(eyeball, sizes, lenses), 1e-3 * options.pupil_mm, options.focus_m),
+        eyeball=SimulatedLens(true_lens(eyeball, sizes, lenses), 1e-3 * options.pupil_mm, options.focus_m),
         eyeball_sensor=_imperfect(
             Sensor.with_snr(options.snr, options.bits, _EXPOSURE, vignetting=0.3), sizes, sensors
         ),
-        tracking=SimulatedLens(_decentred(tracking, sizes, lenses), 0.8e-3, 0.8),
+        tracking=SimulatedLens(true_lens(tracking, sizes, lenses), 0.8e-3, 0.8),
         tracking_sensor=_imperfect(Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3), sizes, sensors),
         device_from_camera=pose,
         stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]) @ _skewed(sizes.axes_skew_mrad, stage),
@@ -207,11 +208,6 @@ def _half_travel(truth: EyeMappings) -> FloatArray:
 def _skewed(skew_mrad: float, rng: np.random.Generator) -> FloatArray:
     """(3, 3) axes of unit length to first order, each pair off a right angle by `skew_mrad`."""
     return np.asarray(np.eye(3) + 1e-3 * skew_mrad * np.triu(rng.choice([-1.0, 1.0], (3, 3)), 1))
-
-
-def _decentred(camera: LensCamera, sizes: BenchImperfections, rng: np.random.Generator) -> LensCamera:
-    signs = rng.choice([-1.0, 1.0], 2)
-    return replace(camera, distortion=camera.distortion + sizes.decentring * np.array([0.0, 0.0, *signs, 0.0]))
 
 
 def _misstated(true: FloatArray, sizes: BenchImperfections, rng: np.random.Generator) -> FloatArray:

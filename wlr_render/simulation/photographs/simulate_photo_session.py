@@ -57,7 +57,7 @@ def simulate_photo_session(
     plan = plan_photographs(bench, recipe.viewpoints)
     visits = true_camera_poses(bench, plan)
     session = planned_session(root, bench, plan, visits, pattern)
-    poses = list(_poses(session, bench, plan, visits))
+    poses = list(camera_poses(session, bench, plan, visits))
     total = sum(len(pose.paths()) for pose in poses)
     taken = sum(progress(as_finished(take, poses, workers or few_workers(_MOST_WORKERS)), len(poses), "camera poses"))
     save_board(session.board, root / BOARD)
@@ -66,7 +66,9 @@ def simulate_photo_session(
     return taken, total - taken
 
 
-def _poses(session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits) -> Iterator[CameraPose]:
+def camera_poses(
+    session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits
+) -> Iterator[CameraPose]:
     """All photographs; those that the eyeball camera takes from one pose with one lens are traced together."""
     sizes = bench.options.imperfections
     pose = partial(

@@ -125,14 +125,14 @@ def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:
     """Expose light (h, w). Random numbers are the same whenever and in whatever order photographs are taken."""
     seed = [pose.seed, zlib.crc32("/".join(path.parts[-2:]).encode()), int(pose.eye == "left")]
     if pose.stray_light:
-        light = light + np.float32(pose.stray_light) * _spread(light)
+        light = light + np.float32(pose.stray_light) * veiling_glare(light)
     if pose.vibration_px:
         angle = np.random.default_rng([*seed, 1]).uniform(0.0, np.pi)
-        light = _blurred(light, pose.vibration_px * np.array([np.cos(angle), np.sin(angle)]))
+        light = blurred(light, pose.vibration_px * np.array([np.cos(angle), np.sin(angle)]))
     write_photograph(path, pose.sensor.expose(light, np.random.default_rng(seed)))
 
 
-def _spread(light: Float32Array) -> Float32Array:
+def veiling_glare(light: Float32Array) -> Float32Array:
     """Light (h, w) blurred over a tenth of the picture; dark beyond its edge. It is smooth: a small copy serves."""
     height, width = light.shape
     small = cv2.resize(light, (_SMALL_PX, _SMALL_PX), interpolation=cv2.INTER_AREA)
@@ -140,7 +140,7 @@ def _spread(light: Float32Array) -> Float32Array:
     return np.asarray(cv2.resize(blurred, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _blurred(light: Float32Array, deviation_px: FloatArray) -> Float32Array:
+def blurred(light: Float32Array, deviation_px: FloatArray) -> Float32Array:
     """Light (h, w) blurred along a line with a standard deviation of (2,) pixels: a kernel of those second moments."""
     steps = int(np.ceil(np.sum(deviation_px**2) / _WIDEST_STEP_PX2))
     (xx, xy), (_, yy) = np.outer(deviation_px, deviation_px) / steps
