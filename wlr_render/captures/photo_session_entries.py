@@ -204,8 +204,8 @@ class EntryFormat:
             raise table.fail("'stage_mm' cannot hold the angle of a rotary axis; write 'stage', mm and degrees.")
         return np.asarray(self.stage.units * (self.turn @ table.vector(key, len(kinds))))
 
-    def written(self, entry: Entry, place: str | None) -> dict[str, Any]:
-        """The keys that are read as the same entry; `place` is written if given."""
+    def written(self, entry: Entry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
+        """The keys that are read as the same entry; `place` is written if given, `on_stage` as of `photograph`."""
         if isinstance(entry, BoardPhotograph):
             keys: dict[str, Any] = {"photograph": entry.name, "target_pose": entry.target_pose}
             if entry.regions is not None:
@@ -222,7 +222,7 @@ class EntryFormat:
             keys["place"] = place
         if entry.orientation:
             keys["orientation"] = entry.orientation
-        if len(self.eyes) > 1:
+        if len(self.eyes) > 1 and on_stage:
             keys["eye"] = entry.eye
         times = {"time_s": entry.time_s, "temperature_c": entry.temperature_c}
         return keys | {key: value for key, value in times.items() if value is not None}

@@ -275,7 +275,7 @@ def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list
     for (name, each), derived in zip(entries, place_names(unnamed, form, session.place_tolerance), strict=True):
         own = each.place if session.stage is None or each.place != derived else None
         written[name].append(form.written(each, own))
-    return written | {"tracking": [form.written(each, None) for each in session.tracking]}
+    return written | {"tracking": [form.written(each, None, on_stage=False) for each in session.tracking]}
 
 
 def _written_code(session: PhotoSession) -> dict[str, str]:

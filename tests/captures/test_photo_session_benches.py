@@ -1,0 +1,430 @@
+"""Kinds of benches in session.toml: each is written and read back the same; contradictions are one sentence each."""
+
+import tomllib
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.boards.board_file import board_table, save_board
+from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.photo_session import (
+    BoardPhotograph,
+    CodeSet,
+    GivenPose,
+    PhotoSession,
+    SessionCamera,
+    SessionPanel,
+    StageAxis,
+    StageDescription,
+)
+from wlr_render.captures.photo_session_entries import with_places
+from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
+from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.toml_files import write_toml
+
+LENS = LensCamera((640, 480), np.array([700.0, 701.0]), np.array([321.0, 239.5]), np.array([0.1, 0.0, 0.0, 0, 0]))
+POSE = transforms.rigid(
+    transforms.rotation_about("x", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.01, 0.04, -0.05])
+)
+PANEL = SessionPanel(make_pattern("gray-fringes", Panel(320, 200)))
+KNOWN = SessionCamera((640, 480), PhotographFormat(8), known=LENS)
+TILTED = np.array([0.0, 0.6, -0.8])
+
+
+def box(x_mm):
+    return EyeBox(np.array([1e-3 * x_mm, 0.0, 0.0]), np.array([0.01, 0.008, 0.006]))
+
+
+def readings(*rows):
+    return [np.array(row, dtype=np.float64) for row in rows]
+
+
+GRID = readings([0.0, 0.0, 0.0], [0.002, 0.0, 0.001], [0.0, 0.003, 0.0])
+
+
+def three_axes(folder):
+    board = design_board(8, 7, 0.02)
+    save_board(board, folder / "board.toml")
+    return PhotoSession(
+        folder=folder,
+        device="a headset",
+        eyes=("right",),
+        eye_boxes={"right": box(0)},
+        panels={"right": PANEL},
+        decoding=DecodeOptions(full_scale=255),
+        board=board,
+        eyeball_camera=KNOWN,
+        see_through=tuple(BoardPhotograph(folder, f"s{k}.png", 0, stage) for k, stage in enumerate(GRID)),
+        display=tuple(CodeSet(folder / f"d{k}", stage) for k, stage in enumerate(GRID)),
+        bare=tuple(BoardPhotograph(folder, f"b{k}.png", 0, stage) for k, stage in enumerate(GRID)),
+        tracking=(BoardPhotograph(folder, "t.png", 0),),
+        tracking_camera=KNOWN,
+        device_from_tracking=POSE,
+    )
+
+
+def rotary(folder):
+    axes = (
+        StageAxis("linear", TILTED, np.radians(0.2)),
+        StageAxis("rotary", np.array([0.0, 1.0, 0.0]), np.radians(1.0), np.array([0.0, 0.001, -0.002])),
+        StageAxis("rotary"),
+    )
+    turned = readings([0.0, 0.0, 0.0], [0.002, np.radians(20), 0.1], [0.0, np.radians(-20), -0.1])
+    session = three_axes(folder)
+    return replace(
+        session,
+        stage=StageDescription(axes),
+        **{
+            name: tuple(replace(each, stage=stage) for each, stage in zip(getattr(session, name), turned, strict=True))
+            for name in ("bare", "see_through", "display")
+        },
+    )
+
+
+def by_hand(folder):
+    session = three_axes(folder)
+    return replace(
+        session,
+        stage=None,
+        bare=(),
+        beside=tuple(BoardPhotograph(folder, f"p{k}.png", 0, place=f"hand {k}") for k in range(3)),
+        see_through=tuple(replace(each, stage=None, place=f"hand {k}") for k, each in enumerate(session.see_through)),
+        display=tuple(replace(each, stage=None, place=f"hand {k}") for k, each in enumerate(session.display)),
+    )
+
+
+def in_one_picture(folder):
+    """Through the optics and past them in one photograph; the second target pose is tied by the first."""
+    session = by_hand(folder)
+    regions = np.array([[0.0, 0.0, 100.0, 480.0], [600.0, 0.0, 640.0, 480.0]])
+    beside = tuple(replace(each, name=f"s{k}.png", regions=regions) for k, each in enumerate(session.beside))
+    other = replace(beside[0], name="other.png", target_pose=1, regions=None)
+    return replace(session, beside=(*beside, other), display=())
+
+
+def fiducials(folder):
+    small = design_board(6, 6, 0.005)
+    save_board(small, folder / "small.toml")
+    session = three_axes(folder)
+    bare = tuple(replace(each, name=f"f{k}.png", target_pose=7) for k, each in enumerate(session.bare))
+    return replace(
+        session,
+        tracking=(),
+        tracking_camera=None,
+        device_from_tracking=None,
+        targets={7: GivenPose(POSE, (np.radians(0.05), 0.0003), small, "small.toml")},
+        bare=(*session.bare, *bare),
+    )
+
+
+def optics_alone(folder):
+    session = three_axes(folder)
+    axes = tuple(StageAxis("linear", direction) for direction in np.eye(3))
+    return replace(
+        session,
+        stage=StageDescription(axes),
+        gauge="camera",
+        bare=(),
+        see_through=(),
+        tracking=(),
+        tracking_camera=None,
+        device_from_tracking=None,
+    )
+
+
+def first_target(folder):
+    session = three_axes(folder)
+    return replace(session, gauge="target 0", display=(), tracking=(), tracking_camera=None, device_from_tracking=None)
+
+
+def both_eyes(folder, other=PANEL):
+    session = three_axes(folder)
+    left = tuple(replace(each, name=f"l{each.name}", eye="left") for each in session.see_through)
+    display = tuple(replace(each, folder=folder / f"l{each.folder.name}", eye="left") for each in session.display)
+    return replace(
+        session,
+        eyes=("left", "right"),
+        eye_boxes={"left": box(-32), "right": box(32)},
+        panels={"left": PANEL, "right": other},
+        see_through=(*session.see_through, *left),
+        display=(*session.display, *display),
+        bare=tuple(replace(each, eye="left") for each in session.bare),
+        tracking=tuple(replace(each, eye="left") for each in session.tracking),
+    )
+
+
+def two_panels(folder):
+    return both_eyes(folder, SessionPanel(make_pattern("gray-fringes", Panel(640, 400))))
+
+
+def colour(folder):
+    session = three_axes(folder)
+    offsets = {"red": np.array([-0.333, 0.0]), "blue": np.array([0.333, 0.25])}
+    panel = SessionPanel(PANEL.pattern, offsets)
+    sets = [replace(each, channel=channel) for each in session.display for channel in ("red", "green", "blue")]
+    display = tuple(replace(each, folder=folder / f"c{k}") for k, each in enumerate(sets))
+    return replace(session, panels={"right": panel}, display=display)
+
+
+def with_all_else(folder):
+    """Orientations, times, sigmas, formats and kinds of lenses, places by name, an order of photographs."""
+    session = three_axes(folder)
+    fisheye = LensCamera((640, 480), np.array([300.0, 301.0]), np.array([321.0, 239.5]), np.full(4, 0.01), "fisheye")
+    form = PhotographFormat(12, saturation=4000.0, gamma=2.2, channel="green")
+    (folder / "order.csv").write_text("0.png,white\n")
+    return replace(
+        session,
+        decoding=DecodeOptions(full_scale=form.full_scale),
+        eyeball_camera=SessionCamera((640, 480), form, known=fisheye, known_sigma=np.arange(1.0, 9.0), lens="fisheye"),
+        tracking_camera=replace(KNOWN, known_sigma=np.array([0.5, 0.5, 1.0, 1.0, 0, 0, 0, 0, 0])),
+        tracking_sigma=(np.radians(0.05), 0.0003),
+        bare=tuple(
+            replace(each, orientation=turn, name=f"{turn}{each.name}") for each in session.bare for turn in (0, 1)
+        ),
+        see_through=tuple(
+            replace(each, time_s=60.0 * k, temperature_c=21.5 + k) for k, each in enumerate(session.see_through)
+        ),
+        display=tuple(replace(each, orientation=1, time_s=9.0, place="turned") for each in session.display[:1]),
+        tracking=(replace(session.tracking[0], time_s=5.0),),
+        code_order="opencv",
+        code_manifest=folder / "order.csv",
+        place_tolerance=5e-6,
+    )
+
+
+BENCHES = (
+    three_axes,
+    rotary,
+    by_hand,
+    in_one_picture,
+    fiducials,
+    optics_alone,
+    first_target,
+    both_eyes,
+    two_panels,
+    colour,
+    with_all_else,
+)
+
+
+def differences(ours, theirs, where="session"):
+    """Where two values of dataclasses, tables, lists and arrays differ; boards by their files."""
+    if hasattr(ours, "point_of"):
+        return [] if board_table(ours) == board_table(theirs) else [where]
+    if is_dataclass(ours) and type(ours) is type(theirs):
+        parts = [(each.name, getattr(ours, each.name), getattr(theirs, each.name)) for each in fields(ours)]
+        return [line for name, one, other in parts for line in differences(one, other, f"{where}.{name}")]
+    if isinstance(ours, dict) and ours.keys() == theirs.keys():
+        return [line for key in ours for line in differences(ours[key], theirs[key], f"{where}[{key}]")]
+    if isinstance(ours, tuple) and isinstance(theirs, tuple) and len(ours) == len(theirs):
+        pairs = enumerate(zip(ours, theirs, strict=True))
+        return [line for k, (one, other) in pairs for line in differences(one, other, f"{where}[{k}]")]
+    if isinstance(ours, np.ndarray | float) and theirs is not None:
+        close = np.shape(ours) == np.shape(theirs) and np.allclose(ours, theirs, rtol=0, atol=1e-11)
+        return [] if close else [f"{where}: {ours} and {theirs}"]
+    return [] if ours == theirs else [f"{where}: {ours} and {theirs}"]
+
+
+def saved(session):
+    save_photo_session(session, {"pattern": "gray-fringes"}, "board.toml")
+    return session.folder
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_what_is_written_is_read_back(bench, tmp_path):
+    session = with_places(bench(tmp_path))
+    again = load_photo_session(saved(session))
+    assert differences(session, again) == []
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_it_is_read_the_same_in_other_axes(bench, tmp_path):
+    """A file in OpenXR's axes with vectors turned by hand describes the same bench."""
+    session = with_places(bench(tmp_path))
+    content = tomllib.loads((saved(session) / FILE).read_text())
+    content["frame"] = "openxr"
+
+    def turn(table, keys):
+        for key in set(keys) & table.keys():
+            table[key] = (transforms.OPENXR_FROM_OPENCV @ np.array(table[key])).tolist()
+
+    boxes = content["eye_box"]
+    for table in boxes.values() if "left" in boxes else [boxes]:
+        turn(table, ["centre_mm"])
+    for table in (content.get("tracking_camera", {}), *content.get("target", [])):
+        turn(table, ["rotation", "translation_mm"])
+    for table in content.get("stage", {}).get("axes", []):
+        turn(table, ["direction", "pivot_mm"])
+    for name in ("bare", "beside", "see_through", "display"):
+        for table in content.get(name, []):
+            turn(table, ["stage_mm"])
+    write_toml(tmp_path / FILE, content)
+    again = load_photo_session(tmp_path)
+    named = [line for line in differences(session, again) if ".place:" not in line]
+    assert named == []  # places are named as the file writes readings
+
+
+def test_readings_within_the_tolerance_are_one_place(tmp_path):
+    session = three_axes(tmp_path)
+    rng = np.random.default_rng(1)
+    noisy = [replace(each, stage=each.stage + rng.uniform(-5e-7, 5e-7, 3)) for each in session.display]
+    again = load_photo_session(saved(replace(session, display=tuple(noisy))))
+    assert [each.place for each in again.display] == [each.place for each in again.see_through]
+    assert len({each.place for each in again.bare}) == 3
+    exact = load_photo_session(saved(replace(session, display=tuple(noisy), place_tolerance=1e-9)))
+    assert not {each.place for each in exact.display} & {each.place for each in exact.see_through}
+
+
+def test_an_entry_without_a_place_joins_the_named_one_at_its_reading(tmp_path):
+    session = three_axes(tmp_path)
+    named = tuple(replace(each, place=f"corner {k}") for k, each in enumerate(session.display))
+    again = load_photo_session(saved(replace(session, display=named)))
+    assert [each.place for each in again.bare] == ["corner 0", "corner 1", "corner 2"]
+
+
+def test_one_eye_shares_what_is_of_both(tmp_path):
+    session = load_photo_session(saved(two_panels(tmp_path)))
+    right = session.for_eye("right")
+    assert (right.eye, right.pattern.panel) == ("right", Panel(640, 400))
+    assert np.allclose(right.eye_box.centre, [0.032, 0, 0])
+    assert {each.eye for each in (*right.see_through, *right.display)} == {"right"}
+    assert right.bare == session.bare
+    assert right.tracking == session.tracking
+    with pytest.raises(ValueError, match="too many values"):
+        _ = session.eye
+    with pytest.raises(ValueError, match="too many values"):
+        _ = session.pattern
+    assert load_photo_session(saved(both_eyes(tmp_path))).pattern == PANEL.pattern
+
+
+def test_a_region_sees_past_the_optics(tmp_path):
+    session = in_one_picture(tmp_path)
+    pixel = np.array([[50.0, 200.0], [300.0, 200.0], [620.0, 479.0], [100.0, 480.0]])
+    assert session.past_optics(session.see_through[0], pixel).tolist() == [True, False, True, True]
+    assert not session.past_optics(session.tracking[0], pixel).any()
+    assert session.beside[-1].in_regions(pixel).all()
+
+
+def test_a_target_may_have_a_board_of_its_own(tmp_path):
+    session = load_photo_session(saved(fiducials(tmp_path)))
+    assert (session.board_of(7).columns, session.board_of(0).columns) == (6, 8)
+
+
+# Contradictions.
+
+
+def each_of(name, **keys):
+    def change(content):
+        for table in content[name]:
+            table.update(keys)
+
+    return change
+
+
+def without(name, *keys):
+    def change(content):
+        for table in content[name] if isinstance(content[name], list) else [content[name]]:
+            for key in keys:
+                del table[key]
+
+    return change
+
+
+def put(*path_and_value):
+    *path, key, value = path_and_value
+
+    def change(content):
+        for step in path:
+            content = content[step]
+        content[key] = value
+
+    return change
+
+
+def drop(*names):
+    def change(content):
+        for name in names:
+            del content[name]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("bench", "change", "complaint"),
+    [
+        (three_axes, drop("tracking_camera", "tracking"), r"nothing fixes the device frame: add \[tracking_camera\].*"
+         r"\[\[target\]\].*gauge = \"target 0\""),
+        (three_axes, drop("tracking_camera"), r"\[\[tracking\]\] photographs, but no \[tracking_camera\]"),
+        (three_axes, drop("tracking"), r"'tracking' is empty"),
+        (three_axes, drop("see_through", "display"), "'see_through' and 'display' are both empty"),
+        (three_axes, drop("bare"), r"\[\[see_through\]\] number 1: 'bare' is empty; nothing says where the camera"),
+        (three_axes, put("gauge", "target 0"), r"'gauge' and \[tracking_camera\] both fix the device frame"),
+        (three_axes, put("gauge", "target one"), "'gauge' is 'target one'; it must be"),
+        (three_axes, put("eyes", ["left"]), "give either 'eye' or 'eyes'"),
+        (three_axes, put("stage", {"kind": "none"}), "'stage_mm' is a stage reading, but .* kind = \"none\""),
+        (three_axes, put("stage", {"kind": "robot"}), "'kind' is 'robot'; it must be one of linear, none"),
+        (three_axes, put("stage", {"axes": []}), "'axes' is empty; list an axis, or write kind"),
+        (three_axes, put("stage", {"axes": [{}, {}]}), "'stage_mm' must be a list of 2 numbers"),
+        (three_axes, put("stage", {"axes": [{}, {}, {"kind": "rotary"}]}), "'stage_mm' cannot hold the angle"),
+        (three_axes, put("stage", {"axes": [{"pivot_mm": [0, 0, 0]}]}), "'pivot_mm' is for rotary axes"),
+        (three_axes, put("stage", {"axes": [{"direction": [0, 0, 0]}]}), "'direction' is zero"),
+        (three_axes, put("stage", {"axes": [{"direction_sigma_deg": 1}]}), "is given without 'direction'"),
+        (three_axes, put("stage", {"place_tolerance_um": -1}), "'place_tolerance_um' must be 0 or more"),
+        (three_axes, put("bare", 0, "stage", [0.0, 0.0, 0.0]), "give either 'stage' or 'stage_mm'"),
+        (three_axes, each_of("bare", place="one"), "place 'one' has entries of several stage readings or orientations"),
+        (three_axes, without("bare", "stage_mm"), "key 'stage_mm' is missing"),
+        (three_axes, each_of("tracking", stage_mm=[0, 0, 0]), "unknown key 'stage_mm'"),
+        (three_axes, put("display", 0, "orientation", 1), r"\[\[display\]\] number 1: nothing says where the camera "
+         "stood at orientation 1"),
+        (three_axes, put("display", 0, "eye", "left"), "'eye' is 'left'; it must be one of right"),
+        (three_axes, put("display", 0, "channel", "white"), "'channel' is 'white'; it must be one of red, green, blue"),
+        (three_axes, put("tracking_camera", "sigma_mm", 0.3), "'sigma_deg' is missing"),
+        (three_axes, put("tracking_camera", "sigma", [1.0]), "'sigma' must be a list of 9 numbers"),
+        (three_axes, put("tracking_camera", "focal_sigma_px", 0.3), "'centre_sigma_px' is missing"),
+        (three_axes, put("tracking_camera", "lens", "fisheye"), "'distortion' has 5 terms, but a lens of kind 'fish"),
+        (three_axes, put("tracking_camera", "lens", "wide"), "'lens' is 'wide'; it must be one of auto, brown"),
+        (three_axes, put("code", "order", "reverse"), "'order' is 'reverse'; it must be one of as shown, opencv"),
+        (three_axes, put("panel", "primary_offsets_px", {"red": [3.0, 0.0]}), "an offset is more than one pixel"),
+        (rotary, without("bare", "stage"), "key 'stage' is missing"),
+        (rotary, put("bare", 0, "stage", [0.0, 0.0]), "'stage' must be a list of 3 numbers"),
+        (by_hand, without("see_through", "place"), "key 'place' is missing; without a stage each entry names"),
+        (by_hand, put("display", 1, "place", "elsewhere"), "nothing says where the camera of place 'elsewhere' stood"),
+        (by_hand, each_of("beside", target_pose=4), r"\[\[beside\]\] number 1 is of target pose 4, of which"),
+        (by_hand, lambda content: (drop("tracking_camera", "tracking")(content), content.update(gauge="camera")),
+         "but there is no stage; name a target"),
+        (in_one_picture, put("beside", 0, "region_px", [[5, 5, 4, 9]]), "must hold .u0, v0, u1, v1."),
+        (in_one_picture, put("beside", 0, "region_px", [[0, 0, 700, 9]]), "lies outside the picture of 640 x 480"),
+        (in_one_picture, lambda content: content["beside"][0].pop("region_px"), "say with 'region_px' which part"),
+        (in_one_picture, put("beside", 0, "place", "hand 1"), "is also a .* photograph, of another place"),
+        (fiducials, put("target", 0, "pose", 8), "names target pose 8, of which there is no photograph"),
+        (fiducials, lambda content: content["target"].append(content["target"][0]), "target pose 7 is given twice"),
+        (fiducials, put("target", 0, "sigma_mm", 0.0), "'sigma_mm' is 0; it must be above 0"),
+        (fiducials, put("bare", 0, "target_pose", 7), None),
+        (optics_alone, without("stage", "axes"), "stage axis 1 moves, but nothing says how"),
+        (first_target, put("gauge", "target 5"), "names target pose 5, of which there is no photograph"),
+        (both_eyes, put("eyes", ["left", "left"]), "must hold \"left\", \"right\", or both"),
+        (both_eyes, put("eye_box", {"centre_mm": [0, 0, 0], "size_mm": [9, 9, 9]}), "is one table for both eyes"),
+        (both_eyes, without("display", "eye"), "'eye' is missing; in a session of both eyes"),
+        (both_eyes, lambda content: [each.update(eye="left") for each in content["see_through"] + content["display"]],
+         "no .* of the right eye"),
+    ],
+)  # fmt: skip
+def test_each_contradiction_is_named(bench, change, complaint, tmp_path):
+    folder = saved(bench(tmp_path))
+    content = tomllib.loads((folder / FILE).read_text())
+    change(content)
+    write_toml(folder / FILE, content)
+    if complaint is None:
+        load_photo_session(folder)
+        return
+    with pytest.raises(BadInputError, match=complaint) as caught:
+        load_photo_session(folder)
+    assert "\n" not in str(caught.value)
+    assert str(folder / FILE) in str(caught.value)
