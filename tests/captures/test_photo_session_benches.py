@@ -6,6 +6,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
+from wlr_render.calibration.calibrate_session import tracking_of
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import board_table, save_board
 from wlr_render.captures.decoded import DecodeOptions
@@ -182,7 +183,7 @@ def with_all_else(folder):
     return replace(
         session,
         decoding=DecodeOptions(full_scale=form.full_scale),
-        eyeball_camera=SessionCamera((640, 480), form, known=fisheye, known_sigma=np.arange(1.0, 9.0), lens="fisheye"),
+        eyeball_camera=SessionCamera((640, 480), form, known=fisheye, known_sigma=np.arange(1.0, 9.0)),
         tracking_camera=replace(KNOWN, known_sigma=np.array([0.5, 0.5, 1.0, 1.0, 0, 0, 0, 0, 0])),
         tracking_sigma=(np.radians(0.05), 0.0003),
         bare=tuple(
@@ -289,6 +290,48 @@ def test_an_entry_without_a_place_joins_the_named_one_at_its_reading(tmp_path):
     assert [each.place for each in again.bare] == ["corner 0", "corner 1", "corner 2"]
 
 
+def test_two_names_at_one_reading_stay_two_places(tmp_path):
+    session = three_axes(tmp_path)
+    named = tuple(replace(each, place=f"before {k}") for k, each in enumerate(session.see_through))
+    later = tuple(replace(each, place=f"after {k}") for k, each in enumerate(session.display))
+    again = load_photo_session(saved(replace(session, see_through=named, display=later)))
+    assert [each.place for each in (*again.see_through, *again.display)] == [each.place for each in (*named, *later)]
+    assert [each.place for each in again.bare] == ["0 0 0", "2 0 -1", "0 -3 0"]
+
+
+MODEL = """{
+    'lensmodel': 'LENSMODEL_OPENCV8',
+    'extrinsics': [0, 0, 0, 0, 0, 0],
+    'intrinsics': [700.0, 701.0, 320.5, 239.0, 0.1, 0, 0, 0, 0, 0.01, 0, 0],
+    'imagersize': [640, 480],
+}
+"""
+
+
+def test_a_lens_of_another_program_is_read(tmp_path):
+    (tmp_path / "eye.cameramodel").write_text(MODEL)
+    session = three_axes(tmp_path)
+    folder = saved(session)
+    content = tomllib.loads((folder / FILE).read_text())
+    camera = content["eyeball_camera"]
+    for key in ("focal_px", "opencv_centre_px", "distortion"):
+        del camera[key]
+    camera |= {"lens_file": "eye.cameramodel", "focal_sigma_px": 0.5, "centre_sigma_px": 1.5}
+    write_toml(folder / FILE, content)
+    found = load_photo_session(folder)
+    known = found.eyeball_camera.known
+    assert known.kind == "rational"
+    assert np.allclose(known.values[:4], [700.0, 701.0, 321.0, 239.5])
+    assert np.allclose(found.eyeball_camera.known_sigma, [0.5, 0.5, 1.5, 1.5] + [0] * 8)
+    assert differences(found, load_photo_session(saved(found))) == []
+    write_toml(folder / FILE, content | {"eyeball_camera": camera | {"width_px": 1280}})
+    with pytest.raises(BadInputError, match=r"1280 x 480 pixels, but the lens in .* was calibrated for 640 x 480"):
+        load_photo_session(folder)
+    write_toml(folder / FILE, content | {"eyeball_camera": camera | {"lens": "brown"}})
+    with pytest.raises(BadInputError, match="'lens' is given beside 'lens_file'"):
+        load_photo_session(folder)
+
+
 def test_one_eye_shares_what_is_of_both(tmp_path):
     session = load_photo_session(saved(two_panels(tmp_path)))
     right = session.for_eye("right")
@@ -315,6 +358,23 @@ def test_a_region_sees_past_the_optics(tmp_path):
 def test_a_target_may_have_a_board_of_its_own(tmp_path):
     session = load_photo_session(saved(fiducials(tmp_path)))
     assert (session.board_of(7).columns, session.board_of(0).columns) == (6, 8)
+
+
+@pytest.mark.parametrize(
+    ("bench", "reason"),
+    [
+        (rotary, "has no stage with three linear axes"),
+        (by_hand, "has \\[\\[beside\\]\\] photographs, 'bare' is empty"),
+        (fiducials, "has \\[\\[target\\]\\] poses"),
+        (optics_alone, "has a stage axis with a stated direction, has a 'gauge'"),
+        (both_eyes, "is of both eyes"),
+        (colour, "has sets of single primaries"),
+        (with_all_else, "has several orientations of the camera, has a camera with another lens than Brown's"),
+    ],
+)
+def test_calibration_names_what_it_does_not_take(bench, reason, tmp_path):
+    with pytest.raises(BadInputError, match=f"{reason}.*; `calibrate photos` needs"):
+        tracking_of(load_photo_session(saved(bench(tmp_path))))
 
 
 # Contradictions.

@@ -125,6 +125,7 @@ def tracking_of(session: PhotoSession) -> tuple[SessionCamera, FloatArray]:
     axes = session.stage.axes if session.stage else ()
     photographs = (*session.bare, *session.see_through)
     orientations = {each.orientation for each in photographs} | {each.orientation for each in session.display}
+    cameras = [each for each in (session.eyeball_camera, session.tracking_camera) if each is not None]
     lacking = {
         "has no stage with three linear axes": [axis.kind for axis in axes] != ["linear"] * 3,
         "has a stage axis with a stated direction": any(axis.direction is not None for axis in axes),
@@ -134,12 +135,19 @@ def tracking_of(session: PhotoSession) -> tuple[SessionCamera, FloatArray]:
         "has a 'gauge'": session.gauge is not None,
         "has [[beside]] photographs": bool(session.beside),
         "has sets of single primaries": any(each.channel for each in session.display),
+        "has a camera with another lens than Brown's": any(
+            camera.lens not in ("auto", "brown")
+            or (camera.known is not None and getattr(camera.known, "kind", "") != "brown")
+            for camera in cameras
+        ),
+        "has standard deviations of a camera": session.tracking_sigma is not None
+        or any(camera.known_sigma is not None for camera in cameras),
         **{f"{name!r} is empty": not getattr(session, name) for name in ("bare", "see_through", "display")},
     }
     if reasons := [reason for reason, applies in lacking.items() if applies]:
         raise BadInputError(
             f"{session.folder}: {', '.join(reasons)}; `calibrate photos` needs one eye, a tracking camera, a stage "
-            "with three linear axes, and [[bare]], [[see_through]] and [[display]] photographs."
+            "with three linear axes, Brown's lenses, and [[bare]], [[see_through]] and [[display]] photographs."
         )
     if session.tracking_camera is None or session.device_from_tracking is None:
         raise BadInputError(f"{session.folder}: has no [tracking_camera], which `calibrate photos` needs.")
@@ -180,7 +188,7 @@ def _calibrated(
 def _lens(session: PhotoSession, camera: SessionCamera, name: str, seen: Seen, reading: Reading) -> Lens:
     """The camera and the board's poses: from all photographs without the headset, or by the lens that is given."""
     views = [BoardView.of_observation(each.name, observation, session.board) for each, observation in seen]
-    if camera.known is not None:
+    if isinstance(camera.known, LensCamera):
         return Lens(poses_of(camera.known, views), None)
     views += [
         BoardView.of_observation(session.name_of(path), reading.boards[path], session.board)

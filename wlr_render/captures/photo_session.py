@@ -14,7 +14,7 @@ from wlr_render.captures.boards.board import Board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens import Lens
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
@@ -33,16 +33,17 @@ class SessionCamera:
         format: how its files become linear values.
         intrinsics: photographs of the board from many sides, without the headset, to calibrate it from.
         known: the camera where it is calibrated already, else None.
-        lens: lens model to fit, a key of `lens_camera.LENS_KINDS`, or "auto": held-out photographs choose.
-        known_sigma: (4 + k,) standard deviations of `known`: fx, fy, cx, cy in pixels, then the k distortion terms;
-            None where the lens is stated as exact.
+        lens: lens model to fit, a key of `lens_camera.LENS_KINDS`, or "auto": held-out photographs choose. "auto" where
+            the lens is known.
+        known_sigma: (P,) standard deviations of `known.values`: fx, fy, cx, cy in pixels, then the distortion; None
+            where the lens is stated as exact.
         lens_file: the file that `known` was read from, else None.
     """
 
     size_px: tuple[int, int]
     format: PhotographFormat
     intrinsics: tuple[Path, ...] = ()
-    known: LensCamera | None = None
+    known: Lens | None = None
     lens: str = "auto"
     known_sigma: FloatArray | None = None
     lens_file: Path | None = None

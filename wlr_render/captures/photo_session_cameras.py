@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.captures.lens_file import load_lens
 from wlr_render.captures.photo_session import SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in
@@ -29,12 +30,28 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
     lens = table.text("lens", "auto", ("auto", *LENS_KINDS))
     if sum(table.has(key) for key in _SOURCES) != 1:
         raise table.fail(
-            "give either 'intrinsics', a folder of pictures of the board, or 'focal_px' and 'opencv_centre_px'."
+            "give either 'intrinsics', a folder of pictures of the board, or 'focal_px' and 'opencv_centre_px', or "
+            "'lens_file', a calibration by another program."
         )
     if table.has("intrinsics"):
         return SessionCamera(size, form, tuple(photographs_in(folder / table.text("intrinsics"))), lens=lens)
-    known = _known(table, size, lens)
-    return SessionCamera(size, form, known=known, lens=lens, known_sigma=_sigma(table, len(known.distortion)))
+    if table.has("lens_file"):
+        file = folder / table.text("lens_file")
+        known = load_lens(file)
+        if table.has("lens"):
+            raise table.fail("'lens' is given beside 'lens_file', which states its own kind of lens; remove 'lens'.")
+        if known.size_px != size:
+            raise table.fail(
+                f"its pictures have {_by(size)} pixels, but the lens in {file} was calibrated for "
+                f"{_by(known.size_px)}; give a lens of this size."
+            )
+    else:
+        file, known = None, _known(table, size, lens)
+    return SessionCamera(size, form, known=known, known_sigma=_sigma(table, len(known.values)), lens_file=file)
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"
 
 
 def _known(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
@@ -58,16 +75,16 @@ def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray,
     return np.concatenate([terms, np.zeros(wanted - len(terms))]), lens
 
 
-def _sigma(table: Table, terms: int) -> FloatArray | None:
-    """(4 + terms,) standard deviations of fx, fy, cx, cy and the distortion; None if the file states none."""
+def _sigma(table: Table, count: int) -> FloatArray | None:
+    """(count,) standard deviations of fx, fy, cx, cy and the distortion; None if the file states none."""
     several = [key for key in ("focal_sigma_px", "centre_sigma_px") if table.has(key)]
     if table.has("sigma") and several:
         raise table.fail(f"give either 'sigma' or '{several[0]}', not both.")
     if table.has("sigma"):
-        sigma = table.vector("sigma", 4 + terms)
+        sigma = table.vector("sigma", count)
     elif several:
         focal, centre = table.number("focal_sigma_px"), table.number("centre_sigma_px")
-        sigma = np.array([focal, focal, centre, centre, *[0.0] * terms])
+        sigma = np.array([focal, focal, centre, centre, *[0.0] * (count - 4)])
     else:
         return None
     if np.any(sigma < 0) or not np.any(sigma):
@@ -79,17 +96,19 @@ def written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
     """The keys that `read_camera` reads as the same camera."""
     keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]}
     keys |= camera.format.keys()
-    lens, usual = (camera.lens, "auto") if camera.known is None else (camera.known.kind, "brown")
-    if lens != usual:
-        keys["lens"] = lens
     if camera.known_sigma is not None:
         keys["sigma"] = camera.known_sigma.tolist()
     if camera.lens_file is not None:
         return keys | {"lens_file": str(camera.lens_file.relative_to(folder))}
-    if camera.known is None:
-        return keys | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}
+    known = camera.known
+    if known is None:
+        kind = {} if camera.lens == "auto" else {"lens": camera.lens}
+        return keys | kind | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}
+    if not isinstance(known, LensCamera):
+        raise TypeError(f"a {type(known).__name__} is written as its 'lens_file' only")
     return keys | {
-        "focal_px": camera.known.focal_px.tolist(),
-        "opencv_centre_px": (camera.known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
-        "distortion": camera.known.distortion.tolist(),
+        **({} if known.kind == "brown" else {"lens": known.kind}),
+        "focal_px": known.focal_px.tolist(),
+        "opencv_centre_px": (known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
+        "distortion": known.distortion.tolist(),
     }
