@@ -30,6 +30,7 @@ LINK = re.compile(r"\]\(([^)#:]+)\)")
 # Files of users, not of ours.
 THEIRS = {
     "session.toml",
+    "simulation.toml",
     "bench.toml",
     "board.toml",
     "device.toml",

@@ -1,5 +1,6 @@
 """Kinds of benches in session.toml: each is written and read back the same; contradictions are one sentence each."""
 
+import re
 import tomllib
 from dataclasses import fields, is_dataclass, replace
 
@@ -24,7 +25,9 @@ from wlr_render.captures.photo_session import (
 from wlr_render.captures.photo_session_entries import with_places
 from wlr_render.captures.photo_session_file import FILE, load_photo_session, save_photo_session
 from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.files import resource
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel
@@ -360,6 +363,35 @@ def test_a_target_may_have_a_board_of_its_own(tmp_path):
     assert (session.board_of(7).columns, session.board_of(0).columns) == (6, 8)
 
 
+TEXT = resource("docs", "photo-session.md").read_text(encoding="utf-8")
+EXAMPLES = dict(re.findall(r"### ([^\n]+)\n(?:[^`#]|`[^`]|``[^`])*?```toml\n(.*?)```", TEXT, re.DOTALL))
+REPLACED = {
+    "Rotation about the pupil": [],
+    "Robot arm or hand": ["bare"],
+    "No tracking camera": ["tracking_camera", "tracking"],
+    "Display only": ["tracking_camera", "tracking", "bare", "see_through"],
+    "Both eyes": ["eye", "eye_box"],
+    "Colour": [],
+}
+
+
+def test_the_manual_has_these_benches():
+    assert EXAMPLES.keys() == REPLACED.keys()
+
+
+@pytest.mark.parametrize("name", REPLACED)
+def test_an_example_of_the_manual_is_read(name, tmp_path):
+    save_board(design_board(8, 7, 0.02), tmp_path / "board.toml")
+    save_board(design_board(6, 6, 0.005), tmp_path / "fiducials.toml")
+    for camera in ("eyeball", "tracking"):
+        write_photograph(tmp_path / "intrinsics" / camera / "0.png", np.zeros((4, 4), np.uint8))
+    usual = tomllib.loads(TEXT.split("```toml\n")[1].split("```")[0])
+    content = {key: value for key, value in usual.items() if key not in REPLACED[name]} | tomllib.loads(EXAMPLES[name])
+    write_toml(tmp_path / FILE, content)
+    session = load_photo_session(tmp_path)
+    assert session.display
+
+
 @pytest.mark.parametrize(
     ("bench", "reason"),
     [
@@ -448,6 +480,7 @@ def drop(*names):
         (three_axes, put("tracking_camera", "sigma_mm", 0.3), "'sigma_deg' is missing"),
         (three_axes, put("tracking_camera", "sigma", [1.0]), "'sigma' must be a list of 9 numbers"),
         (three_axes, put("tracking_camera", "focal_sigma_px", 0.3), "'centre_sigma_px' is missing"),
+        (three_axes, put("tracking_camera", "distortion", [0.1, 0, 0, 0]), "'distortion' has 4 terms; say with lens"),
         (three_axes, put("tracking_camera", "lens", "fisheye"), "'distortion' has 5 terms, but a lens of kind 'fish"),
         (three_axes, put("tracking_camera", "lens", "wide"), "'lens' is 'wide'; it must be one of auto, brown"),
         (three_axes, put("code", "order", "reverse"), "'order' is 'reverse'; it must be one of as shown, opencv"),

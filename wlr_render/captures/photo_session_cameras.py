@@ -65,6 +65,8 @@ def _known(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
 def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray, str]:
     """Distortion terms, filled with zeros as OpenCV does, and the kind of lens: where it is auto, by their number."""
     if lens == "auto":
+        if len(terms) == 4:
+            raise table.fail('\'distortion\' has 4 terms; say with lens = "brown" or lens = "fisheye" what they are.')
         lens = {8: "rational", 12: "thin-prism"}.get(len(terms), "brown")
     wanted = len(LENS_KINDS[lens])
     if len(terms) not in {0, 4, wanted}:
