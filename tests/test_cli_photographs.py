@@ -19,11 +19,11 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     monkeypatch.setattr(simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or (7, 3))
     chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20"]
-    sizes = ["--perfect", "--stage-error-um", "3", "--bow-mm", "0.1"]
+    sizes = ["--perfect", "--stage-error-um", "3", "--bow-mm", "0.1", "--stage", "xy"]
     depths = ["--depths-m", "0.5", "0.8", "2"]
     assert main(["simulate", "there", *chosen, *bench_options, *sizes, *depths, "--seed", "4", "--workers", "1"]) == 0
     imperfections = replace(BenchImperfections.none(), repeatability_um=3.0, bow_mm=0.1)
-    made_of = PhotoBenchOptions((640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections)
+    made_of = PhotoBenchOptions((640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections, "xy")
     assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), 1)]
     printed = capsys.readouterr().out
     assert "7 photographs taken, 3 kept from an earlier run: there" in printed

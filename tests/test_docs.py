@@ -35,6 +35,7 @@ THEIRS = {
     "board.toml",
     "device.toml",
     "report.md",
+    "simulation.toml",
 }
 PLACES = [
     ROOT,

@@ -35,6 +35,7 @@ class SimulateOptions(Options):
     depths_m: Annotated[
         tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(at_least=0)
     ] = (0.4, 1.0)
+    stage: Annotated[Literal["xyz", "xy", "x"], described("Axes of the stage that move.")] = "xyz"
     perfect: Annotated[
         bool, described("A bench without imperfections, but for those that the options below give.", flag=True)
     ] = False
@@ -72,6 +73,7 @@ class SimulateOptions(Options):
             self.depths_m,
             self.seed,
             self._imperfections,
+            self.stage,
         )
         return SimulationRecipe(self.device, self.eye, self.viewpoints, self.pattern, bench)
 

@@ -231,7 +231,7 @@ def test_stray_light_is_as_much_as_the_light_and_smooth():
 
 def test_all_sizes_go_through_the_file(tmp_path):
     sizes = replace(BenchImperfections().scaled(0.5), lens="thin-prism")
-    recipe = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(imperfections=sizes))
+    recipe = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(imperfections=sizes, stage="x"))
     save_recipe(tmp_path, recipe)
     assert load_recipe(tmp_path) == recipe
     assert {each.name for each in fields(BenchImperfections)} == set(asdict(sizes))
@@ -242,7 +242,7 @@ def test_an_old_file_means_a_perfect_bench_with_its_stage_error(tmp_path):
     path = tmp_path / "simulation.toml"
     kept, _, _ = path.read_text(encoding="utf-8").partition("[bench.imperfections]")
     path.unlink()
-    path.write_text(kept.replace("snr =", "stage_error_um = 2.5\nsnr ="), encoding="utf-8")
+    path.write_text(kept.replace('stage = "xyz"', "stage_error_um = 2.5"), encoding="utf-8")
     assert load_recipe(tmp_path).bench.imperfections == replace(NONE, repeatability_um=2.5)
 
 

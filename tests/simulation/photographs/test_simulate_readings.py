@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import sample
+from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.simulation.photographs.camera_view import panel_position
+from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
 from wlr_render.simulation.photographs.faults import BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
@@ -18,7 +19,7 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import camera_poses
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 from wlr_render.simulation.photographs.take_photographs import take
-from wlr_render.simulation.photographs.visits import true_camera_poses
+from wlr_render.simulation.photographs.visits import true_camera_posesfrom wlr_render.toml_files import Table
 
 RECIPE = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions(camera_px=(640, 512)))
 SHIFT = Shift((0.2, -0.1, 0.3), (0.0, 0.05, 0.0))
@@ -119,6 +120,7 @@ def test_the_session_states_the_readings_and_the_extrinsics_with_their_errors(si
     session, truth = simulated.session, simulated.truth
     assert np.array_equal(session.device_from_tracking, truth.stated_device_from_tracking)
     assert not np.allclose(session.device_from_tracking, truth.device_from_tracking, atol=1e-5)
+    assert session.tracking_sigma == pytest.approx((np.deg2rad(0.05), 0.3e-3))
     repeated = session.see_through[0], session.see_through[RECIPE.viewpoints]
     assert 0 < np.abs(repeated[0].stage - repeated[1].stage).max() < 5e-6
     assert np.array_equal(session.display[0].stage, session.see_through[0].stage)
@@ -154,6 +156,48 @@ def test_a_headset_that_slipped_takes_its_optics_and_tracking_camera_along(simul
     np.testing.assert_allclose(slip[2:, :3, 3], np.broadcast_to(1e-3 * np.array(SHIFT.mm), (8, 3)), atol=1e-12)
     seen = [each.reading.panels[each.session.display[3].folder].samples for each in (simulated, faulty)]
     assert seen[0].panel_pixel.mean(axis=0) != pytest.approx(seen[1].panel_pixel.mean(axis=0), abs=0.5)
+
+
+@pytest.mark.parametrize(("stage", "axes"), [("xy", 2), ("x", 1)])
+def test_a_stage_of_fewer_axes_has_readings_of_those_alone(stage, axes):
+    simulated = simulate_readings(replace(RECIPE, bench=replace(RECIPE.bench, stage=stage)))
+    session, truth = simulated.session, simulated.truth
+    entries = [*session.bare, *session.see_through, *session.display]
+    assert {each.stage.shape for each in entries} == {(axes,)}
+    assert len(session.stage.axes) == axes
+    check_session(Table({}, "session.toml"), session)
+    # Along the other axes the camera has not moved but for the errors of the stage.
+    nominal = np.linalg.solve(truth.stage_axes, (truth.see_through[:, :3, 3] - truth.bench.optics.eye_box.centre).T).T
+    assert np.abs(nominal[:, axes:]).max() < 0.1e-3
+    assert np.abs(nominal[:, :axes]).max() > 2e-3
+
+
+def test_a_camera_in_the_hand_sees_the_target_past_the_optics():
+    bench = replace(RECIPE.bench, stage="hand", target_depths_m=(0.3, 0.5))
+    simulated = simulate_readings(replace(RECIPE, bench=bench))
+    session, truth = simulated.session, simulated.truth
+    assert session.stage is None
+    assert session.bare == ()
+    check_session(Table({}, "session.toml"), session)
+    assert len({each.place for each in session.see_through}) == len(session.see_through) == 2 * RECIPE.viewpoints
+    assert [each.place for each in session.beside] == [each.place for each in session.see_through]
+    turns = [truth.bench.device_from_camera[:3, :3].T @ pose[:3, :3] for pose in truth.see_through]
+    degrees = np.rad2deg([np.arccos(0.5 * (np.trace(turn) - 1.0)) for turn in turns])
+    assert 0.5 < degrees.mean() < 5.0
+    box = truth.bench.optics.eye_box
+    assert np.all(np.abs(truth.see_through[:, :3, 3] - box.centre) <= 0.5 * box.size + 1e-9)
+    for each, camera, target in zip(session.beside, truth.see_through, truth.see_through_targets, strict=True):
+        seen = simulated.reading.boards[each.path]
+        point = transforms.apply(target, truth.bench.printed.point_of(seen.index))
+        lens = truth.eyeball_at_target[each.target_pose]
+        straight = lens.pixel_of_point(transforms.apply(transforms.inverse(camera), point))
+        assert rms(seen.pixel - straight) == pytest.approx(0.02, rel=0.2)
+        assert np.isnan(pixel_of_real_point(truth.bench.optics, lens, camera, point)).any(axis=-1).mean() > 0.95
+
+
+def test_a_target_too_far_to_be_seen_past_the_optics_is_refused():
+    with pytest.raises(BadInputError, match="bring the targets nearer"):
+        simulate_readings(replace(RECIPE, bench=replace(RECIPE.bench, stage="hand")))
 
 
 def test_exchanged_readings_are_exchanged_in_the_session_alone(simulated):

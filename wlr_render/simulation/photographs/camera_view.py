@@ -32,7 +32,7 @@ _WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's p
 _ROWS = 64  # of the picture at a time: what is computed of the world stays in the processor's cache
 _OFF_PANEL = -10.0  # a place of which the nearest pixels are all beyond the panel
 _FARTHEST = 32_000.0  # cv2.remap indexes with 16 bits
-_WAVELENGTH_UM = 0.55
+WAVELENGTH_UM = 0.55
 _BLUR_STEP = 16  # of the pixels from which the blur is judged
 _NARROWEST_PX = 1e-3  # of a ramp between two panel pixels
 
@@ -64,7 +64,7 @@ class CameraView:
         samples: int = 16,
     ) -> "CameraView":
         """The lens in the place of an eye; its rays are traced exactly at 0.55 micrometres."""
-        display, see_through = TracedDisplay(optics, _WAVELENGTH_UM), TracedSeeThrough(optics, _WAVELENGTH_UM)
+        display, see_through = TracedDisplay(optics, WAVELENGTH_UM), TracedSeeThrough(optics, WAVELENGTH_UM)
         camera_from_device = inverse(device_from_camera)
 
         def looking(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -200,7 +200,7 @@ def panel_position(
 ) -> QueryResult:
     """Which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
     direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
-    return TracedDisplay(optics, _WAVELENGTH_UM).pixel_of_view_dir(direction, device_from_camera[:3, 3])
+    return TracedDisplay(optics, WAVELENGTH_UM).pixel_of_view_dir(direction, device_from_camera[:3, 3])
 
 
 def pixel_of_real_point(
@@ -210,5 +210,5 @@ def pixel_of_real_point(
     point: FloatArray,
 ) -> FloatArray:
     """The camera pixels (..., 2) that see real points (..., 3), device frame, through the optics; NaN where not."""
-    seen = TracedSeeThrough(optics, _WAVELENGTH_UM).view_dir_of_real_point(point, device_from_camera[:3, 3])
+    seen = TracedSeeThrough(optics, WAVELENGTH_UM).view_dir_of_real_point(point, device_from_camera[:3, 3])
     return camera.pixel_of_point(rotate(inverse(device_from_camera), seen.value))

@@ -1,6 +1,7 @@
 """A simulated photographic bench with known true values, and the photographs a session takes on it."""
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -10,10 +11,11 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeMappings
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import Device, EyeOptics
-from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.optics.traced_mappings import TracedSeeThrough, traced_eye
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
+from wlr_render.simulation.photographs.camera_view import WAVELENGTH_UM
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 from wlr_render.simulation.photographs.stage_errors import StageErrors
@@ -28,6 +30,11 @@ _PITCH_PX = 24.0  # of the board at its farthest place, camera pixels
 _EXPOSURE = 0.85  # of a white panel: just below full scale
 _TRACKING_SNR = 60.0
 _STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of random numbers
+
+_CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents among which the edge of the optics is looked for
+_BEYOND_CLEAR = 1.25  # by how much a camera in the hand sees more than the clear field of the optics
+
+StageKind = Literal["xyz", "xy", "x", "hand"]
 
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
 
@@ -45,6 +52,8 @@ class PhotoBenchOptions:
         target_depths_m: where the target stands, in front of the eye box; one pose each.
         seed: of all random numbers.
         imperfections: errors of stage, board, lenses, extrinsics and sensors.
+        stage: its axes that move, or "hand" for a camera that is held: then the eyeball camera sees the target past the
+            optics, too, by a wider lens.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -55,6 +64,7 @@ class PhotoBenchOptions:
     target_depths_m: tuple[float, ...] = (0.4, 1.0)
     seed: int = 1
     imperfections: BenchImperfections = field(default_factory=BenchImperfections)
+    stage: StageKind = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,9 +184,10 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         for stream in (_STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS)
     )
     pose = transforms.rigid(aim.device_from_looking @ _turned(0.4, -0.3, 0.5), box.centre)
-    eyeball = _camera(options.camera_px, aim.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
+    view = _past_optics(aim, device.eyes[eye]) if options.stage == "hand" else aim
+    eyeball = _camera(options.camera_px, view.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
     tracking = _camera((1600, 1200), np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
-    board = _board(aim, max(options.target_depths_m), eyeball)
+    board = _board(view, max(options.target_depths_m), eyeball)
     device_from_tracking = _tracking_pose(aim, box.centre)
     return PhotoBench(
         device=device,
@@ -197,6 +208,23 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         device_from_target=np.stack([_target_pose(aim, box.centre, depth) for depth in options.target_depths_m]),
         options=options,
     )
+
+
+def _past_optics(aim: _Aim, optics: EyeOptics) -> _Aim:
+    """The same view, of all that the optics let through from the middle of the eye box and some more on every side."""
+    tangents = np.stack(np.meshgrid(_CLEAR, _CLEAR), axis=-1).reshape(-1, 2)
+    clear = np.abs(tangents[passes_optics(aim.device_from_looking, tangents, optics, optics.eye_box.centre)])
+    half = np.maximum(aim.half_tangents, clear.max(axis=0, initial=0.0))
+    return replace(aim, half_tangents=_BEYOND_CLEAR * half)
+
+
+def passes_optics(
+    device_from_looking: FloatArray, tangents: FloatArray, optics: EyeOptics, viewpoint: FloatArray
+) -> BoolArray:
+    """Which directions (n, 2), tangents in a frame looking along z (3, 3), see the world through the optics, (n,)."""
+    looking = normalised(np.concatenate([tangents, np.ones((len(tangents), 1))], axis=-1))
+    through = TracedSeeThrough(optics, WAVELENGTH_UM).real_ray_of_view_dir(looking @ device_from_looking.T, viewpoint)
+    return np.asarray(through.usable)
 
 
 def _half_travel(truth: EyeMappings) -> FloatArray:

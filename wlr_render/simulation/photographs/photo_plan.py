@@ -19,7 +19,7 @@ class PhotoPlan:
 
     Attributes:
         sweep: (m, 3) stage readings for the panel, and for the target through the optics.
-        bare: (n, 3) stage readings for the target without the headset, along all three axes.
+        bare: (n, 3) stage readings for the target without the headset, along all axes.
         bare_poses: the target's poses that are photographed without the headset: the first before it is mounted, the
             last after it is taken off again, so that a target that moved in between is noticed.
         eyeball_boards, tracking_boards: (k, 4, 4) camera_from_board, for the intrinsics of each camera.
@@ -32,17 +32,25 @@ class PhotoPlan:
     tracking_boards: FloatArray
 
 
+def stage_axis_count(bench: PhotoBench) -> int:
+    """Number of axes of the bench's stage; 0 for a camera in the hand."""
+    return 0 if bench.options.stage == "hand" else len(bench.options.stage)
+
+
 def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     """Plan all photographs of a session with `viewpoints` camera positions."""
+    axes = stage_axis_count(bench)
     sweep = stage_readings(bench, viewpoints)
+    sweep[:, axes:] = 0.0
     steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
     steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    steps = steps[~np.any(steps[:, axes:], axis=1)]
     reach = [*np.abs(sweep[:, :2]).max(axis=0), 0.5 * bench.optics.eye_box.size[2]]
     poses = len(bench.device_from_target)
     return PhotoPlan(
         sweep,
         np.round(steps * reach, 4),
-        tuple(dict.fromkeys((0, poses - 1))),
+        tuple(dict.fromkeys((0, poses - 1))) if axes else (),
         _boards_before(bench.eyeball.camera, bench.board.size_m),
         _boards_before(bench.tracking.camera, bench.board.size_m),
     )

@@ -2,14 +2,24 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera, SessionPanel
+from wlr_render.captures.photo_session import (
+    BoardPhotograph,
+    CodeSet,
+    PhotoSession,
+    SessionCamera,
+    SessionPanel,
+    StageAxis,
+    StageDescription,
+)
 from wlr_render.captures.photo_session_entries import with_places
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.photo_plan import PhotoPlan
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, stage_axis_count
 from wlr_render.simulation.photographs.visits import SessionVisits
 
 
@@ -24,7 +34,19 @@ def planned_session(
     )
     bare = [f"bare/pose{pose}_{n:02d}.png" for pose in plan.bare_poses for n in range(len(plan.bare))]
     # The first reading once more at the end of each sweep: what moved meanwhile shows there.
-    through = [(pose, f"see_through/pose{pose}_{n:02d}.png") for pose in poses for n in range(len(plan.sweep) + 1)]
+    sweep = len(visits.see_through) // len(poses)
+    through = [
+        (pose, f"pose{pose}_{n:02d}.png", visits.see_through[pose * sweep + n]) for pose in poses for n in range(sweep)
+    ]
+    sizes, axes = bench.options.imperfections, stage_axis_count(bench)
+    sigma = (float(np.radians(sizes.extrinsics_deg)), 1e-3 * sizes.extrinsics_mm)
+
+    def target_photographs(folder: str) -> tuple[BoardPhotograph, ...]:
+        return tuple(
+            BoardPhotograph(root, f"{folder}/{name}", pose, visit.reading, visit.place, eye=bench.eye)
+            for pose, name, visit in through
+        )
+
     session = PhotoSession(
         folder=root,
         device=bench.device.name,
@@ -36,6 +58,8 @@ def planned_session(
         eyeball_camera=eyeball,
         tracking_camera=tracking,
         device_from_tracking=bench.stated_device_from_tracking,
+        tracking_sigma=sigma if all(sigma) else None,
+        stage=StageDescription((StageAxis(),) * axes) if axes else None,
         bare=tuple(
             BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading, eye=bench.eye)
             for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
@@ -45,12 +69,10 @@ def planned_session(
             for pose in poses
             for when in ("before", "after")
         ),
-        see_through=tuple(
-            BoardPhotograph(root, name, pose, visit.reading, eye=bench.eye)
-            for (pose, name), visit in zip(through, visits.see_through, strict=True)
-        ),
+        see_through=target_photographs("see_through"),
+        beside=() if axes else target_photographs("beside"),
         display=tuple(
-            CodeSet(root / "display" / f"{number:02d}", visit.reading, eye=bench.eye)
+            CodeSet(root / "display" / f"{number:02d}", visit.reading, visit.place, eye=bench.eye)
             for number, visit in enumerate(visits.display)
         ),
     )

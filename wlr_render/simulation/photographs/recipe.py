@@ -9,7 +9,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
-from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, design_photo_bench
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, StageKind, design_photo_bench
 from wlr_render.toml_files import Table, read_toml, write_toml
 
 FILE = "simulation.toml"
@@ -61,7 +61,9 @@ def load_recipe(folder: Path) -> SimulationRecipe:
     file = read_toml(folder / FILE)
     table = file.table("bench")
     imperfections = _imperfections(table)
-    own = {each.name: _value(table, each.name) for each in fields(PhotoBenchOptions) if each.name != "imperfections"}
+    numbers = [each.name for each in fields(PhotoBenchOptions) if each.name not in ("imperfections", "stage")]
+    own: dict[str, Any] = {name: _value(table, name) for name in numbers}
+    own["stage"] = table.text("stage", PhotoBenchOptions.stage, get_args(StageKind))
     bench = PhotoBenchOptions(**own, imperfections=imperfections)
     table.finish()
     device = file.text("device")

@@ -42,6 +42,8 @@ def simulate_photo_session(
     Raises:
         BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way.
     """
+    if recipe.bench.stage == "hand":
+        raise BadInputError("Photographs past the optics are not rendered; choose a stage of 1 to 3 axes.")
     bench = recipe.build()  # what cannot be simulated is refused before a folder is made
     root = output_folder(folder)
     pattern = make_pattern(recipe.pattern, bench.optics.panel.pixels)

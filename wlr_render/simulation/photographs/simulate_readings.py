@@ -23,7 +23,7 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
 from wlr_render.simulation.photographs.faults import NO_FAULTS, Exchange, Faults
-from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.photo_bench import PhotoBench, passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
 from wlr_render.simulation.photographs.planned_session import planned_session
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -31,6 +31,8 @@ from wlr_render.simulation.photographs.visits import SessionVisits, Visit, true_
 
 _EDGE_PX = 6.0  # from the edge of the picture to the centre of a dot that is seen whole
 _NEAR = 1.1  # of the picture: beyond, optics do not bring a point into it
+_FROM_OPTICS = 0.93  # of a direction's tangents: a point past the optics is not seen by them there either
+_LEAST_BESIDE = 20
 _COARSE = 24  # camera pixels across, at which the panel is looked for
 
 
@@ -62,7 +64,8 @@ class BenchTruth:
         eyeball: the eyeball lens at its middle focus, as of the panel and of the photographs for the intrinsics.
         eyeball_at_target: the eyeball lens at each target pose.
         tracking: the tracking camera's lens.
-        bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set.
+        bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set; photographs past the
+            optics have the poses of those through them.
         device_from_target: (k, 4, 4) the target's poses before any fault of the sweeps.
         bare_targets, see_through_targets, tracking_targets: (n, 4, 4) device_from_target at each photograph.
         device_from_tracking, stated_device_from_tracking: (4, 4).
@@ -118,7 +121,8 @@ def simulate_readings(
         folder: by which photographs are named; nothing is read or written there.
 
     Raises:
-        BadInputError: an unknown device, eye or pattern, or a fault of a photograph that there is not.
+        BadInputError: an unknown device, eye or pattern, a fault of a photograph that there is not, or a target too far
+            to be seen past the optics by a camera in the hand.
     """
     bench = recipe.build()
     off = np.deg2rad(faults.axis_off_deg)
@@ -141,7 +145,7 @@ def _truth(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faul
     camera = _poses_of(visits.see_through)
     target = np.repeat(bench.device_from_target, sweep, axis=0)
     tracked = np.repeat(bench.device_from_target, 2, axis=0)
-    bare_target = np.stack([bench.device_from_target[each.target_pose] for each in session.bare])
+    bare_target = bench.device_from_target[[each.target_pose for each in session.bare]]
     if (moved := faults.board_moved) is not None:
         # The poses of the bench are those in the sweeps: the bare photographs saw the target elsewhere.
         for number, each in enumerate(session.bare):
@@ -180,7 +184,7 @@ def _truth(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faul
 
 
 def _poses_of(visits: Sequence[Visit]) -> FloatArray:
-    return np.stack([visit.device_from_camera for visit in visits])
+    return np.array([visit.device_from_camera for visit in visits]).reshape(-1, 4, 4)
 
 
 def _known(number: int, numbers: range, kind: str) -> int:
@@ -226,6 +230,14 @@ class _Reader:
             free(each.path, truth.tracking, transforms.inverse(truth.device_from_tracking) @ target)
         for each, camera, target in zip(session.see_through, truth.see_through, truth.see_through_targets, strict=True):
             boards[each.path] = self._through(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
+        for each, camera, target in zip(session.beside, truth.see_through, truth.see_through_targets, strict=False):
+            seen = self._beside(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
+            if len(seen) < _LEAST_BESIDE:
+                raise BadInputError(
+                    f"Past the optics {len(seen)} features of the board are seen at target pose {each.target_pose}; bring "
+                    f"the targets nearer than {max(truth.bench.options.target_depths_m):g} m."
+                )
+            boards[each.path] = seen
         panels = {
             each.folder: self._panel(each.folder, camera)
             for each, camera in zip(session.display, truth.display, strict=True)
@@ -254,6 +266,22 @@ class _Reader:
         pixel = pixel_of_real_point(self.truth.bench.optics, camera, device_from_camera, point[number])
         seen = _inside(pixel, camera.size_px, _EDGE_PX)
         return self._observed(number[seen], pixel[seen], rng)
+
+    def _beside(
+        self, path: Path, camera: LensCamera, device_from_camera: FloatArray, device_from_target: FloatArray
+    ) -> BoardObservation:
+        """The part of the board that is seen past the optics, with some distance from their edge."""
+        rng = self._rng(path)
+        in_camera = transforms.apply(
+            transforms.inverse(device_from_camera) @ device_from_target, self.truth.board_points
+        )
+        pixel, tangents = camera.pixel_of_point(in_camera), in_camera[:, :2] / in_camera[:, 2:]
+        optics, rotation, viewpoint = self.truth.bench.optics, device_from_camera[:3, :3], device_from_camera[:3, 3]
+        seen = _inside(pixel, camera.size_px, _EDGE_PX)
+        for part in (1.0, _FROM_OPTICS):
+            seen &= ~passes_optics(rotation, part * tangents, optics, viewpoint)
+        number = self._chosen(seen, rng)
+        return self._observed(number, pixel[number], rng)
 
     def _chosen(self, seen: BoolArray, rng: np.random.Generator) -> IntArray:
         number = np.flatnonzero(seen)

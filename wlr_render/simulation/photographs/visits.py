@@ -4,26 +4,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.photo_plan import PhotoPlan
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, stage_axis_count
+from wlr_render.simulation.viewpoints import random_in_eye_box
 
-_PLACES, _TURNS, _READINGS, _CREEP = range(17, 21)  # streams of random numbers
+_PLACES, _TURNS, _READINGS, _CREEP, _HAND = range(17, 22)  # streams of random numbers
 _CREEP_TIME = 0.3  # of the session, in which the creep falls to 1 / e
+_HAND_TURN_DEG = 1.5  # of each axis, standard deviation
 _READING_DIGITS = 8  # of metres: an encoder of 10 nm
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """The stage at one place, from arriving until leaving.
+    """The camera at one place, from arriving until leaving.
 
     Attributes:
-        reading: (3,) what its encoders say, metres.
+        reading: (m,) what the encoders of the stage say, metres; None for a camera in the hand.
         device_from_camera: (4, 4) where the eyeball camera really is.
+        place: name of the place of a camera in the hand; "" on a stage.
     """
 
-    reading: FloatArray
+    reading: FloatArray | None
     device_from_camera: FloatArray
+    place: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +50,12 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     """The visits of a session, from the bench's seed.
 
     The stage travels through the bare positions of the first target pose, the sweep of each target pose with a return
-    to its first position, and the bare positions of the other bare target pose. It creeps in this order.
+    to its first position, and the bare positions of the other bare target pose. It creeps in this order. A hand holds
+    the camera anywhere in the eye box, at as many places for each target pose.
     """
+    axes = stage_axis_count(bench)
+    if not axes:
+        return _visits_by_hand(bench, len(plan.sweep))
     sweep = np.concatenate([plan.sweep, plan.sweep[:1]])
     poses, places, bare = len(bench.device_from_target), len(plan.sweep), len(plan.bare)
     commanded = np.concatenate([np.tile(plan.bare, (len(plan.bare_poses), 1)), np.tile(sweep, (poses, 1))])
@@ -67,9 +76,22 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     error = np.concatenate([turn.normal(0.0, 1e-6 * sizes.turn_jitter_urad, commanded.shape), commanded * 0.0], axis=1)
     error[:, 3:] = np.outer(_creep(taken), 1e-6 * sizes.creep_um * direction / np.linalg.norm(direction))
     stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
-    visits = tuple(Visit(own, bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True))
+    visits = tuple(
+        Visit(own[:axes], bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True)
+    )
     through = visits[bare_count:]
     return SessionVisits(visits[:bare_count], through, through[:places])
+
+
+def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
+    rng = np.random.default_rng([bench.options.seed, _HAND, int(bench.eye == "left")])
+    visits = []
+    for pose in range(len(bench.device_from_target)):
+        for number, viewpoint in enumerate(random_in_eye_box(bench.optics.eye_box, count, rng)):
+            turn = transforms.rotations_of_vectors(np.deg2rad(_HAND_TURN_DEG) * rng.standard_normal(3))
+            pose_of_hand = transforms.rigid(turn @ bench.device_from_camera[:3, :3], viewpoint)
+            visits.append(Visit(None, pose_of_hand, f"target {pose}, place {number}"))
+    return SessionVisits((), tuple(visits), tuple(visits[:count]))
 
 
 def _creep(taken: FloatArray) -> FloatArray:
