@@ -19,7 +19,8 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import camera_poses
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 from wlr_render.simulation.photographs.take_photographs import take
-from wlr_render.simulation.photographs.visits import true_camera_posesfrom wlr_render.toml_files import Table
+from wlr_render.simulation.photographs.visits import true_camera_poses
+from wlr_render.toml_files import Table
 
 RECIPE = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions(camera_px=(640, 512)))
 SHIFT = Shift((0.2, -0.1, 0.3), (0.0, 0.05, 0.0))

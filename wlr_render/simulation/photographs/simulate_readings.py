@@ -234,8 +234,8 @@ class _Reader:
             seen = self._beside(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
             if len(seen) < _LEAST_BESIDE:
                 raise BadInputError(
-                    f"Past the optics {len(seen)} features of the board are seen at target pose {each.target_pose}; bring "
-                    f"the targets nearer than {max(truth.bench.options.target_depths_m):g} m."
+                    f"Past the optics {len(seen)} features of the board are seen at target pose {each.target_pose}; "
+                    f"bring the targets nearer than {max(truth.bench.options.target_depths_m):g} m."
                 )
             boards[each.path] = seen
         panels = {
