@@ -35,7 +35,6 @@ THEIRS = {
     "board.toml",
     "device.toml",
     "report.md",
-    "simulation.toml",
 }
 PLACES = [
     ROOT,

@@ -1,0 +1,114 @@
+"""True values behind a simulated session, with the faults that were asked for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.captures.photo_session import PhotoSession
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation.photographs.faults import Faults
+from wlr_render.simulation.photographs.photo_bench import PhotoBench
+from wlr_render.simulation.photographs.visits import SessionVisits, Visit
+
+
+@dataclass(frozen=True, eq=False)
+class BenchTruth:
+    """True values behind a simulated session. Device frame, metres; lists are in the order of those of the session.
+
+    Attributes:
+        bench: the bench, with the stage axes that it had.
+        eyeball: the eyeball lens at its middle focus, as of the panel and of the photographs for the intrinsics.
+        eyeball_at_target: the eyeball lens at each target pose.
+        tracking: the tracking camera's lens.
+        bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set; photographs past the
+            optics have the poses of those through them.
+        device_from_target: (k, 4, 4) the target's poses before any fault of the sweeps.
+        bare_targets, see_through_targets, tracking_targets: (n, 4, 4) device_from_target at each photograph.
+        device_from_tracking, stated_device_from_tracking: (4, 4).
+        stage_axes: (3, 3) displacement = axes @ position, but for the stage's smooth and random errors.
+        board_points: (n, 3) true places of the board's features in the order of `board.indices()`.
+    """
+
+    bench: PhotoBench
+    eyeball: LensCamera
+    eyeball_at_target: tuple[LensCamera, ...]
+    tracking: LensCamera
+    bare: FloatArray
+    see_through: FloatArray
+    display: FloatArray
+    device_from_target: FloatArray
+    bare_targets: FloatArray
+    see_through_targets: FloatArray
+    tracking_targets: FloatArray
+    device_from_tracking: FloatArray
+    stated_device_from_tracking: FloatArray
+    stage_axes: FloatArray
+    board_points: FloatArray
+
+
+def true_values(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faults: Faults) -> BenchTruth:
+    """Where cameras and target stand at each photograph: the frame is the headset's, also after it slipped.
+
+    Raises:
+        BadInputError: a fault of a photograph that there is not.
+    """
+    poses = range(len(bench.device_from_target))
+    sweep = len(session.see_through) // len(poses)
+    camera = _poses_of(visits.see_through)
+    target = np.repeat(bench.device_from_target, sweep, axis=0)
+    tracked = np.repeat(bench.device_from_target, 2, axis=0)
+    bare_target = bench.device_from_target[[each.target_pose for each in session.bare]]
+    if (moved := faults.board_moved) is not None:
+        # The poses of the bench are those in the sweeps: the bare photographs saw the target elsewhere.
+        for number, each in enumerate(session.bare):
+            if each.target_pose == known_number(moved.target_pose, poses, "target pose"):
+                bare_target[number] = moved.shift.moved(bare_target[number])
+    if (moved := faults.board_moved_in_sweep) is not None:
+        pose = known_number(moved.target_pose, poses, "target pose")
+        from_visit = pose * sweep + known_number(moved.visit, range(sweep), "visit")
+        later = slice(from_visit, (pose + 1) * sweep)
+        target[later] = moved.shift.moved(bench.device_from_target[pose])
+        tracked[2 * pose + 1] = target[later.stop - 1]
+    if (slip := faults.headset_slipped) is not None:
+        pose = known_number(slip.target_pose, poses, "target pose")
+        from_visit = pose * sweep + known_number(slip.visit, range(sweep), "visit")
+        now_from_before = transforms.inverse(slip.shift.moved(np.eye(4)))
+        camera[from_visit:] = now_from_before @ camera[from_visit:]
+        target[from_visit:] = now_from_before @ target[from_visit:]
+        tracked[2 * pose + 1 :] = now_from_before @ tracked[2 * pose + 1 :]
+    return BenchTruth(
+        bench=bench,
+        eyeball=bench.eyeball.camera,
+        eyeball_at_target=tuple(bench.eyeball_focused(pose).camera for pose in poses),
+        tracking=bench.tracking.camera,
+        bare=_poses_of(visits.bare),
+        see_through=camera,
+        display=camera[: len(session.display)],
+        device_from_target=bench.device_from_target,
+        bare_targets=bare_target,
+        see_through_targets=target,
+        tracking_targets=tracked,
+        device_from_tracking=bench.device_from_tracking,
+        stated_device_from_tracking=bench.stated_device_from_tracking,
+        stage_axes=bench.stage_axes,
+        board_points=bench.printed.points,
+    )
+
+
+def _poses_of(visits: Sequence[Visit]) -> FloatArray:
+    return np.array([visit.device_from_camera for visit in visits]).reshape(-1, 4, 4)
+
+
+def known_number(number: int, numbers: range, kind: str) -> int:
+    """The number, if a session has it.
+
+    Raises:
+        BadInputError: it has not.
+    """
+    if number not in numbers:
+        raise BadInputError(f"The fault is of {kind} {number}; the session has {numbers.start} to {numbers.stop - 1}.")
+    return number
