@@ -1,19 +1,22 @@
 """Windows of a decoded picture: planes are kept exactly, noise is averaged, outliers are left out."""
 
+import cv2
 import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import Decoded, Rejection, sample
 
 
-def decoded_plane(noise_px=0.0, seed=1, size=(200, 160)):
-    """A picture whose panel position is affine in the camera pixel, all accepted."""
+def decoded_plane(noise_px=0.0, seed=1, size=(200, 160), smoothed=True):
+    """A picture whose panel position is affine in the camera pixel, all accepted; its noise is smoothed or white."""
     width, height = size
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     panel = np.stack([30 + 1.5 * u + 0.1 * v, 20 - 0.05 * u + 1.3 * v], axis=-1)
-    panel = panel + np.random.default_rng(seed).normal(0, noise_px, panel.shape)
+    noise = np.random.default_rng(seed).normal(0, noise_px, panel.shape)
+    panel = panel + (cv2.blur(3 * noise, (3, 3)) if smoothed else noise)
     ones = np.ones((height, width), np.float32)
-    return Decoded(panel.astype(np.float32), noise_px * ones, ones, np.zeros((height, width), np.uint8))
+    whole = np.ones((height, width), np.uint8)
+    return Decoded(panel.astype(np.float32), noise_px * ones, ones, 0 * whole, noise_px * ones, whole)
 
 
 def truth(camera_pixel):
@@ -32,7 +35,7 @@ def test_a_plane_is_kept_at_camera_pixel_centres():
 def test_noise_is_averaged_and_its_size_told():
     samples = sample(decoded_plane(0.1), count=100)
     error = samples.panel_pixel - truth(samples.camera_pixel)
-    assert np.sqrt(np.mean(error**2)) == pytest.approx(0.1 / 9, rel=0.25)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(0.3 * 73 / 729, rel=0.25)
     assert np.sqrt(np.mean((error / samples.sigma_px[:, None]) ** 2)) == pytest.approx(1.0, abs=0.25)
 
 
@@ -43,7 +46,9 @@ def test_strays_and_rejected_pixels_do_not_move_a_sample():
     pixel = np.where(outlier[..., None], clean.pixel + 200.0, clean.pixel)
     pixel[gone] = np.nan
     rejection = np.where(gone, Rejection.UNSURE_BIT, 0).astype(np.uint8)
-    samples = sample(Decoded(pixel, clean.sigma_px, clean.confidence, rejection), count=300)
+    samples = sample(
+        Decoded(pixel, clean.sigma_px, clean.confidence, rejection, clean.noise_px, clean.cell_px), count=300
+    )
     error = samples.panel_pixel - truth(samples.camera_pixel)
     assert np.abs(error).max() < 0.05
 
@@ -52,17 +57,19 @@ def test_a_picture_without_accepted_pixels_gives_no_samples():
     empty = decoded_plane()
     rejection = np.full_like(empty.rejection, Rejection.DARK)
     pixel = np.full_like(empty.pixel, np.nan)
-    assert len(sample(Decoded(pixel, empty.sigma_px, empty.confidence, rejection))) == 0
+    assert len(sample(Decoded(pixel, empty.sigma_px, empty.confidence, rejection, empty.noise_px, empty.cell_px))) == 0
 
 
 def test_the_rim_of_what_is_accepted_is_not_used():
     """Beside the panel's edge blur mixes in what is dark, and positions are drawn inwards."""
-    clean = decoded_plane(0.3)
+    clean = decoded_plane(0.3, smoothed=False)
     rejection = np.zeros_like(clean.rejection)
     rejection[:, 100:] = Rejection.DARK
     pixel = clean.pixel.copy()
     pixel[:, 98:100] -= 1.0  # too little to be an outlier
-    samples = sample(Decoded(pixel, clean.sigma_px, clean.confidence, rejection), count=2000)
+    samples = sample(
+        Decoded(pixel, clean.sigma_px, clean.confidence, rejection, clean.noise_px, clean.cell_px), count=2000
+    )
     error = samples.panel_pixel - truth(samples.camera_pixel)
     beside = samples.camera_pixel[:, 0] > 90
     assert beside.sum() > 50

@@ -29,7 +29,7 @@ def decoded_of(position, accepted=None):
     rejection = np.zeros((HEIGHT, WIDTH), np.uint8) if accepted is None else (~accepted).astype(np.uint8)
     pixel = np.where((rejection == 0)[..., None], position, np.nan).astype(np.float32)
     sure = np.ones((HEIGHT, WIDTH), np.float32)
-    return Decoded(pixel, sure, sure, rejection)
+    return Decoded(pixel, sure, sure, rejection, sure, np.ones(rejection.shape, np.uint8))
 
 
 def two_surfaces(noise_px=0.0):

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray
 
+_SMOOTHED_PX = 3  # width of the windows that `Decoded.pixel` was smoothed with
 _REACH_PX = 4  # of a window to each side, camera pixels
+_SMOOTHING_GAIN = 7.31
+"""Variance of the mean of 9 x 9 smoothed pixels over that of independent ones: (73 / 729)**2 of a photographed pixel's,
+against 1/9 of it in each smoothed pixel, times 81."""
+_HARMONICS_LEFT = 0.02  # least part of the variance of cells that remains: their harmonics, where the wave vanishes
 _FILLED = 0.6  # share of a window's pixels that must be accepted
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
 _RIM_PX = 2  # camera pixels beside a rejected one that are not used
@@ -57,17 +62,23 @@ class Decoded:
     """A decoded set of photographs of one camera position.
 
     Attributes:
-        pixel: (h, w, 2) float32 panel position that each camera pixel shows; NaN where rejected.
+        pixel: (h, w, 2) float32 panel position that each camera pixel shows, from a plane through it and its eight
+            neighbours; NaN where rejected.
         sigma_px: (h, w) float32 estimated standard deviation of `pixel` per axis, panel pixels; NaN where rejected.
         confidence: (h, w) float32, 0 to 1: smallest contrast of the bits and fringes used, as a fraction of full
             contrast.
         rejection: (h, w) uint8, one `Rejection` each.
+        noise_px: (h, w) float32 part of `sigma_px` that is noise of the photographs; the rest is the panel's cells.
+        cell_px: (h, w) uint8, width of the panel's cells that were told apart, panel pixels: 1, or 2, 4 or 8 where the
+            finest bits of a Gray code could not be read.
     """
 
     pixel: NDArray[np.float32]
     sigma_px: NDArray[np.float32]
     confidence: NDArray[np.float32]
     rejection: NDArray[np.uint8]
+    noise_px: NDArray[np.float32]
+    cell_px: NDArray[np.uint8]
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
@@ -86,6 +97,8 @@ class DecodeOptions:
 
     Attributes:
         full_scale: the largest value of the camera: 255, 1023, 4095, 65535.
+        end_of_scale: value from which a pixel is saturated; None: `full_scale`. Infinite for pictures that no camera
+            took, larger than `full_scale` for merged exposures.
         min_contrast: smallest difference of white and black, as a fraction of the full scale; pixels below are dark. A
             pixel is also dark if the difference is not well above the measured noise of the set.
         min_confidence: smallest contrast of a bit or fringe, as a fraction of full contrast.
@@ -94,6 +107,7 @@ class DecodeOptions:
     full_scale: int = 255
     min_contrast: float = 0.02
     min_confidence: float = 0.1
+    end_of_scale: float | None = None
 
 
 DEFAULT_OPTIONS = DecodeOptions()
@@ -120,7 +134,10 @@ class DecodedSamples:
 
 
 def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
-    """Sample about `count` panel positions over the accepted pixels, each from a plane fitted to its window."""
+    """Sample about `count` panel positions over the accepted pixels, each from a plane fitted to its window.
+
+    Its noise follows from that of the pixels, of which neighbours share photographed pixels (`_SMOOTHING_GAIN`).
+    """
     height, width = decoded.rejection.shape
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
     steps = np.arange(-_REACH_PX, _REACH_PX + 1)
@@ -130,10 +147,11 @@ def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
     wanted = np.asarray(inner[v, u])
     v, u = v[wanted], u[wanted]
     dv, du = (offset.ravel() for offset in np.meshgrid(steps, steps, indexing="ij"))
-    panel = decoded.pixel[v[:, None] + dv, u[:, None] + du].astype(np.float64)
     good = np.asarray(inner[v[:, None] + dv, u[:, None] + du])
     enough = np.asarray(good.mean(axis=1) >= _FILLED)
-    u, v, panel, good = u[enough], v[enough], panel[enough], good[enough]
+    u, v, good = u[enough], v[enough], good[enough]
+    window = v[:, None] + dv, u[:, None] + du
+    panel = decoded.pixel[window].astype(np.float64)
     kept = good
     planes, residual = _planes(panel, kept, du, dv)
     for _ in range(_ROUNDS):
@@ -142,13 +160,33 @@ def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
         kept = good & (away <= _CLIP * np.maximum(scatter, 1e-9)[:, None])
         planes, residual = _planes(panel, kept, du, dv)
     number = kept.sum(axis=1)
-    variance = np.sum(np.where(kept[..., None], residual, 0.0) ** 2, axis=(1, 2)) / (2 * (number - 3))
+    noise, total = (
+        np.sum(np.where(kept, each[window].astype(np.float64) ** 2, 0.0), axis=1) / number
+        for each in (decoded.noise_px, decoded.sigma_px)
+    )
+    structure = (total - noise) * _structure_left(planes[:, 1:], decoded.cell_px[v, u])
     return DecodedSamples(
         camera_pixel=np.stack([u, v], axis=-1) + 0.5,
         panel_pixel=planes[:, 0],
-        sigma_px=np.sqrt(variance / number),
+        sigma_px=np.sqrt(_SMOOTHING_GAIN * noise / number + structure),
         scale=np.sqrt(np.abs(np.linalg.det(planes[:, 1:]))),
     )
+
+
+def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray:
+    """(n,) variance of the panel's cells in the mean of a whole window over that in a smoothed pixel.
+
+    Args:
+        slope: (n, 2, 2) change of both panel axes along x (slope[:, 0]) and y, panel pixels per camera pixel.
+        cell_px: (n,) width of the cells.
+    """
+    periods = slope / cell_px[:, None, None]
+    periods -= np.rint(periods)  # a wave with a whole number of periods a pixel looks constant
+    of_window, of_pixel = (
+        np.prod((np.sinc(width * periods) / np.sinc(periods)) ** 2, axis=1)
+        for width in (2 * _REACH_PX + 1, _SMOOTHED_PX)
+    )
+    return np.asarray(np.mean(np.maximum(of_window / np.maximum(of_pixel, 0.05), _HARMONICS_LEFT), axis=-1))
 
 
 def _planes(

@@ -69,6 +69,11 @@ class PhotographFormat:
         return int(np.ceil(self._end))
 
     @property
+    def end_of_scale(self) -> float:
+        """Value from which a pixel counts as saturated; infinite for synthetic pictures."""
+        return np.inf if self.synthetic else self.full_scale
+
+    @property
     def fingerprint(self) -> str:
         """Text that differs between formats that convert differently."""
         return f"{self!r} {hash(self.linearisation)}"

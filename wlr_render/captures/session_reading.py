@@ -7,7 +7,7 @@ import hashlib
 import json
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -195,7 +195,8 @@ class _PanelTask:
         first = read_photograph(paths[0], self.kind)
         # The first picture shows the panel white: what is wrong with it is wrong with all.
         check_photograph(first, self.size_px, self.kind, f"{self.name}/{paths[0].name}")
-        decoded = self.pattern.decode(read_each(paths, self.kind), self.decoding)
+        options = replace(self.decoding, full_scale=self.kind.full_scale, end_of_scale=self.kind.end_of_scale)
+        decoded = self.pattern.decode(read_each(paths, self.kind), options)
         samples = sample(decoded)
         if len(samples) == 0:
             raise BadInputError(_why_nothing(decoded))

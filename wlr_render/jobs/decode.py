@@ -136,13 +136,22 @@ def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
         kind = PhotographFormat(bits=8 * read_photograph(capture.photographs[0]).itemsize)
         lenses = Lenses(capture.camera, capture.projector)
         pattern = GrayCode(capture.panel)
-        return CodePhotographs(folder.name, capture.photographs, pattern, DecodeOptions(kind.full_scale), kind, lenses)
+        return CodePhotographs(
+            folder.name,
+            capture.photographs,
+            pattern,
+            DecodeOptions(kind.full_scale, end_of_scale=kind.end_of_scale),
+            kind,
+            lenses,
+        )
     if options.panel is None:
         raise BadInputError("--panel is missing: how many pixels has the panel, e.g. 1920x1080?")
     pattern_shown = make_pattern(options.pattern, Panel(*options.panel))
     photographs = tuple(photographs_in(folder))
     kind = PhotographFormat(bits=options.bits)
-    return CodePhotographs(folder.name, photographs, pattern_shown, DecodeOptions(kind.full_scale), kind)
+    return CodePhotographs(
+        folder.name, photographs, pattern_shown, DecodeOptions(kind.full_scale, end_of_scale=kind.end_of_scale), kind
+    )
 
 
 def _variants(known: Lenses) -> list[Lenses]:

@@ -150,3 +150,40 @@ def test_any_photograph_missing_is_noticed_before_the_next_bit_or_fringe_is_over
         sentence = refusal(pattern, shown[:missing] + shown[missing + 1 :])
         named = max(int(number) for number in re.findall(r"photograph (\d+)", sentence))
         assert missing - 6 < named < missing + 14 or "is missing" in sentence
+
+
+@pytest.mark.parametrize("name", ["gray", "gray-fringes"])
+def test_one_missing_photograph_is_replaced_by_the_others(sets, toy_camera, errors_of, name):
+    pattern, shown = sets[name]
+    camera = toy_camera(PANEL, size_px=(150, 120), noise=4.0)
+    whole = pattern.decode(shown)
+    for missing in range(len(shown)):
+        decoded = pattern.decode([*shown[:missing], None, *shown[missing + 1 :]])
+        errors, share = errors_of(camera, decoded)
+        assert share > 0.97 * errors_of(camera, whole)[1]
+        assert np.mean(errors > 1) <= 1e-3
+        inner = decoded.accepted & camera.whole()
+        z = (decoded.pixel - camera.truth())[inner] / decoded.sigma_px[inner][:, None]
+        assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3, pattern.names()[missing]
+
+
+def test_what_cannot_be_replaced_is_named(sets):
+    pattern, shown = sets["gray-fringes"]
+    both = [*shown[:2], None, None, *shown[4:]]
+    assert "'u bit 4') and photograph 3" in refusal(pattern, both)
+    steps = [*shown[:-3], None, None, shown[-1]]
+    assert "can do without one step only" in refusal(pattern, steps)
+    assert "white') is missing" in refusal(pattern, [None, *shown[1:3], None, *shown[4:]])
+    assert "'white') is missing" in refusal(sets["fringes"][0], [None, *sets["fringes"][1][1:]])
+
+
+def test_a_gray_code_without_its_finest_bits_gives_coarse_positions(sets, toy_camera):
+    pattern, shown = sets["gray"]
+    camera = toy_camera(PANEL, size_px=(150, 120), noise=4.0)
+    fine = [pattern.names().index(f"{axis} bit {bit}") for axis in "uv" for bit in (0, 1)]
+    decoded = pattern.decode([None if {n, n - 1} & set(fine) else image for n, image in enumerate(shown)])
+    inner = decoded.accepted & camera.whole()
+    assert inner.sum() > 0.9 * camera.whole().sum()
+    assert (decoded.cell_px[inner] == 4).all()
+    z = (decoded.pixel - camera.truth())[inner] / decoded.sigma_px[inner][:, None]
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.3

@@ -59,4 +59,4 @@ def test_the_offset_is_the_mean_of_the_cells_that_a_pixel_sees():
     for left in range(31):
         lines = lines_of(np.array([left]))[:, 0][:, None] * (1 - part) + lines_of(np.array([left + 1])) * part
         reading = read(lines)
-        np.testing.assert_allclose(reading.cell[0] + reading.offset[0], left + part, atol=0.01)
+        np.testing.assert_allclose(reading.position[0] - 0.5, left + part, atol=0.01)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.mappings import Panel
 
@@ -14,7 +15,8 @@ SIZES = st.one_of(st.integers(1, 9), st.integers(10, 70))
 
 
 def decoded(pattern):
-    return pattern.decode(pattern.image(index) for index in range(len(pattern.names())))
+    shown = (pattern.image(index) for index in range(len(pattern.names())))
+    return pattern.decode(shown, DecodeOptions(end_of_scale=np.inf))
 
 
 @pytest.mark.parametrize("name", PATTERNS)

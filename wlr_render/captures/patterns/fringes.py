@@ -88,4 +88,7 @@ class _Hierarchy:
             evidence=evidence,
             weak=np.full(light.lit.shape, Rejection.WEAK_FRINGE, dtype=np.uint8),
             contradiction=contradiction,
+            cell_px=np.ones(light.lit.shape, dtype=np.uint8),
+            blur_px=np.zeros(light.lit.shape, dtype=np.float32),
+            is_counted=False,
         )

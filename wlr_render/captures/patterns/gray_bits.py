@@ -8,7 +8,7 @@ decoded picture is discontinuous. The order with the smallest squared difference
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.patterns.photometry import (
+    INVERSE,
     Grey,
     NoiseMeter,
     PanelLight,
@@ -25,14 +26,17 @@ from wlr_render.captures.patterns.photometry import (
     check_range,
     read_light,
 )
-from wlr_render.captures.patterns.pixel_rejection import neighbour_slices
+from wlr_render.captures.patterns.pixel_rejection import BORDER_WIDTH, neighbour_slices
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 
 _UNMIXED = 0.8  # a stripe that fills the pixel this much adds up with its inverse to white + black at any gamma
-_AROUND = 7  # camera pixels
+_AROUND, _SURROUNDINGS = 7, 31  # widths of windows, camera pixels
 _ODD_SUM = 0.8  # of the contrast: positive + inverse is off by one contrast where one of the two is another bit's
 _ODD_SHARE = 0.2  # of the lit pixels
+
+_ALONE_GAIN = 3.0  # 2 (positive - middle), over positive - inverse: variances (4 + 2) and 2 of a photograph's
+_READABLE = 0.3  # of full evidence: a finer bit that has less does not replace the position of the coarser ones
 
 _LINES = 128  # of neighbours that are compared along each axis of the picture
 _STRONG = 0.35  # of full contrast
@@ -40,7 +44,6 @@ _IMPROVED_BELOW = 0.9  # another order that leaves less of the sum of squared st
 WEAK = 0.5
 """A bit is weak if its median strength is below this part of full contrast."""
 _WELL_LIT = 0.25  # of the contrast that the brightest twentieth of the lit pixels exceeds
-_INVERSE = " inverse"
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class GrayAxis:
 
     def names(self) -> list[str]:
         """Names of its pictures: bits from coarse to fine, each followed by its inverse."""
-        return [f"{self.axis} bit {bit}{inverse}" for bit in reversed(range(self.bits)) for inverse in ("", " inverse")]
+        return [f"{self.axis} bit {bit}{inverse}" for bit in reversed(range(self.bits)) for inverse in ("", INVERSE)]
 
     def line(self, index: int) -> NDArray[np.uint8]:
         """(cells,) 0 or 255: what picture `index` of `names` shows in each cell."""
@@ -77,57 +80,133 @@ class GrayReading:
 
     Attributes:
         cell: int32, from 0; may lie beyond the last cell where bits were misread.
-        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than one, or less where
-            the camera does not resolve the cells.
-        even_border, odd_border: 0 to 1 but for noise, strength of the bit that changes at the cell's even-numbered and
-            at its odd-numbered border: how far the pixel stays clear of that border.
+        position: float32, in cells: the mean of what the pixel sees. Exact where a pixel sees one border at most, and
+            in the mean over cells for any width up to two cells.
+        cell_size: uint8, 1, or 2, 4, 8 where finer bits cannot be read and the position is one in so many cells.
+        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than `cell_size`, or less
+            where the camera does not resolve the cells.
+        noise_gain: as in `AxisReading`, in cells squared.
+        blur: standard deviation of the light that a pixel gathers, in cells, mean of its surroundings.
     """
 
     cell: NDArray[np.int32]
+    position: Grey
+    cell_size: NDArray[np.uint8]
     evidence: Grey
-    even_border: Grey
-    odd_border: Grey
-
-    @property
-    def offset(self) -> Grey:
-        """(h, w) -0.5 to 0.5 but for noise: where in its cell the mean of what the pixel sees lies, in cells.
-
-        Exact where a pixel sees one border at most, and in the mean over cells for any width up to two cells.
-        """
-        side = 1 - 2 * (self.cell & 1).astype(np.float32)  # the even border is the left one of an even cell
-        return np.asarray(0.5 * side * (self.even_border - self.odd_border), dtype=np.float32)
+    noise_gain: Grey
+    blur: Grey
 
 
-def read_gray(axis: GrayAxis, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> GrayReading:
+def read_gray(
+    axis: GrayAxis, reader: PhotographReader, light: PanelLight, noise: NoiseMeter, coarsest: int = 0
+) -> GrayReading:
     """Decode the photographs of one axis.
 
+    A missing photograph of a bit or of its inverse is replaced by the sum of white and black less the other.
+
+    Args:
+        axis: the code.
+        reader: at its first photograph.
+        light: of the set.
+        noise: is updated.
+        coarsest: so many of the finest bits may be unreadable; the position is then that of a coarser cell.
+
     Raises:
-        BadInputError: a photograph is missing, those of a bit and its inverse are not of one bit, or out of order.
+        BadInputError: both photographs of a bit are missing, those of a bit and its inverse are not of one bit, or out
+            of order.
     """
-    per_contrast = light.per_contrast
-    cell = np.zeros(light.contrast.shape, dtype=np.int32)
-    evidence, even, odd = (np.ones(light.contrast.shape, dtype=np.float32) for _ in range(3))
+    shape = light.contrast.shape
+    cell = np.zeros(shape, dtype=np.int32)
+    evidence, even, odd = (np.ones(shape, dtype=np.float32) for _ in range(3))
+    even_gain, odd_gain = (np.ones(shape, dtype=np.float32) for _ in range(2))
+    best = GrayReading(cell, even, np.zeros(shape, dtype=np.uint8), np.full(shape, -1, dtype=np.float32), even, even)
     usual: list[float] = []
-    for _ in range(axis.bits):
-        positive = reader.take()
-        check_range(positive, light, reader)
-        inverse = reader.take()
-        check_range(inverse, light, reader)
-        steady = positive + inverse - 2 * light.middle
-        _check_pair(steady, light, reader)
-        signed = (positive - inverse) * per_contrast
+    unread = 0
+    for bit in reversed(range(axis.bits)):
+        pair = _read_pair(reader, light, noise)
+        if pair is None or unread:
+            unread += 1
+            _check_unread(pair is None, unread + bit, coarsest, axis.bits, reader)
+            continue
+        signed, gain = pair
         strength = np.abs(signed)
         usual.insert(0, float(np.mean(strength[light.lit])))
-        noise.add(steady, light.lit & (strength > _UNMIXED))
         one = signed > 0
         # The bit before this one can still be the one that changes at the even border only if this bit is 1, and the
         # one that could so far only if this bit is 0; the other of the two would move the cell further.
         evidence = np.minimum(evidence, np.where(one, even, odd))
-        even = np.where(one, odd, even)
-        odd = strength
+        even, even_gain = np.where(one, odd, even), np.where(one, odd_gain, even_gain)
+        odd, odd_gain = strength, np.full(shape, gain, dtype=np.float32)
         cell = 2 * cell + (one ^ (cell & 1)).astype(np.int32)
-    check_photograph_order(cell, light.lit, usual, axis.cells, reader)
-    return GrayReading(cell, np.minimum(evidence, _resolved(even + odd, light.lit)), even, odd)
+        if bit <= coarsest:
+            usable = np.minimum(evidence, _resolved(even + odd, light.lit))
+            side = 1 - 2 * (cell & 1).astype(np.float32)  # the even border is the left one of an even cell
+            offset = np.asarray(0.5 * side * (even - odd), dtype=np.float32)
+            size = np.float32(2**bit)
+            found = GrayReading(
+                cell,
+                (cell + np.float32(0.5) + offset) * size,
+                np.full(shape, 2**bit, dtype=np.uint8),
+                usable,
+                # Half the difference of two strengths, each with the noise of a difference and that of the contrast.
+                (0.25 * (even_gain + odd_gain) + offset**2) * size**2,
+                np.clip(2 - _mean_around(even + odd, light.lit, _SURROUNDINGS), 0, 2) / np.float32(BORDER_WIDTH) * size,
+            )
+            best = _better(found, best)
+    if not unread:
+        check_photograph_order(cell, light.lit, usual, axis.cells, reader)
+    if not axis.bits:
+        ones = np.ones(shape, dtype=np.float32)
+        return GrayReading(cell, 0.5 * ones, np.ones(shape, dtype=np.uint8), ones, 0.5 * ones, 0 * ones)
+    return replace(best, cell=cell)
+
+
+def _read_pair(reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> tuple[Grey, float] | None:
+    """(h, w) difference of a bit and its inverse as a part of the contrast, and its variance over that of a difference.
+
+    None if both photographs are missing.
+    """
+    pair = []
+    for _ in range(2):
+        image = reader.take_if_there()
+        if image is not None:
+            check_range(image, light, reader)
+        pair.append(image)
+    positive, inverse = pair
+    if positive is not None and inverse is not None:
+        steady = positive + inverse - 2 * light.middle
+        _check_pair(steady, light, reader)
+        signed = (positive - inverse) * light.per_contrast
+        noise.add(steady, light.lit & (np.abs(signed) > _UNMIXED))
+        return signed, 1.0
+    if positive is None and inverse is None:
+        return None
+    away = positive - light.middle if positive is not None else light.middle - inverse
+    return 2 * away * light.per_contrast, _ALONE_GAIN
+
+
+def _check_unread(missing: bool, levels: int, coarsest: int, bits: int, reader: PhotographReader) -> None:
+    """Refuse a gap of whole bits, unless only the finest are missing."""
+    first, second = reader.label(reader.taken - 2), reader.label(reader.taken - 1)
+    if not missing:
+        raise BadInputError(f"A bit coarser than {first} is missing together with its inverse; take it again.")
+    if levels > coarsest or levels >= bits:
+        raise BadInputError(f"{first} and {second} are missing; one of the two is needed to read the bit.")
+
+
+def _better(found: GrayReading, best: GrayReading) -> GrayReading:
+    """The finer reading where it can be used, or is at least better than the coarser."""
+    finer = (found.evidence >= _READABLE) | (found.evidence > best.evidence)
+    if finer.all():
+        return found
+    return GrayReading(
+        found.cell,
+        np.where(finer, found.position, best.position),
+        np.where(finer, found.cell_size, best.cell_size),
+        np.where(finer, found.evidence, best.evidence),
+        np.where(finer, found.noise_gain, best.noise_gain),
+        np.where(finer, found.blur, best.blur),
+    )
 
 
 def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
@@ -136,10 +215,14 @@ def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
     A pixel w cells wide never lies so close to both borders that the sum falls below 2 / w; where blur takes the finest
     bit, it does at every other border. 1 up to two cells, 0 from four on.
     """
-    window = (_AROUND, _AROUND)
-    total = cv2.boxFilter(borders * lit, -1, window, normalize=False)
-    number = cv2.boxFilter(lit.astype(np.float32), -1, window, normalize=False)
-    return np.asarray(np.clip(2 * total / np.maximum(number, 1) - 1, 0, 1), dtype=np.float32)
+    return np.asarray(np.clip(2 * _mean_around(borders, lit, _AROUND) - 1, 0, 1), dtype=np.float32)
+
+
+def _mean_around(value: Grey, lit: NDArray[np.bool_], width: int) -> Grey:
+    """(h, w) mean over the lit pixels of a window."""
+    total = cv2.boxFilter(value * lit, -1, (width, width), normalize=False)
+    number = cv2.boxFilter(lit.astype(np.float32), -1, (width, width), normalize=False)
+    return np.asarray(total / np.maximum(number, 1), dtype=np.float32)
 
 
 def _check_pair(steady: Grey, light: PanelLight, reader: PhotographReader) -> None:
@@ -260,7 +343,7 @@ class BitStrength:
 
 
 def bit_strengths(
-    photographs: Iterable[Photograph], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
+    photographs: Iterable[Photograph | None], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
 ) -> tuple[BitStrength, ...]:
     """Measure the contrast of each bit that is followed by its inverse; photographs as `pattern.decode` takes them.
 
@@ -273,10 +356,10 @@ def bit_strengths(
     well_lit = light.lit & (light.contrast >= _WELL_LIT * np.percentile(light.contrast[light.lit], 95))
     full = light.contrast[well_lit]
     strengths = []
-    earlier = light.middle
+    earlier: Grey | None = light.middle
     for number, name in enumerate(names[2:], start=2):
-        image = reader.take()
-        if name == names[number - 1] + _INVERSE:
+        image = reader.take_if_there()
+        if name == names[number - 1] + INVERSE and image is not None and earlier is not None:
             strength = np.abs(image - earlier)[well_lit] / full
             strengths.append(_judged(names[number - 1], strength, options.min_confidence))
         earlier = image

@@ -10,14 +10,17 @@ from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
+_COARSEST = 3  # cells of 8 panel pixels: a position in a coarser one is of no use
+
 
 @dataclass(frozen=True)
 class GrayCode(Pattern):
     """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 1920 x 1080 takes 46 pictures.
 
     How much a camera pixel sees of each of two neighbouring panel pixels follows from the grey value of the bit that
-    changes between them, so that positions are finer than a panel pixel. Best where a camera pixel is one to two panel
-    pixels wide, and the camera's grey values are linear in light.
+    changes between them, so that positions are finer than a panel pixel. Where the finest bits cannot be read, the
+    position is one in a cell of 2, 4 or 8 panel pixels, with a larger standard deviation. Best where a camera pixel is
+    one to two panel pixels wide, and the camera's grey values are linear in light.
     """
 
     def axis(self, name: str, length_px: int) -> AxisCode:
@@ -29,12 +32,14 @@ class _GrayPixels(GrayAxis):
     """One axis; the cells are panel pixels."""
 
     def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
-        reading = read_gray(self, reader, light, noise)
+        reading = read_gray(self, reader, light, noise, coarsest=_COARSEST)
         return AxisReading(
-            position=np.asarray(reading.cell + 0.5 + reading.offset, dtype=np.float64),
-            # Half the difference of two strengths, each with the noise of a difference and that of the contrast.
-            noise_gain=0.5 + reading.offset**2,
+            position=reading.position.astype(np.float64),
+            noise_gain=reading.noise_gain,
             evidence=reading.evidence,
             weak=np.full(light.lit.shape, Rejection.UNSURE_BIT, dtype=np.uint8),
             contradiction=np.zeros(light.lit.shape, dtype=np.bool_),
+            cell_px=reading.cell_size,
+            blur_px=reading.blur,
+            is_counted=True,
         )

@@ -88,4 +88,7 @@ class _NumberedFringes:
             evidence=np.minimum(code.evidence, phase.evidence),
             weak=np.where(bits_are_weaker, Rejection.UNSURE_BIT, Rejection.WEAK_FRINGE).astype(np.uint8),
             contradiction=apart,
+            cell_px=np.ones(light.lit.shape, dtype=np.uint8),
+            blur_px=code.blur * np.float32(self._cell_px),
+            is_counted=False,
         )

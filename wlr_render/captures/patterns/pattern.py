@@ -61,10 +61,12 @@ class Pattern(ABC):
         line = self._u.line(index - 2) if index - 2 < of_u else self._v.line(index - 2 - of_u)[:, None]
         return np.array(np.broadcast_to(line, size))
 
-    def decode(self, photographs: Iterable[Photograph], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
+    def decode(self, photographs: Iterable[Photograph | None], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
         """Panel positions from one photograph per picture, in the order of showing.
 
-        Photographs are taken one at a time and not kept, so that the iterable may read them from disk.
+        Photographs are taken one at a time and not kept, so that the iterable may read them from disk. None stands for
+        a missing one: decoding does without a bit or its inverse, one step of a fringe, and white or black if a bit and
+        its inverse follow.
 
         Raises:
             BadInputError: too few or too many photographs, sizes that differ, a set that is over- or under-exposed or

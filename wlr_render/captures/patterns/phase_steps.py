@@ -19,6 +19,7 @@ from wlr_render.numerics.arrays import FloatArray
 _MIN_STEPS, _MIN_PERIOD_PX = 3, 4
 _REVERSED = 0.22
 """Blur wider than a period reverses fringes; a disc leaves 0.13 of their contrast then, a square 0.217 at most."""
+_GAP_NOISE = 2.0  # mean over all phases of the variance with one step calculated, over that from all steps
 _ASKED = 64  # pixels along each side of the picture that are asked whether the steps are in order
 
 _MIN_UNEXPLAINED = 0.02  # mean square of what no waveform explains, as a part of the fringe's
@@ -63,11 +64,13 @@ class FringeReading:
         evidence: amplitude as a part of that of full contrast; 0 where it is so faint that blur may have reversed it.
         steady: grey values, what would be equal for all fringes without noise; its variance is that of a difference
             of two photographs.
+        noise: variance of the phase over that from all steps; more than 1 where a step is missing.
     """
 
     turns: NDArray[np.float64]
     evidence: Grey
     steady: Grey
+    noise: float
 
 
 def check_fringe(period_px: float, steps: int) -> None:
@@ -94,23 +97,53 @@ def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelLight) -
         BadInputError: a photograph is missing, or the steps are not in order.
     """
     first = reader.taken
-    real, imaginary, steady = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
+    real, imaginary, steady, alternating = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(4))
     every = tuple(slice(None, None, max(1, size // _ASKED)) for size in light.contrast.shape)
-    asked = []
-    for step in range(axis.steps):
-        image = reader.take()
-        check_range(image, light, reader)
-        value = image - light.middle
-        asked.append(value[every][light.lit[every]])
+    asked = np.zeros((axis.steps, np.count_nonzero(light.lit[every])), dtype=np.float32)
+    missing: int | None = None
+
+    def add(step: int, value: Grey) -> None:
+        nonlocal real, imaginary, steady
+        asked[step] = value[every][light.lit[every]]
         angle = 2 * np.pi * step / axis.steps
         real += np.float32(np.cos(angle)) * value
         imaginary += np.float32(np.sin(angle)) * value
         steady += value
-    check_step_order(np.array(asked), reader, first)
+
+    for step in range(axis.steps):
+        image = reader.take_if_there()
+        if image is None:
+            _check_gap(axis, missing, step, reader, first)
+            missing = step
+            continue
+        check_range(image, light, reader)
+        value = image - light.middle
+        add(step, value)
+        alternating += np.float32((-1) ** step) * value
+    noise = 1.0
+    if missing is not None:
+        # Without the harmonic of order steps / 2, the sum of all steps with alternating signs is zero.
+        add(missing, np.float32(-((-1) ** missing)) * alternating)
+        noise = _GAP_NOISE
+    check_step_order(asked, reader, first)
     turns = np.arctan2(imaginary, real).astype(np.float64) / (2 * np.pi) % 1
     evidence = np.float32(4 / axis.steps) * np.hypot(real, imaginary) * light.per_contrast
     evidence[evidence < _REVERSED] = 0.0
-    return FringeReading(turns, evidence, np.float32(np.sqrt(2 / axis.steps)) * steady)
+    return FringeReading(turns, evidence, np.float32(np.sqrt(2 / axis.steps)) * steady, noise)
+
+
+def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: PhotographReader, first: int) -> None:
+    """Refuse a second missing step, and one of an odd number of steps."""
+    if missing is not None:
+        raise BadInputError(
+            f"{reader.label(first + missing)} and {reader.label(first + step)} are missing; a fringe can do without "
+            "one step only."
+        )
+    if axis.steps % 2:
+        raise BadInputError(
+            f"{reader.label(first + step)} is missing; a fringe of {axis.steps} steps needs all, one of an even number "
+            "can do without one."
+        )
 
 
 def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
@@ -119,7 +152,7 @@ def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
     The variance of an N-step phase is 2 / N of that of a photograph over the amplitude squared; the amplitude is half
     of the contrast at full evidence, and a photograph has half the variance of a difference.
     """
-    of_phase = 4 / axis.steps / np.maximum(reading.evidence, 1e-3) ** 2
+    of_phase = 4 / axis.steps * reading.noise / np.maximum(reading.evidence, 1e-3) ** 2
     return np.asarray((axis.period_px / (2 * np.pi)) ** 2 * of_phase, dtype=np.float32)
 
 

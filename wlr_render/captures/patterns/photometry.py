@@ -1,6 +1,5 @@
 """Photographs of a set in order, the panel's light in each camera pixel from white and black, and the set's noise."""
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,10 +14,11 @@ from wlr_render.errors import BadInputError
 
 Grey = NDArray[np.float32]
 
+INVERSE = " inverse"
+"""End of the name of a bit's inverse picture."""
 _CLEAR = 4.0  # contrast over its noise, below which a pixel is not lit
 _BEYOND = 0.05  # of the number of lit pixels
 _NOISE_WINDOW = 15
-_BETWEEN = 0.02  # of a warped picture, pixels on its rim
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
 
@@ -28,8 +28,9 @@ class PhotographReader:
     They are numbered from 0, as `Pattern.image` and the files of `show_page` are.
     """
 
-    def __init__(self, photographs: Iterable[Photograph], names: Sequence[str]) -> None:
+    def __init__(self, photographs: Iterable[Photograph | None], names: Sequence[str]) -> None:
         self._source = iter(photographs)
+        self._waiting: list[Photograph | None] = []
         self._names = names
         self._peak: Photograph | None = None
         self.taken = 0
@@ -49,24 +50,66 @@ class PhotographReader:
         """The next photograph, (h, w) float32 grey values.
 
         Raises:
+            BadInputError: there is none, or it has another size or depth than those before.
+        """
+        image = self.take_if_there()
+        if image is None:
+            raise BadInputError(f"{self.label(self.taken - 1)} is missing, and no other photograph replaces it.")
+        return image
+
+    def take_if_there(self) -> Grey | None:
+        """The next photograph as `take` returns it; None where the set has a gap.
+
+        Raises:
             BadInputError: there is none left, or it has another size or depth than those before.
         """
         label = self.label(self.taken)
-        image = next(self._source, None)
-        if image is None:
+        image = self._next(label)
+        self.taken += 1
+        return None if image is None else image.astype(np.float32)
+
+    def references(self) -> tuple[Grey, Grey]:
+        """White and black, the first two photographs; one that is missing is calculated from a bit and its inverse.
+
+        Raises:
+            BadInputError: both are missing, or no bit with its inverse follows.
+        """
+        first = [self.take_if_there(), self.take_if_there()]
+        if first[0] is not None and first[1] is not None:
+            return first[0], first[1]
+        missing = next(number for number in (0, 1) if first[number] is None)
+        given = first[1 - missing]
+        names = self._names[2:4]
+        paired = len(names) == 2 and names[1] == names[0] + INVERSE
+        pair = [self._next(self.label(2 + number)) for number in (0, 1)] if paired else []
+        self._waiting = list(pair)
+        if given is None or len(pair) < 2 or pair[0] is None or pair[1] is None:
+            raise BadInputError(
+                f"{self.label(missing)} is missing, and no bit with its inverse replaces it; take it again."
+            )
+        found = np.add(pair[0], pair[1], dtype=np.float32) - given
+        return (found, given) if missing == 0 else (given, found)
+
+    def _next(self, label: str) -> Photograph | None:
+        if self._waiting:
+            return self._waiting.pop(0)
+        try:
+            image = next(self._source)
+        except StopIteration:
             raise BadInputError(
                 f"{label} is missing: there are {self.taken} photographs for {len(self._names)} pictures shown."
-            )
+            ) from None
+        if image is None:
+            return None
         if self._peak is None:
-            self._peak = _grey_integers(image, label).copy()
+            self._peak = _grey_values(image, label).copy()
         elif image.shape != self._peak.shape or image.dtype != self._peak.dtype:
             raise BadInputError(
                 f"{label} is {describe_pixels(image)}, but those before it are {describe_pixels(self._peak)}; "
                 "take it again."
             )
         np.maximum(self._peak, image, out=self._peak)
-        self.taken += 1
-        return image.astype(np.float32)
+        return image
 
     def finish(self) -> None:
         """Refuse further photographs.
@@ -81,8 +124,8 @@ class PhotographReader:
             )
 
 
-def _grey_integers(image: Photograph, label: str) -> Photograph:
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+def _grey_values(image: Photograph, label: str) -> Photograph:
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16, np.float32):
         raise BadInputError(
             f"{label} must be a grey picture of 8 or 16 bits, not {image.dtype} of shape {image.shape}."
         )
@@ -123,10 +166,10 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelLight:
         BadInputError: white is not brighter than black anywhere, black is brighter than white, or most of what is lit
             is at the end of the scale.
     """
-    white, black = reader.take(), reader.take()
+    white, black = reader.references()
     contrast = white - black
     enough = options.min_contrast * options.full_scale
-    end_of_scale = math.inf if _never_photographed(white, black, options) else options.full_scale
+    end_of_scale = options.full_scale if options.end_of_scale is None else options.end_of_scale
     full = white >= end_of_scale
     bright = contrast >= max(enough, _CLEAR * _noise_of_dark(contrast))
     if np.count_nonzero(contrast <= -enough) > 2 * np.count_nonzero(contrast >= enough):
@@ -148,12 +191,6 @@ def _noise_of_dark(contrast: Grey) -> float:
     """Standard deviation of what the panel does not light: only noise makes it negative."""
     negative = contrast[contrast < 0]
     return float(np.sqrt(np.mean(negative**2))) if negative.size else 0.0
-
-
-def _never_photographed(white: Grey, black: Grey, options: DecodeOptions) -> bool:
-    """Whether these are the pictures themselves, warped perhaps: no camera gives two values only, with no noise."""
-    between = (white > 0) & (white < options.full_scale)
-    return not np.any(black) and float(np.mean(between)) < _BETWEEN
 
 
 def check_range(image: Grey, light: PanelLight, reader: PhotographReader) -> None:

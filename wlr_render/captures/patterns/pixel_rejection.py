@@ -37,6 +37,12 @@ _OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = (
 )  # an outlier lies off its neighbours by more than all of these
 _VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
+BORDER_WIDTH = 1.596
+"""Width over which a blurred border is missing in the strength of its bit, in standard deviations of the blur."""
+_WIDE, _WIDE_FROM = 0.2, 0.72  # slope and start of the rms error of cells that are narrower than the blur, in cells
+_BOX = 0.048  # rms error of a pixel without blur that is 1.5 cells wide, in cells
+_WIDE_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # of the cells, and their shares of its variance
+_WIDE_REST = 0.22  # share of the higher ones
 _NEEDED = 3  # neighbours that agree; fewer at the border of the picture
 _FEW = 400  # pairs that say nothing about the order of photographs
 
@@ -102,6 +108,9 @@ class AxisReading:
         evidence: 0 to 1: the weakest evidence that was needed, as a part of full contrast.
         weak: `Rejection` that is the reason where the evidence is too weak.
         contradiction: where parts of the code exclude each other.
+        cell_px: uint8, width of the cells whose numbers were read, panel pixels: 1, 2, 4 or 8.
+        blur_px: standard deviation of the light that a pixel gathers along the axis, panel pixels; 0 if unknown.
+        is_counted: whether the position is a number of cells, and not a phase.
     """
 
     position: FloatArray
@@ -109,6 +118,9 @@ class AxisReading:
     evidence: Grey
     weak: NDArray[np.uint8]
     contradiction: NDArray[np.bool_]
+    cell_px: NDArray[np.uint8]
+    blur_px: Grey
+    is_counted: bool
 
 
 def combine_axes(
@@ -138,18 +150,21 @@ def combine_axes(
     rejection = _rejected_alone(readings, light, peak, np.sqrt(relative), options, panel)
     alone = rejection == Rejection.ACCEPTED
     step = _typical_step(position, alone)
-    valid = alone & _agrees_with_neighbours(position, alone, step)
-    outlier = np.maximum(max(_OUTLIER_PX, _OUTLIER_STEPS * step), _OUTLIER_SIGMAS * np.sqrt(variance))
+    cell = np.maximum(*(reading.cell_px for reading in readings))
+    valid = alone & _agrees_with_neighbours(position, alone, step, cell)
+    outlier = np.maximum(np.maximum(_OUTLIER_PX * cell, _OUTLIER_STEPS * step), _OUTLIER_SIGMAS * np.sqrt(variance))
     valid &= np.all(np.abs(fit_planes(position, valid).value - position) <= outlier, axis=0)
     rejection[alone & ~valid] = Rejection.ISOLATED
     fit = fit_planes(position, valid)
     by_noise = variance * fit.gain
-    vague = valid & (by_noise > _VAGUE_PX**2)
+    vague = valid & (by_noise > (_VAGUE_PX * cell) ** 2)
     rejection[vague], valid = readings[0].weak[vague], valid & ~vague
-    sigma = np.sqrt(by_noise + _pixel_structure(fit))
+    structure = np.mean([_cell_structure(*both) for both in zip(fit.slope, readings, strict=True)], axis=0)
     return Decoded(
+        cell_px=cell,
         pixel=np.where(valid[..., None], np.moveaxis(fit.value, 0, -1), np.nan).astype(np.float32),
-        sigma_px=np.where(valid, sigma, np.nan).astype(np.float32),
+        sigma_px=np.where(valid, np.sqrt(by_noise + structure), np.nan).astype(np.float32),
+        noise_px=np.where(valid, np.sqrt(by_noise), np.nan).astype(np.float32),
         confidence=np.clip(np.minimum(*(each.evidence for each in readings)), 0, 1) * light.lit,
         rejection=rejection,
     )
@@ -171,7 +186,7 @@ def _rejected_alone(
         (_partly_lit(light.contrast), Rejection.PARTLY_LIT),
         *((each.evidence < np.maximum(options.min_confidence, _SURE * noise), each.weak) for each in readings),
         (u.contradiction | v.contradiction, Rejection.CONTRADICTION),
-        (_outside(u.position, panel.width_px) | _outside(v.position, panel.height_px), Rejection.OUTSIDE_PANEL),
+        (_outside(u, panel.width_px) | _outside(v, panel.height_px), Rejection.OUTSIDE_PANEL),
     )
     wheres, names = zip(*reasons, strict=True)
     return np.asarray(np.select(wheres, names, Rejection.ACCEPTED), dtype=np.uint8)
@@ -184,23 +199,43 @@ def _partly_lit(contrast: Grey) -> Mask:
     return np.asarray((contrast < _EDGE * brightest) | (darkest < _BESIDE_EDGE * contrast))
 
 
-def _outside(position: FloatArray, length_px: int) -> Mask:
-    return (position < -_OVERHANG_PX) | (position > length_px + _OVERHANG_PX)
+def _outside(reading: AxisReading, length_px: int) -> Mask:
+    overhang = _OVERHANG_PX * reading.cell_px
+    return np.asarray((reading.position < -overhang) | (reading.position > length_px + overhang))
 
 
-def _pixel_structure(fit: LocalFit) -> FloatArray:
-    """(h, w) variance that the panel's own pixels leave in a mean over the window, mean of both axes.
+def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
+    """(h, w) variance that the panel's cells leave in a mean over the window, panel pixels squared.
 
-    A mean over the light of a window is the mean of pixel centres, and floor(x) + 1/2 - x is a saw-tooth of period 1
-    whose harmonic n has the amplitude 1 / (pi n); the window, seen on the panel, is |slope| * WINDOW wide along each
-    axis of the picture, which leaves a sinc of each.
+    The cell number of a point is its position plus a saw-tooth of period 1, whose harmonic n has the amplitude
+    1 / (pi n). The light that a pixel gathers reduces it, here by a Gaussian, and so does the mean over the window. A
+    wide pixel sees more than one border; what that adds to counted cells is an empirical fit to blurred Gray codes.
+
+    Args:
+        slope: (2, h, w) panel pixels per camera pixel along x and y.
+        reading: of the axis.
     """
-    variance = np.zeros(fit.gain.shape)
-    for slope in fit.slope:
-        for n in _PIXEL_HARMONICS:
-            left = np.sinc(n * WINDOW * slope[0]) * np.sinc(n * WINDOW * slope[1])
-            variance += 0.25 * (left / (np.pi * n)) ** 2
-    return variance
+    cell = reading.cell_px.astype(np.float64)
+    per_pixel = slope / cell
+    blur = np.maximum(reading.blur_px**2, np.sum(slope**2, axis=0) / 12) / cell**2
+    variance = np.zeros(cell.shape)
+    for n in _PIXEL_HARMONICS:
+        variance += 0.5 * (np.exp(-2 * (np.pi * n) ** 2 * blur) / (np.pi * n)) ** 2 * _left_of_wave(n * per_pixel)
+    if reading.is_counted:
+        wide = _WIDE * np.maximum(BORDER_WIDTH * np.sqrt(blur) - _WIDE_FROM, 0)
+        # A sharp pixel between one and two cells wide: a box is no Gaussian.
+        width = np.sqrt(np.sum(per_pixel**2, axis=0))
+        sharp = np.clip(2 - np.sqrt(blur) * BORDER_WIDTH / np.maximum(0.5 * width, 1e-6), 0, 1)
+        wide = np.hypot(wide, _BOX * sharp * np.abs(np.sin(np.pi * width)) * (width > 1))
+        waves = [share * _left_of_wave(n * per_pixel) for n, share in _WIDE_HARMONICS]
+        variance += wide**2 * (np.sum(waves, axis=0) + _WIDE_REST / WINDOW**2)
+    return np.asarray(cell**2 * variance)
+
+
+def _left_of_wave(frequency: FloatArray) -> FloatArray:
+    """(h, w) part of a wave's variance that the mean over the window leaves; (2, h, w) periods per pixel in x and y."""
+    alias = frequency - np.rint(frequency)
+    return np.asarray(np.prod((np.sinc(WINDOW * alias) / np.sinc(alias)) ** 2, axis=0))
 
 
 def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
@@ -228,18 +263,19 @@ def _typical_step(position: FloatArray, valid: Mask) -> float:
     return float(np.median(found)) if found.size else 0.0
 
 
-def _agrees_with_neighbours(position: FloatArray, valid: Mask, step: float) -> Mask:
-    """(h, w) where at least three neighbours, and half of the valid ones, lie about one step away at most.
+def _agrees_with_neighbours(position: FloatArray, valid: Mask, step: float, cell_px: NDArray[np.uint8]) -> Mask:
+    """(h, w) where at least three neighbours, and half of the valid ones, lie about one step or cell away at most.
 
     Raises:
         BadInputError: most neighbours of most pixels lie elsewhere.
     """
-    tolerance = 1 + 3 * step
+    tolerance = (cell_px + 3 * step).astype(np.float32)
     there_are, agreeing, present = (np.zeros(valid.shape, dtype=np.uint8) for _ in range(3))
     for offset in ((1, 0), (0, 1), (1, 1), (-1, 1)):  # each pair of neighbours once
         here, there = neighbour_slices(*offset)
         both = valid[here] & valid[there]
-        agree = both & np.all(np.abs(position[:, *there] - position[:, *here]) <= tolerance, axis=0)
+        near = np.maximum(tolerance[here], tolerance[there])
+        agree = both & np.all(np.abs(position[:, *there] - position[:, *here]) <= near, axis=0)
         for side in (here, there):
             there_are[side] += 1
             present[side] += both
