@@ -1,5 +1,7 @@
 """Windows of a decoded picture: planes are kept exactly, noise is averaged, outliers are left out."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -57,7 +59,7 @@ def test_a_picture_without_accepted_pixels_gives_no_samples():
     empty = decoded_plane()
     rejection = np.full_like(empty.rejection, Rejection.DARK)
     pixel = np.full_like(empty.pixel, np.nan)
-    assert len(sample(Decoded(pixel, empty.sigma_px, empty.confidence, rejection, empty.noise_px, empty.cell_px))) == 0
+    assert len(sample(replace(empty, pixel=pixel, rejection=rejection))) == 0
 
 
 def test_the_rim_of_what_is_accepted_is_not_used():

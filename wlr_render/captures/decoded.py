@@ -14,6 +14,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 _SMOOTHED_PX = 3  # width of the windows that `Decoded.pixel` was smoothed with
 _REACH_PX = 4  # of a window to each side, camera pixels
+_COARSE_SIGMA = 0.15  # of the width of cells of several panel pixels
 _SMOOTHING_GAIN = 7.31
 """Variance of the mean of 9 x 9 smoothed pixels over that of independent ones: (73 / 729)**2 of a photographed pixel's,
 against 1/9 of it in each smoothed pixel, times 81."""
@@ -164,13 +165,23 @@ def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
         np.sum(np.where(kept, each[window].astype(np.float64) ** 2, 0.0), axis=1) / number
         for each in (decoded.noise_px, decoded.sigma_px)
     )
-    structure = (total - noise) * _structure_left(planes[:, 1:], decoded.cell_px[v, u])
+    unread = coarse_variance(decoded.cell_px[v, u])
+    structure = np.maximum(total - noise - unread, 0) * _structure_left(planes[:, 1:], decoded.cell_px[v, u]) + unread
     return DecodedSamples(
         camera_pixel=np.stack([u, v], axis=-1) + 0.5,
         panel_pixel=planes[:, 0],
         sigma_px=np.sqrt(_SMOOTHING_GAIN * noise / number + structure),
         scale=np.sqrt(np.abs(np.linalg.det(planes[:, 1:]))),
     )
+
+
+def coarse_variance(cell_px: NDArray[np.uint8]) -> FloatArray:
+    """(...) least variance of positions in cells of several panel pixels, panel pixels squared; no mean reduces it.
+
+    Fine bits fade not by blur alone, but also by indirect light, which shifts the position: measured on photographs of
+    a projector, docs/measured-data.md.
+    """
+    return np.where(cell_px > 1, (_COARSE_SIGMA * cell_px.astype(np.float64)) ** 2, 0.0)
 
 
 def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray:

@@ -140,7 +140,7 @@ def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
             folder.name,
             capture.photographs,
             pattern,
-            DecodeOptions(kind.full_scale, end_of_scale=kind.end_of_scale),
+            _decode_options(kind),
             kind,
             lenses,
         )
@@ -149,9 +149,11 @@ def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
     pattern_shown = make_pattern(options.pattern, Panel(*options.panel))
     photographs = tuple(photographs_in(folder))
     kind = PhotographFormat(bits=options.bits)
-    return CodePhotographs(
-        folder.name, photographs, pattern_shown, DecodeOptions(kind.full_scale, end_of_scale=kind.end_of_scale), kind
-    )
+    return CodePhotographs(folder.name, photographs, pattern_shown, _decode_options(kind), kind)
+
+
+def _decode_options(kind: PhotographFormat) -> DecodeOptions:
+    return DecodeOptions(kind.full_scale, end_of_scale=kind.end_of_scale)
 
 
 def _variants(known: Lenses) -> list[Lenses]:

@@ -102,7 +102,7 @@ def test_blur_over_many_panel_pixels_leaves_fringes_and_coarser_cells_of_a_gray_
     assert coarse.cell_px[inner].min() == 4
     off = (coarse.pixel - camera.truth())[inner]
     assert np.abs(off).max() < 0.6
-    assert 0.7 < np.sqrt(np.mean((off / coarse.sigma_px[inner][:, None]) ** 2)) < 1.3
+    assert np.sqrt(np.mean((off / coarse.sigma_px[inner][:, None]) ** 2)) < 1  # indirect light may add as much
 
 
 @pytest.mark.parametrize("name", ["gray", "gray-fringes"])

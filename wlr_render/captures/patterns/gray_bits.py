@@ -166,23 +166,24 @@ def _read_pair(reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -
 
     None if both photographs are missing.
     """
-    pair = []
-    for _ in range(2):
-        image = reader.take_if_there()
-        if image is not None:
-            check_range(image, light, reader)
-        pair.append(image)
-    positive, inverse = pair
+    positive = _take_checked(reader, light)
+    inverse = _take_checked(reader, light)
     if positive is not None and inverse is not None:
         steady = positive + inverse - 2 * light.middle
         _check_pair(steady, light, reader)
         signed = (positive - inverse) * light.per_contrast
         noise.add(steady, light.lit & (np.abs(signed) > _UNMIXED))
         return signed, 1.0
-    if positive is None and inverse is None:
-        return None
-    away = positive - light.middle if positive is not None else light.middle - inverse
-    return 2 * away * light.per_contrast, _ALONE_GAIN
+    if positive is not None:
+        return 2 * (positive - light.middle) * light.per_contrast, _ALONE_GAIN
+    return None if inverse is None else (2 * (light.middle - inverse) * light.per_contrast, _ALONE_GAIN)
+
+
+def _take_checked(reader: PhotographReader, light: PanelLight) -> Grey | None:
+    image = reader.take_if_there()
+    if image is not None:
+        check_range(image, light, reader)
+    return image
 
 
 def _check_unread(missing: bool, levels: int, coarsest: int, bits: int, reader: PhotographReader) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
+from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection, coarse_variance
 from wlr_render.captures.patterns.photometry import Grey, PanelLight
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
@@ -229,7 +229,7 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
         wide = np.hypot(wide, _BOX * sharp * np.abs(np.sin(np.pi * width)) * (width > 1))
         waves = [share * _left_of_wave(n * per_pixel) for n, share in _WIDE_HARMONICS]
         variance += wide**2 * (np.sum(waves, axis=0) + _WIDE_REST / WINDOW**2)
-    return np.asarray(cell**2 * variance)
+    return np.asarray(cell**2 * variance + coarse_variance(reading.cell_px))
 
 
 def _left_of_wave(frequency: FloatArray) -> FloatArray:
