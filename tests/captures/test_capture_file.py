@@ -4,8 +4,9 @@ import json
 import numpy as np
 import pytest
 
-from wlr_render.captures.capture_file import load_captures, save_captures
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.capture_file import load_captures, load_observations, save_captures
+from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.observation_table import observation_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
@@ -35,6 +36,14 @@ SEE_THROUGH = SeeThroughCaptures(
     np.arange(20) % 2,
     0.0,
 )
+RECORDED = Conditions.recorded(
+    20,
+    visit=np.arange(20) // 4,
+    channel=np.arange(20) % 3,
+    time_s=40.0 * (np.arange(20) // 4),
+    travel=1.0,
+    stage=RNG.normal(0, 0.01, (20, 2)),
+)
 
 
 def assert_same(first, second):
@@ -47,13 +56,69 @@ def assert_same(first, second):
             np.testing.assert_array_equal(a, b)
 
 
+def assert_same_captures(read, captures):
+    """Equal but for conditions, which a file of captures without any reads as not recorded."""
+    for part in ("display", "see_through"):
+        found, expected = getattr(read, part), getattr(captures, part)
+        assert (found is None) == (expected is None)
+        if expected is not None:
+            bare = {"conditions": None} | ({"target_point": None} if part == "see_through" else {})
+            assert_same(dataclasses.replace(found, **bare), dataclasses.replace(expected, **bare))
+
+
 @pytest.mark.parametrize("captures", [EyeCaptures(DISPLAY), EyeCaptures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
 def test_captures_come_back_exactly(tmp_path, captures):
     read = load_captures(save_captures(tmp_path / "eye.npz", captures))
-    assert_same(read.display, captures.display)
-    assert (read.see_through is None) == (captures.see_through is None)
-    if captures.see_through is not None:
-        assert_same(read.see_through, captures.see_through)
+    assert_same_captures(read, captures)
+    assert np.isnan(read.display.conditions.time_s).all()
+
+
+def test_a_table_comes_back_with_its_conditions_and_all_colours(tmp_path):
+    table = observation_table(dataclasses.replace(DISPLAY, conditions=RECORDED), SEE_THROUGH)
+    path = save_captures(tmp_path / "eye.npz", table)
+    read = load_observations(path)
+    assert_same(read, table)
+    assert_same(read.display().conditions, RECORDED)
+    assert np.isnan(read.see_through().conditions.stage).all()
+    green = load_captures(path).display
+    np.testing.assert_array_equal(green.pixel, DISPLAY.pixel[RECORDED.channel == 1])
+
+
+def test_a_table_of_targets_alone_has_no_display_to_fit(tmp_path):
+    path = save_captures(tmp_path / "eye.npz", observation_table(None, SEE_THROUGH, Panel(10, 8)))
+    assert len(load_observations(path).see_through()) == 20
+    with pytest.raises(BadInputError, match=r"eye\.npz: captures: there are none of the panel"):
+        load_captures(path)
+    with pytest.raises(BadInputError, match="neither of the panel nor of a target"):
+        observation_table(None, None)
+
+
+def of_version_1(captures):
+    """Arrays of a file as version 1 had them."""
+    box = {"centre_m": EYE_BOX.centre.tolist(), "size_m": EYE_BOX.size.tolist()}
+    half = box | {"size_m": (EYE_BOX.size * 0.5).tolist()}
+    header = {
+        "format": "wlr-captures",
+        "version": 1,
+        "frame": "openxr",
+        "units": {"length": "m", "sigma": "arcmin", "pixel": "px"},
+        "device": "toy",
+        "eye": "left",
+        "panel": {"width_px": 10, "height_px": 8},
+        "eye_box": box,
+        "see_through_eye_box": None if captures.see_through is None else half,
+    }
+    arrays = {"header": np.array(json.dumps(header))}
+    for part in ("display", "see_through"):
+        rows = vars(getattr(captures, part)) if getattr(captures, part) else {}
+        arrays |= {f"{part}_{name}": value for name, value in rows.items() if isinstance(value, np.ndarray)}
+    return arrays
+
+
+@pytest.mark.parametrize("captures", [EyeCaptures(DISPLAY), EyeCaptures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
+def test_files_of_version_1_are_read(tmp_path, captures):
+    np.savez(tmp_path / "eye.npz", **of_version_1(captures))
+    assert_same_captures(load_captures(tmp_path / "eye.npz"), captures)
 
 
 def rewritten(tmp_path, header, arrays):
@@ -61,6 +126,8 @@ def rewritten(tmp_path, header, arrays):
     path = save_captures(tmp_path / "eye.npz", EyeCaptures(DISPLAY, SEE_THROUGH))
     with np.load(path) as archive:
         content = dict(archive)
+    if "display_pixel" in arrays or "see_through_point" in arrays:
+        content = of_version_1(EyeCaptures(DISPLAY, SEE_THROUGH))
     content["header"] = np.array(json.dumps(json.loads(str(content["header"])) | header))
     content |= arrays
     np.savez(path, **{name: value for name, value in content.items() if value is not None})
@@ -71,7 +138,7 @@ def rewritten(tmp_path, header, arrays):
     ("header", "arrays", "sentence"),
     [
         ({"format": "other"}, {}, "is not a capture file"),
-        ({"version": 9}, {}, "has version 9; this program reads version 1"),
+        ({"version": 9}, {}, "has version 9; this program reads versions 1 and 2"),
         ({"frame": "opencv"}, {}, "must be in frame 'openxr'"),
         ({"eye": "middle"}, {}, "'eye' is 'middle'"),
         ({"eye_box": {"centre_m": [0, 0, 0]}}, {}, "key 'size_m' is missing"),
@@ -80,6 +147,12 @@ def rewritten(tmp_path, header, arrays):
         ({}, {"display_pixel": None}, "the array 'display_pixel' is missing"),
         ({}, {"display_pixel": np.zeros((3, 2))}, r"'pixel' must have shape \(20, 2\)"),
         ({}, {"see_through_point": None}, "the array 'see_through_point' is missing"),
+        ({}, {"feature": None}, "the array 'feature' is missing"),
+        ({}, {"feature": np.zeros((40, 2))}, r"'feature' must have shape \(40, 3\)"),
+        ({}, {"viewpoint": np.zeros((3, 3))}, "columns differ in length"),
+        ({}, {"time_s": np.zeros(3)}, r"'time_s' must have shape \(40,\)"),
+        ({}, {"kind": np.full(40, 7)}, "'kind' must be 0"),
+        ({"see_through_eye_box": None}, {}, "there are real points, but no 'see_through_eye_box'"),
     ],
 )
 def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, arrays, sentence):

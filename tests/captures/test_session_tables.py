@@ -59,8 +59,25 @@ def test_columns_may_come_in_any_order_and_optional_groups_be_absent(tmp_path):
     rows = np.stack([columns[name] for name in reversed(required)], axis=1)
     path = tmp_path / "seethrough.csv"
     np.savetxt(path, rows, "%.15g", ",", header=",".join(reversed(required)), comments="")
-    travel = {"travel": np.ones(len(rows))}
-    assert_columns(read_table(path, SEE_THROUGH), {name: columns[name] for name in required} | travel)
+    absent = {"travel": np.ones(len(rows)), "time_s": np.zeros(len(rows))}
+    assert_columns(read_table(path, SEE_THROUGH), {name: columns[name] for name in required} | absent)
+
+
+def test_without_times_a_place_may_be_visited_twice(tmp_path):
+    path = tmp_path / "display.csv"
+    rows = np.loadtxt(ROWS.splitlines()[1:], delimiter=",")
+    header = ROWS.splitlines()[0].split(",")
+    rows = np.concatenate([rows, rows])
+    rows[len(rows) // 2 :, header.index("capture")] += 100
+    for kept, message in ((slice(None), "has the same setup"), ([n for n in header if n != "time_s"], None)):
+        names = header[kept] if isinstance(kept, slice) else kept
+        columns = rows[:, [header.index(name) for name in names]]
+        np.savetxt(path, columns, "%.15g", ",", header=",".join(names), comments="")
+        if message is None:
+            assert not read_table(path, DISPLAY)["time_s"].any()
+        else:
+            with pytest.raises(BadInputError, match=message):
+                read_table(path, DISPLAY)
 
 
 @pytest.mark.parametrize("axes", [np.eye(3), OPENXR_FROM_OPENCV], ids=["openxr", "opencv"])

@@ -1,11 +1,12 @@
 """What calibration is given is, by the bench that is believed, where light truly goes."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wlr_render.captures.correspondences import Conditions
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
@@ -13,7 +14,7 @@ from wlr_render.geometry.transforms import rigid
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.session_captures import captures_of, see_through_captures
+from wlr_render.simulation.session_captures import captures_of, observations_of, see_through_captures, session_of
 from wlr_render.simulation.simulate_session import simulate
 
 CAPTURES, ROWS = 4, 15
@@ -102,6 +103,47 @@ def test_captures_of_a_bench_that_is_right_are_where_its_optics_send_light(bench
     assert arcmin_between(seen.view_dir_of_real_point(world.point, world.viewpoint).value, world.view_dir).max() < 1e-5
     assert len(display) == len(plan.display) // 3
     assert len(world) == len(plan.see_through)
+
+
+@pytest.mark.parametrize("disturbance", [*DISTURBANCES, "all"])
+def test_observations_become_the_session_that_they_were_made_of(bench, plan, disturbance):
+    for change in DISTURBANCES.values() if disturbance == "all" else [DISTURBANCES[disturbance]]:
+        bench = change(bench)
+    rng = np.random.default_rng(7)
+    turned = Rotation.from_rotvec(rng.normal(0, 0.02, (len(plan.display), 3))).as_matrix()
+    height = rng.normal(0, 1e-3, len(plan.see_through))
+    plan = replace(
+        plan,
+        display=replace(plan.display, orientation=turned),
+        see_through=replace(plan.see_through, orientation=turned, height=height),
+    )
+    session = Session("night", plan, simulate(bench, plan))
+    found = session_of(bench, observations_of(bench, session), "night")
+    for part in ("display", "see_through"):
+        for field in fields(getattr(plan, part)):
+            a, b = (getattr(getattr(each, part), field.name) for each in (found.plan, plan))
+            assert (a is None) == (b is None), field.name
+            if b is not None:
+                np.testing.assert_allclose(a, b, atol=1e-11, err_msg=field.name)
+    np.testing.assert_allclose(found.readings.panel_pixel, session.readings.panel_pixel, atol=1e-9)
+    np.testing.assert_allclose(found.readings.dot_pixel, session.readings.dot_pixel, atol=1e-8)
+
+
+def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench, plan):
+    table = observations_of(bench, Session("night", plan, simulate(bench, plan)))
+    with pytest.raises(BadInputError, match=r"night: the captures are of northstar \(right eye\), the bench is of"):
+        session_of(replace(bench, eye="left"), table, "night")
+    for poses, words in (
+        (bench.target.device_from_target[:1], r"name target pose 1, but the bench has 1 \[\[target_pose\]\]"),
+        (bench.target.device_from_target + rigid(np.zeros((3, 3)), np.array([0, 0, 0.1])), "lie up to 100 mm off"),
+    ):
+        moved = replace(bench, target=Target(poses, np.full(len(poses), 0.02)))
+        with pytest.raises(BadInputError, match=words):
+            session_of(moved, table, "night")
+    behind = replace(bench, camera=replace(bench.camera, device_from_camera=np.diag([-1.0, 1.0, -1.0])))
+    unrecorded = replace(table, conditions=Conditions.recorded(len(table)))
+    with pytest.raises(BadInputError, match="the camera looks back"):
+        session_of(behind, unrecorded, "night")
 
 
 @pytest.mark.parametrize("disturbance", [name for name in DISTURBANCES if name != "nothing"])

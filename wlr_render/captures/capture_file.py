@@ -1,12 +1,13 @@
-"""Capture files: one eye's `EyeCaptures` as one .npz.
+"""Capture files: the `ObservationTable` of one eye as one .npz.
 
 The archive holds `header`, a JSON text with
 
-    format "wlr-captures", version 1, frame "openxr", units {"length": "m", "sigma": "arcmin", "pixel": "px"},
+    format "wlr-captures", version 2, frame "openxr", units {"length": "m", "sigma": "arcmin", "pixel": "px"},
     device, eye, panel {width_px, height_px}, eye_box {centre_m, size_m}, see_through_eye_box or null
 
-and one array per attribute, named `display_viewpoint`, `display_pixel`, ..., `see_through_point`, ... as in
-`captures.correspondences`.
+and one array for each column of the table and of its conditions. Conditions that no row has recorded are omitted.
+Version 1, which is still read, has one array per attribute of `captures.correspondences`, named `display_viewpoint`,
+..., `see_through_point`, ..., and no conditions.
 """
 
 import json
@@ -19,40 +20,57 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.observation_table import COLUMNS, ObservationTable, observation_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_arrays
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.toml_files import Table
 
 FORMAT = "wlr-captures"
-VERSION = 1
+VERSION = 2
 _UNITS = {"length": "m", "sigma": "arcmin", "pixel": "px"}
+_CONDITIONS = tuple(each.name for each in fields(Conditions))
 
 
-def save_captures(path: str | Path, captures: EyeCaptures) -> Path:
+def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) -> Path:
     """Write a capture file whole or not at all; the name must end in .npz."""
     if Path(path).suffix != ".npz":
         raise BadInputError(f"{path}: a capture file must be named *.npz.")
-    display, see_through = captures.display, captures.see_through
+    table = captures
+    if isinstance(table, EyeCaptures):
+        table = observation_table(table.display, table.see_through)
+    box = table.see_through_eye_box
     header = {
         "format": FORMAT,
         "version": VERSION,
         "frame": "openxr",
         "units": _UNITS,
-        "device": display.device,
-        "eye": display.eye,
-        "panel": {"width_px": display.panel.width_px, "height_px": display.panel.height_px},
-        "eye_box": _box_record(display.eye_box),
-        "see_through_eye_box": None if see_through is None else _box_record(see_through.eye_box),
+        "device": table.device,
+        "eye": table.eye,
+        "panel": {"width_px": table.panel.width_px, "height_px": table.panel.height_px},
+        "eye_box": _box_record(table.eye_box),
+        "see_through_eye_box": None if box is None else _box_record(box),
     }
-    arrays = {"header": np.array(json.dumps(header))} | _arrays("display", display)
-    if see_through is not None:
-        arrays |= _arrays("see_through", see_through)
-    return write_arrays(path, arrays)
+    conditions = {name: getattr(table.conditions, name) for name in _CONDITIONS}
+    recorded = {name: values for name, values in conditions.items() if _is_recorded(values)}
+    columns = {name: getattr(table, name) for name in COLUMNS}
+    return write_arrays(path, {"header": np.array(json.dumps(header))} | columns | recorded)
 
 
 def load_captures(path: str | Path) -> EyeCaptures:
+    """Read what a fit takes from a capture file: the panel in one colour, and see-through.
+
+    Raises:
+        BadInputError: as `load_observations`, or there are no observations of the panel.
+    """
+    try:
+        return load_observations(path).captures()
+    except BadInputError as error:
+        raise _named(path, error) from error
+
+
+def load_observations(path: str | Path) -> ObservationTable:
     """Read a capture file.
 
     Raises:
@@ -61,19 +79,48 @@ def load_captures(path: str | Path) -> EyeCaptures:
     arrays = _read_archive(Path(path))
     header = _header(arrays, path)
     panel = header.table("panel")
-    common = {"device": header.text("device"), "eye": header.text("eye")}
-    display_parts = _parts("display", DisplayCaptures, arrays, path) | common
-    display_parts["panel"] = Panel(panel.whole("width_px", 1), panel.whole("height_px", 1))
-    display_parts["eye_box"] = _box(header.table("eye_box"))
+    common: dict[str, Any] = {
+        "device": header.text("device"),
+        "eye": header.text("eye"),
+        "panel": Panel(panel.whole("width_px", 1), panel.whole("height_px", 1)),
+        "eye_box": _box(header.table("eye_box")),
+    }
+    box = _box(header.table("see_through_eye_box")) if header.has("see_through_eye_box") else None
     try:
-        display = DisplayCaptures(**display_parts)
-        if "see_through_viewpoint" not in arrays:
-            return EyeCaptures(display)
-        see_through_parts = _parts("see_through", SeeThroughCaptures, arrays, path) | common
-        see_through_parts["eye_box"] = _box(header.table("see_through_eye_box"))
-        return EyeCaptures(display, SeeThroughCaptures(**see_through_parts))
+        if header.whole("version", 1) == 1:
+            return _of_version_1(arrays, common, box, path)
+        count = len(_array(arrays, "kind", path))
+        recorded: dict[str, Any] = {name: arrays[name] for name in _CONDITIONS if name in arrays}
+        columns: dict[str, Any] = {name: _array(arrays, name, path) for name in COLUMNS}
+        conditions = Conditions.recorded(count, **recorded)
+        return ObservationTable(**common, see_through_eye_box=box, conditions=conditions, **columns)
     except BadInputError as error:
-        raise error if str(path) in str(error) else BadInputError(f"{path}: {error}") from error
+        raise _named(path, error) from error
+
+
+def _of_version_1(
+    arrays: dict[str, NDArray[Any]], common: dict[str, Any], box: EyeBox | None, path: str | Path
+) -> ObservationTable:
+    rows = ("viewpoint", "view_dir", "capture", "sigma_arcmin")
+    display: dict[str, Any] = {name: _array(arrays, f"display_{name}", path) for name in (*rows, "pixel")}
+    if "see_through_viewpoint" not in arrays or box is None:
+        return observation_table(DisplayCaptures(**common, **display), None)
+    see_through: dict[str, Any] = {
+        name: _array(arrays, f"see_through_{name}", path) for name in (*rows, "point", "target_pose")
+    }
+    eye = {name: common[name] for name in ("device", "eye")}
+    return observation_table(
+        DisplayCaptures(**common, **display), SeeThroughCaptures(**eye, eye_box=box, **see_through)
+    )
+
+
+def _named(path: str | Path, error: BadInputError) -> BadInputError:
+    """The error with the name of the file."""
+    return error if str(path) in str(error) else BadInputError(f"{path}: {error}")
+
+
+def _is_recorded(values: NDArray[Any]) -> bool:
+    return bool(np.any(values >= 0) if np.issubdtype(values.dtype, np.integer) else np.isfinite(values).any())
 
 
 def _box_record(box: EyeBox) -> dict[str, list[float]]:
@@ -84,21 +131,10 @@ def _box(table: Table) -> EyeBox:
     return EyeBox(table.vector("centre_m", 3), table.vector("size_m", 3))
 
 
-def _array_names(kind: type) -> list[str]:
-    return [f.name for f in fields(kind) if f.name not in ("device", "eye", "eye_box", "panel")]
-
-
-def _arrays(prefix: str, captures: DisplayCaptures | SeeThroughCaptures) -> dict[str, Any]:
-    return {f"{prefix}_{name}": getattr(captures, name) for name in _array_names(type(captures))}
-
-
-def _parts(prefix: str, kind: type, arrays: dict[str, NDArray[Any]], path: str | Path) -> dict[str, Any]:
-    parts = {}
-    for name in _array_names(kind):
-        if f"{prefix}_{name}" not in arrays:
-            raise BadInputError(f"{path}: the array '{prefix}_{name}' is missing; write the file again.")
-        parts[name] = arrays[f"{prefix}_{name}"]
-    return parts
+def _array(arrays: dict[str, NDArray[Any]], name: str, path: str | Path) -> NDArray[Any]:
+    if name not in arrays:
+        raise BadInputError(f"{path}: the array '{name}' is missing; write the file again.")
+    return arrays[name]
 
 
 def _read_archive(path: Path) -> dict[str, NDArray[Any]]:
@@ -118,9 +154,11 @@ def _header(arrays: dict[str, NDArray[Any]], path: str | Path) -> Table:
         raise BadInputError(f"{path}: is an .npz without the header of a capture file.") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadInputError(f"{path}: is not a capture file (its header does not say format '{FORMAT}').")
-    if content.get("version") != VERSION:
+    if content.get("version") not in (1, VERSION):
         found = content.get("version")
-        raise BadInputError(f"{path}: has version {found}; this program reads version {VERSION}: write it again.")
+        raise BadInputError(
+            f"{path}: has version {found}; this program reads versions 1 and {VERSION}: write it again."
+        )
     if content.get("frame") != "openxr" or content.get("units") != _UNITS:
         raise BadInputError(f"{path}: must be in frame 'openxr' with units {_UNITS}; convert it.")
-    return Table(content, str(path))
+    return Table({key: value for key, value in content.items() if value is not None}, str(path))

@@ -18,11 +18,59 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Conditions under which the rows of captures were taken; NaN, or -1 for an integer, where they are not recorded.
+
+    Attributes:
+        visit: (n,) number of the photograph, or of the set of code photographs, among those of one target pose.
+        channel: (n,) colour of the light: 0 red, 1 green, 2 blue.
+        time_s: (n,) since the session's start.
+        temperature_c: (n,) of the bench, degrees Celsius.
+        travel: (n,) direction of the stage's last move in x, +1 or -1.
+        stage: (n, m) stage reading, metres or radians, in the stage's own axes; m = 0 without a stage.
+        device_from_camera: (n, 3, 3) camera rotation; a camera of OpenXR's axes looks along its -z.
+
+    Raises:
+        BadInputError: a shape does not fit.
+    """
+
+    visit: IntArray
+    channel: IntArray
+    time_s: FloatArray
+    temperature_c: FloatArray
+    travel: FloatArray
+    stage: FloatArray
+    device_from_camera: FloatArray
+
+    def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.visit))
+        for name in ("visit", "channel"):
+            _set_indices(self, name, count)
+        for name in ("time_s", "temperature_c", "travel"):
+            _set_rows(self, name, (count,), finite=False)
+        _set_rows(self, "device_from_camera", (count, 3, 3), finite=False)
+        columns = np.shape(self.stage)[-1] if np.ndim(self.stage) == 2 else 0
+        _set_rows(self, "stage", (count, columns), finite=False)
+
+    @classmethod
+    def recorded(cls, count: int, **columns: ArrayLike) -> "Conditions":
+        """Return conditions of `count` rows; a column that is not given is not recorded, one row serves for all."""
+        shapes = {"device_from_camera": (3, 3), "stage": (0,)}
+        filled: dict[str, Any] = {}
+        for each in fields(cls):
+            shape, default = shapes.get(each.name, ()), -1 if each.name in ("visit", "channel") else np.nan
+            value = np.asarray(columns.get(each.name, np.full(shape, default)))
+            filled[each.name] = np.array([value] * count) if value.ndim == len(shape) else value
+        return cls(**filled)
+
+
 class _Rows:
     """What both kinds of captures derive from their rows."""
 
     viewpoint: FloatArray
     view_dir: FloatArray
+    conditions: Conditions | None
 
     @cached_property
     def tangents(self) -> FloatArray:
@@ -48,6 +96,7 @@ class DisplayCaptures(_Rows):
         capture: (n,) index of the camera position.
         sigma_arcmin: (n,), or one number for all: standard deviation of `view_dir` about each of its two transverse
             axes. All zero where the data are exact.
+        conditions: time, stage reading, camera rotation and so on of each row; None where nothing is recorded.
 
     Raises:
         BadInputError: a shape does not fit, a number is not finite, a direction is not a unit vector looking forward.
@@ -62,10 +111,11 @@ class DisplayCaptures(_Rows):
     pixel: FloatArray
     capture: IntArray
     sigma_arcmin: FloatArray
+    conditions: Conditions | None = None
 
     def __post_init__(self) -> None:
         _check_rows(self)
-        _set_rows(self, "pixel", 2, len(self))
+        _set_rows(self, "pixel", (len(self), 2))
 
 
 @dataclass(frozen=True)
@@ -73,9 +123,10 @@ class SeeThroughCaptures(_Rows):
     """Real points as seen through the optics from camera positions.
 
     Attributes:
-        device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin: as in `DisplayCaptures`.
+        device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin, conditions: as in `DisplayCaptures`.
         point: (n, 3) the real point.
         target_pose: (n,) index of the target's pose; at least two depths are needed for a fit.
+        target_point: (n, 3) the point in the frame of its target, NaN where unknown; None where no target is known.
 
     Raises:
         BadInputError: as `DisplayCaptures`, or a point is not in front of its viewpoint.
@@ -90,10 +141,14 @@ class SeeThroughCaptures(_Rows):
     capture: IntArray
     target_pose: IntArray
     sigma_arcmin: FloatArray
+    conditions: Conditions | None = None
+    target_point: FloatArray | None = None
 
     def __post_init__(self) -> None:
         _check_rows(self)
-        _set_rows(self, "point", 3, len(self))
+        _set_rows(self, "point", (len(self), 3))
+        if self.target_point is not None:
+            _set_rows(self, "target_point", (len(self), 3), finite=False)
         _set_indices(self, "target_pose", len(self))
         if np.any(self.point[:, 2] >= self.viewpoint[:, 2]):
             raise BadInputError("captures: 'point' has rows that are not in front of their viewpoint (smaller z).")
@@ -124,27 +179,30 @@ class EyeCaptures:
 
 
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)
+_AnyRows = TypeVar("_AnyRows", DisplayCaptures, SeeThroughCaptures, Conditions)
 
 
-def select(captures: AnyCaptures, rows: IntArray | NDArray[np.bool_]) -> AnyCaptures:
+def select(captures: _AnyRows, rows: IntArray | NDArray[np.bool_]) -> _AnyRows:
     """Return the captures of some rows, by index or mask (n,)."""
-    per_row: dict[str, Any] = {
-        field.name: getattr(captures, field.name)[rows]
-        for field in fields(captures)
-        if isinstance(getattr(captures, field.name), np.ndarray)
-    }
+    per_row: dict[str, Any] = {}
+    for name in _per_row(captures):
+        value = getattr(captures, name)
+        per_row[name] = select(value, rows) if isinstance(value, Conditions) else value[rows]
     return replace(captures, **per_row)
 
 
-def concatenate(parts: Sequence[AnyCaptures]) -> AnyCaptures:
+def concatenate(parts: Sequence[_AnyRows]) -> _AnyRows:
     """Concatenate captures of one eye; `capture` indices keep their values. There must be at least one part."""
-    first = parts[0]
-    per_row: dict[str, Any] = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts])
-        for field in fields(first)
-        if isinstance(getattr(first, field.name), np.ndarray)
-    }
-    return replace(first, **per_row)
+    per_row: dict[str, Any] = {}
+    for name in _per_row(parts[0]):
+        values = [getattr(part, name) for part in parts]
+        per_row[name] = concatenate(values) if isinstance(values[0], Conditions) else np.concatenate(values)
+    return replace(parts[0], **per_row)
+
+
+def _per_row(captures: DisplayCaptures | SeeThroughCaptures | Conditions) -> list[str]:
+    """Names of what has a row for each capture."""
+    return [f.name for f in fields(captures) if isinstance(getattr(captures, f.name), np.ndarray | Conditions)]
 
 
 def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
@@ -153,20 +211,22 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
     count = len(np.atleast_1d(captures.viewpoint))
     if count == 0:
         raise BadInputError("captures: there are no rows; a fit needs at least one measured direction.")
-    _set_rows(captures, "viewpoint", 3, count)
-    _set_rows(captures, "view_dir", 3, count)
+    _set_rows(captures, "viewpoint", (count, 3))
+    _set_rows(captures, "view_dir", (count, 3))
     _set_indices(captures, "capture", count)
     length = np.linalg.norm(captures.view_dir, axis=1)
     if np.any(np.abs(length - 1.0) > 1e-6) or np.any(captures.view_dir[:, 2] >= 0):
         raise BadInputError("captures: 'view_dir' must be unit vectors that look forward (z < 0).")
     _set_sigma(captures, count)
+    if captures.conditions is not None and len(captures.conditions.visit) != count:
+        raise BadInputError(f"captures: the conditions have {len(captures.conditions.visit)} rows, not {count}.")
 
 
-def _set_rows(captures: object, name: str, columns: int, count: int) -> None:
+def _set_rows(captures: object, name: str, shape: tuple[int, ...], *, finite: bool = True) -> None:
     value = np.asarray(getattr(captures, name), dtype=np.float64)
-    if value.shape != (count, columns):
-        raise BadInputError(f"captures: '{name}' must have shape ({count}, {columns}), not {value.shape}.")
-    if not np.isfinite(value).all():
+    if value.shape != shape:
+        raise BadInputError(f"captures: '{name}' must have shape {shape}, not {value.shape}.")
+    if finite and not np.isfinite(value).all():
         raise BadInputError(f"captures: '{name}' has numbers that are not finite; leave out the rows without a value.")
     object.__setattr__(captures, name, value)
 

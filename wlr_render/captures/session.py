@@ -23,6 +23,8 @@ class DisplayPlan:
         stage: (n, 3) where the micrometers say that the camera's centre of projection is.
         channel: (n,) 0 red, 1 green, 2 blue.
         camera_pixel: (n, 2) in which camera pixel.
+        orientation: (n, 3, 3) device_from_camera where the camera was turned between captures; None where it always
+            looks along -z.
     """
 
     capture: IntArray
@@ -31,6 +33,7 @@ class DisplayPlan:
     stage: FloatArray
     channel: IntArray
     camera_pixel: FloatArray
+    orientation: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -44,10 +47,10 @@ class SeeThroughPlan:
         capture, time_s, travel, stage: as in `DisplayPlan`; captures count from 0 for every pose of the target.
         target_pose: (n,) index of the target's pose.
         dot: (n, 2) the dot's place on the printed target, metres.
-        orientation: (n, 3, 3) device_from_camera where the camera was turned between captures; None where it always
-            looks along -z.
+        orientation: as in `DisplayPlan`.
         bare_pixel: (n, 2) where the same camera, at the same place, saw the dot without the headset; None where that
             was not photographed. The dot is taken to lie on that pixel's ray, at its distance by the tracked pose.
+        height: (n,) of the dot above the plane of the target, metres; None for a flat target.
     """
 
     capture: IntArray
@@ -58,6 +61,7 @@ class SeeThroughPlan:
     dot: FloatArray
     orientation: FloatArray | None = None
     bare_pixel: FloatArray | None = None
+    height: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.capture)

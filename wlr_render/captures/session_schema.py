@@ -69,6 +69,9 @@ _WHOLE = Quantity(lambda value, _: value[:, 0].astype(np.int64), lambda value, _
 CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
 _POINT = Quantity(lambda value, axes: MM * value @ axes.T, lambda value, axes: value @ axes / MM)
 _FLAT_POINT = Quantity(lambda value, axes: MM * value @ axes[:2, :2].T, lambda value, axes: value @ axes[:2, :2] / MM)
+_HEIGHT = Quantity(
+    lambda value, axes: MM * axes[2, 2] * value[:, 0], lambda value, axes: axes[2, 2] * value[:, None] / MM
+)
 _VECTOR = Quantity(lambda value, axes: value @ axes.T, lambda value, axes: value @ axes)
 _DIRECTION = Quantity(lambda value, axes: normalised(value) @ axes.T, lambda value, axes: value @ axes)
 _ROTATION = Quantity(_rotation_of_file, _rotation_to_file)
@@ -169,7 +172,8 @@ class Schema:
         columns: Columns = {}
         for field in self.fields:
             value = reading if field.attribute == self.reading else getattr(plan, field.attribute)
-            if value is not None:
+            absent = field.columns[0].absent
+            if value is not None and (absent is None or np.any(value != absent)):
                 names = (column.name for column in field.columns)
                 columns |= dict(zip(names, field.quantity.to_file(value, device_from_file).T, strict=True))
         return columns
@@ -192,8 +196,16 @@ def _index(name: str, meaning: str, kind: Kind = Kind.INDEX) -> Field:
 
 
 _TIME = Field("time_s", _NUMBER, (Column("time_s", "s", "time since the start of the session"),))
+_SESSION_TIME = Field(
+    "time_s",
+    _NUMBER,
+    (Column("time_s", "s", "time since the start of the session (default: not recorded)", group="time", absent=0.0),),
+)
 _STAGE = Field("stage", _POINT, _axes("stage", "mm", "_mm", "stage reading of the camera's centre of projection"))
 _STAGE_NAMES = tuple(f"stage_{axis}_mm" for axis in "xyz")
+_ORIENTATION = Field(
+    "orientation", _ROTATION, _quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q")
+)
 _CAMERA_QUATERNION = tuple(f"camera_q{axis}" for axis in "xyzw")
 _HEAD_QUATERNION = tuple(f"head_q{axis}" for axis in "xyzw")
 _GAZE = tuple(f"gaze_{axis}" for axis in "xyz")
@@ -206,15 +218,17 @@ DISPLAY = Schema(
     "panel_pixel",
     (
         _index("capture", "index of the photograph"),
-        _TIME,
+        _SESSION_TIME,
         Field("travel", _NUMBER, (Column("travel", "", "direction of the stage's last move in x", Kind.SIGN),)),
         _STAGE,
         _index("channel", "0 red, 1 green, 2 blue", Kind.CHANNEL),
         Field("camera_pixel", CAMERA_PIXEL, _pixel("camera", "camera pixel")),
         Field("panel_pixel", Quantity(), _pixel("pixel", "decoded panel position")),
+        _ORIENTATION,
     ),
     ("capture",),
-    ("time_s", "travel", *_STAGE_NAMES),
+    ("time_s", "travel", *_STAGE_NAMES, *_CAMERA_QUATERNION),
+    (_CAMERA_QUATERNION,),
 )
 
 SEE_THROUGH = Schema(
@@ -226,7 +240,7 @@ SEE_THROUGH = Schema(
     (
         _index("target_pose", "index of the [[target_pose]] in bench.toml"),
         _index("capture", "index of the photograph, counted from 0 at every target pose"),
-        _TIME,
+        _SESSION_TIME,
         _STAGE,
         Field("dot", _FLAT_POINT, _axes("target", "mm", "_mm", "position of the dot on the printed target", "xy")),
         Field("dot_pixel", CAMERA_PIXEL, _pixel("camera", "position of the dot in the photograph, through the optics")),
@@ -235,15 +249,20 @@ SEE_THROUGH = Schema(
             _NUMBER,
             (Column("travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, "travel", 1.0),),
         ),
-        Field(
-            "orientation",
-            _ROTATION,
-            _quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q"),
-        ),
+        _ORIENTATION,
         Field(
             "bare_pixel",
             CAMERA_PIXEL,
             _pixel("bare", "position of the dot photographed from the same place without the headset", "bare"),
+        ),
+        Field(
+            "height",
+            _HEIGHT,
+            (
+                Column(
+                    "target_z_mm", "mm", "height of the dot above the plane of the target (default: 0)", group="height"
+                ),
+            ),
         ),
     ),
     ("target_pose", "capture"),

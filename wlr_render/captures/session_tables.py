@@ -168,7 +168,7 @@ def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Seque
     first = _first_alike(columns, tuple(columns))
     _refuse(path, numbers, first, np.arange(len(numbers)), "is the same row as line {}; remove one")
     setup = tuple(name for name in schema.setup if name in columns)
-    if not setup:
+    if not schema.setup:
         return
     pose = tuple(name for name in schema.capture_key if name != "capture")
     of_capture = _first_alike(columns, schema.capture_key)
@@ -180,6 +180,8 @@ def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Seque
         capture = f"capture {columns['capture'][wrong[0]]:.0f}"
         differs = f"{capture} has another setup ({names}) in line {{}}; give each setup its own capture number"
         _refuse(path, numbers, of_capture, both, differs)
+    if "time_s" not in setup:
+        return  # Without times, captures taken twice from one place are alike.
     same = f"the capture in line {{}} has the same setup ({names}); keep one of the two"
     _refuse(path, numbers, of_setup, both, same)
 

@@ -15,7 +15,8 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.session_folder import check_enough_captures, load_session, remove_session, save_session
+from wlr_render.simulation.measurements import load_measurements
+from wlr_render.simulation.session_folder import check_enough_captures, remove_session, save_session
 
 STEM = "diagnosis"
 
@@ -24,22 +25,26 @@ STEM = "diagnosis"
 class DiagnoseOptions(Options):
     """Options of `diagnose`."""
 
-    session: Annotated[Path, described("Folder of a measured session.")]
+    session: Annotated[Path, described("Folder of a bench session or of `calibrate photos`, or a capture file.")]
     _: KW_ONLY
     out: Annotated[Path, described("Output folder.")] = Path("out/diagnose")
     json: Annotated[Path | None, described("File for the JSON record (default: diagnosis.json in the folder).")] = None
     html: Annotated[Path | None, described("File for the HTML page (default: diagnosis.html in the folder).")] = None
     bench: Annotated[Path | None, described("Bench file to compare with (default: the session's own).")] = None
+    device: Annotated[
+        str | None,
+        described("Headset that captures are compared with: name or file (default: the shipped one that they name)."),
+    ] = None
 
 
 def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Diagnose a session; writes the report and, where causes were found, the corrected session into `options.out`.
 
     Raises:
-        BadInputError: a faulty session, too few captures, or a file that cannot be written.
+        BadInputError: faulty measurements, too few captures, or a file that cannot be written.
     """
     progress.say("reading the session")
-    nominal, session = load_session(options.session, options.bench)
+    nominal, session = load_measurements(options.session, options.bench, options.device)
     check_enough_captures(session)
     folder = output_folder(options.out)
     if (folder / CORRECTED).resolve() == options.session.resolve():
@@ -52,7 +57,8 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     in_use = _in_use(nominal, found)
     progress.say("writing the report")
     files = _write_corrected(folder / CORRECTED, found)
-    inputs = (options.session, *([options.bench] if options.bench else []))
+    device = [Path(options.device)] if options.device and Path(options.device).is_file() else []
+    inputs = (options.session, *([options.bench] if options.bench else []), *device)
     report = save_report(replace(diagnosis_report(found, in_use, inputs, folder), files=files), folder, STEM)
     return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)
 

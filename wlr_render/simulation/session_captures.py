@@ -1,25 +1,36 @@
-"""Convert the readings of a bench session to captures, assuming its nominal bench.
+"""Convert the readings of a bench session to observations of an eye, assuming its nominal bench, and back.
 
 The camera, stage, target, tracking and readout of a bench turn camera pixels into viewpoints, directions and real
 points of the device frame. Only the headset's optics are left out: they are what calibration is to find.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
-from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, select_rows
+from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.observation_table import ObservationTable, observation_table
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import ARCMIN, dir_of_tangents
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.simulation.bench import Bench, EyeballCamera
 from wlr_render.simulation.simulate_session import (
+    camera_orientations,
     camera_positions,
+    decoded,
     display_dirs,
     dot_geometry,
+    printed_places,
+    slips,
+    stage_readings,
     undecoded,
 )
 
 _GREEN = 1
+_DECIMALS = 12  # of metres and of rotations: rows of one photograph then have one setup, to the last digit
+_FLAT_M = 1e-9
+_OFF_TARGET_M = 0.02
 
 
 def captures_of(bench: Bench, session: Session) -> EyeCaptures:
@@ -28,13 +39,25 @@ def captures_of(bench: Bench, session: Session) -> EyeCaptures:
     Raises:
         BadInputError: the session has no readings of the panel, or by this bench a dot lies behind the camera.
     """
-    plan, readings = session.plan, session.readings
-    if plan.display is None or readings.panel_pixel is None:
+    if session.plan.display is None:
         raise BadInputError(f"{session.name}: has no display table, so there is no display to calibrate; add one.")
-    display = display_captures(bench, plan.display, readings.panel_pixel)
-    if plan.see_through is None or readings.dot_pixel is None:
-        return EyeCaptures(display)
-    return EyeCaptures(display, see_through_captures(bench, plan.see_through, readings.dot_pixel))
+    return observations_of(bench, session).captures()
+
+
+def observations_of(bench: Bench, session: Session) -> ObservationTable:
+    """All observations of a session's panel and targets; `captures_of` takes those of one colour.
+
+    Raises:
+        BadInputError: it has neither, or by this bench a dot lies behind the camera.
+    """
+    plan, readings = session.plan, session.readings
+    display = see_through = None
+    if plan.display is not None and readings.panel_pixel is not None:
+        kept = np.asarray(np.isfinite(readings.panel_pixel).all(axis=1))
+        display = _display(bench, select_rows(plan.display, kept), readings.panel_pixel[kept])
+    if plan.see_through is not None and readings.dot_pixel is not None:
+        see_through = see_through_captures(bench, plan.see_through, readings.dot_pixel)
+    return observation_table(display, see_through, bench.optics.panel.pixels)
 
 
 def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -> DisplayCaptures:
@@ -47,7 +70,10 @@ def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -
     """
     channel = _GREEN if np.any(plan.channel == _GREEN) else plan.channel.min(initial=_GREEN)
     kept = np.asarray((plan.channel == channel) & np.isfinite(panel_pixel).all(axis=1))
-    rows = select_rows(plan, kept)
+    return _display(bench, select_rows(plan, kept), panel_pixel[kept])
+
+
+def _display(bench: Bench, rows: DisplayPlan, panel_pixel: FloatArray) -> DisplayCaptures:
     return DisplayCaptures(
         device=bench.device.name,
         eye=bench.eye,
@@ -55,9 +81,10 @@ def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -
         panel=bench.optics.panel.pixels,
         viewpoint=camera_positions(bench, rows),
         view_dir=display_dirs(bench, rows),
-        pixel=undecoded(bench, rows, panel_pixel[kept]),
+        pixel=undecoded(bench, rows, panel_pixel),
         capture=rows.capture,
         sigma_arcmin=_sigma_arcmin(bench.camera, rows.camera_pixel),
+        conditions=_conditions(bench, rows, channel=rows.channel),
     )
 
 
@@ -73,6 +100,7 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
     rows, pixel = select_rows(plan, kept), dot_pixel[kept]
     viewpoint, point, device_from_camera = dot_geometry(bench, rows)
     in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(pixel))
+    height = np.zeros(len(rows)) if rows.height is None else rows.height
     return SeeThroughCaptures(
         device=bench.device.name,
         eye=bench.eye,
@@ -83,7 +111,120 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
         capture=_numbered_on(rows),
         target_pose=rows.target_pose,
         sigma_arcmin=_sigma_arcmin(bench.camera, pixel),
+        conditions=_conditions(bench, rows),
+        target_point=np.column_stack([rows.dot, height]),
     )
+
+
+def session_of(bench: Bench, table: ObservationTable, name: str) -> Session:
+    """The session that `observations_of` makes this table of: its inverse, for any bench.
+
+    Conditions that are not recorded count as the first moment, a move towards +x, green light, and a camera that is
+    turned as the bench says.
+
+    Args:
+        bench: with the poses of all targets.
+        table: observations of the bench's eye.
+        name: of the session.
+
+    Raises:
+        BadInputError: the table is of another eye, or the bench's camera or targets cannot have been observed.
+    """
+    if (table.device, table.eye) != (bench.device.name, bench.eye):
+        raise BadInputError(
+            f"{name}: the captures are of {table.device} ({table.eye} eye), the bench is of {bench.device.name} "
+            f"({bench.eye} eye); choose a bench or a device of that headset."
+        )
+    display, see_through = table.display(), table.see_through()
+    display_plan = see_through_plan = panel_pixel = dot_pixel = None
+    if display is not None:
+        display_plan = _display_plan(bench, display, name)
+        panel_pixel = decoded(bench, display_plan, display.pixel)
+    if see_through is not None:
+        see_through_plan, dot_pixel = _see_through_plan(bench, see_through, name)
+    return Session(name, SessionPlan(display_plan, see_through_plan), Readings(panel_pixel, dot_pixel))
+
+
+def _display_plan(bench: Bench, captures: DisplayCaptures, name: str) -> DisplayPlan:
+    conditions = _recorded(captures)
+    channel = np.where(conditions.channel >= 0, conditions.channel, _GREEN)
+    time_s, travel = _moments(conditions)
+    empty = np.zeros((len(captures), 2))
+    plan = DisplayPlan(_numbers(captures), time_s, travel, captures.viewpoint, channel, empty)
+    stage, orientation, pixel = _camera_readings(bench, plan, captures, name)
+    return replace(plan, stage=stage, orientation=orientation, camera_pixel=pixel)
+
+
+def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> tuple[SeeThroughPlan, FloatArray]:
+    poses, highest = len(bench.target.pitch), int(captures.target_pose.max())
+    if highest >= poses or captures.target_pose.min() < 0:
+        raise BadInputError(
+            f"{name}: the captures name target pose {highest}, but the bench has {poses} [[target_pose]], counted from "
+            "0; add the missing ones, or leave all out so that the poses are those of the captures."
+        )
+    time_s, travel = _moments(_recorded(captures))
+    empty = np.zeros((len(captures), 2))
+    rows = SeeThroughPlan(_numbers(captures), time_s, travel, captures.viewpoint, captures.target_pose, empty)
+    dot, height = printed_places(bench, rows, captures.point)
+    if (off := float(np.abs(height).max())) > _OFF_TARGET_M:
+        raise BadInputError(
+            f"{name}: dots lie up to {1e3 * off:.0f} mm off the targets of the bench; correct its [[target_pose]], or "
+            "leave all out so that the poses are those of the captures."
+        )
+    stage, orientation, pixel = _camera_readings(bench, rows, captures, name)
+    raised = None if np.abs(height).max() < _FLAT_M else height
+    return replace(rows, stage=stage, orientation=orientation, dot=dot, height=raised), pixel
+
+
+def _camera_readings(
+    bench: Bench, plan: DisplayPlan | SeeThroughPlan, captures: DisplayCaptures | SeeThroughCaptures, name: str
+) -> tuple[FloatArray, FloatArray | None, FloatArray]:
+    """Stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
+
+    Args:
+        bench: what is believed.
+        plan: of the captures, with time and travel.
+        captures: viewpoints, directions and camera rotations.
+        name: of the session.
+    """
+    stage = np.round(stage_readings(bench, plan, captures.viewpoint), _DECIMALS)
+    as_stated = camera_orientations(bench, plan)
+    turned = _recorded(captures).device_from_camera
+    turned = np.where(np.isfinite(turned), turned, as_stated)
+    in_camera = np.einsum("nji,nj->ni", turned, captures.view_dir)
+    if np.any(in_camera[:, 2] >= 0):
+        raise BadInputError(f"{name}: by [camera] 'rotation' of the bench, the camera looks back; correct it.")
+    pixel = bench.camera.pixel_of_tangents(tangents_of_dir(in_camera))
+    unslipped = np.swapaxes(slips(bench, plan.time_s), 1, 2)
+    orientation = np.round(unslipped @ turned @ bench.camera.device_from_camera.T, _DECIMALS)
+    return stage, None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation, pixel
+
+
+def _conditions(bench: Bench, rows: DisplayPlan | SeeThroughPlan, channel: IntArray | None = None) -> Conditions:
+    return Conditions.recorded(
+        len(rows),
+        visit=rows.capture,
+        channel=-1 if channel is None else channel,
+        time_s=rows.time_s,
+        travel=rows.travel,
+        stage=rows.stage,
+        device_from_camera=camera_orientations(bench, rows),
+    )
+
+
+def _recorded(captures: DisplayCaptures | SeeThroughCaptures) -> Conditions:
+    return captures.conditions or Conditions.recorded(len(captures))
+
+
+def _moments(conditions: Conditions) -> tuple[FloatArray, FloatArray]:
+    """Times (n,) and directions of the last move (n,)."""
+    return np.nan_to_num(conditions.time_s), np.where(np.isfinite(conditions.travel), conditions.travel, 1.0)
+
+
+def _numbers(captures: DisplayCaptures | SeeThroughCaptures) -> IntArray:
+    """Numbers (n,) of the photographs: those of the camera places, unless the visits were recorded."""
+    visit = _recorded(captures).visit
+    return visit if np.all(visit >= 0) else captures.capture
 
 
 def _numbered_on(rows: SeeThroughPlan) -> IntArray:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
-from wlr_render.geometry.transforms import rotations_of_vectors
+from wlr_render.geometry.transforms import inverse, rotations_of_vectors
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics
@@ -213,14 +213,7 @@ def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> Floa
 
 def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Camera positions (n, 3), dots (n, 3) and camera orientations (n, 3, 3), device frame."""
-    viewpoint = camera_positions(bench, plan)
-    device_from_camera = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
-    if plan.orientation is not None:
-        device_from_camera = plan.orientation @ device_from_camera
-    slipped = plan.time_s >= bench.mount.slip_time_s
-    if slipped.any() and bench.mount.slip_rotation.any():
-        turn = rotations_of_vectors(bench.mount.slip_rotation)
-        device_from_camera = np.where(slipped[:, None, None], turn @ device_from_camera, device_from_camera)
+    viewpoint, device_from_camera = camera_positions(bench, plan), camera_orientations(bench, plan)
     point = _dots(bench, plan)
     if plan.bare_pixel is not None:
         in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.bare_pixel))
@@ -231,15 +224,56 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
 
 def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
     """Where the camera's centre of projection truly is, (n, 3), device frame."""
-    stage, mount = bench.stage, bench.mount
-    position = stage.origin + (plan.stage - stage.origin) @ stage.axes.T + bench.camera.pupil_offset
-    position[:, 0] += np.where(plan.travel > 0, *stage.backlash)
-    return np.asarray(position + np.where(plan.time_s >= mount.slip_time_s, 1.0, 0.0)[:, None] * mount.slip)
+    origin = bench.stage.origin
+    return np.asarray(origin + (plan.stage - origin) @ bench.stage.axes.T + _displacements(bench, plan))
+
+
+def stage_readings(bench: Bench, plan: DisplayPlan | SeeThroughPlan, position: FloatArray) -> FloatArray:
+    """The inverse of `camera_positions`: readings (n, 3) at camera positions (n, 3)."""
+    origin = bench.stage.origin
+    moved = position - _displacements(bench, plan) - origin
+    return np.asarray(origin + moved @ np.linalg.inv(bench.stage.axes).T)
+
+
+def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+    """Camera positions minus positions of the stage, (n, 3): pupil offset, backlash and slip."""
+    moved = np.where((plan.time_s >= bench.mount.slip_time_s)[:, None], bench.mount.slip, 0.0)
+    moved[:, 0] += np.where(plan.travel > 0, *bench.stage.backlash)
+    return np.asarray(moved + bench.camera.pupil_offset)
+
+
+def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+    """Rotations device_from_camera (n, 3, 3) of the camera as it truly looks."""
+    turned = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
+    if plan.orientation is not None:
+        turned = plan.orientation @ turned
+    return slips(bench, plan.time_s) @ turned if bench.mount.slip_rotation.any() else turned
+
+
+def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3) of the camera in the device frame by the slip, the identity before it."""
+    slipped = (time_s >= bench.mount.slip_time_s)[:, None, None]
+    return np.asarray(np.where(slipped, rotations_of_vectors(bench.mount.slip_rotation), np.eye(3)))
 
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Unit directions (n, 3) in which the camera truly looks in each display row, device frame."""
-    return _turned(bench, plan.time_s, bench.camera.view_dir_of_pixel(plan.camera_pixel))
+    if plan.orientation is None and not bench.mount.slip_rotation.any():
+        return bench.camera.view_dir_of_pixel(plan.camera_pixel)
+    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.camera_pixel))
+    return np.asarray(np.einsum("nij,nj->ni", camera_orientations(bench, plan), in_camera))
+
+
+def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Places (n, 2) of dots on the printed target and heights (n,) above it, of points (n, 3) in the device frame.
+
+    This is the inverse of the dots of `dot_geometry`.
+    """
+    target = bench.target
+    target_from_device = inverse(bench.tracking.true_from_reported @ target.device_from_target)[plan.target_pose]
+    in_target = np.einsum("nij,nj->ni", target_from_device[:, :3, :3], point) + target_from_device[:, :3, 3]
+    bow = np.broadcast_to(target.bow, (len(target.device_from_target), 2))[plan.target_pose]
+    return in_target[:, :2] / target.scale, in_target[:, 2] - np.sum(bow * in_target[:, :2] ** 2, axis=1)
 
 
 def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
@@ -247,15 +281,7 @@ def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
     target = bench.target
     flat = plan.dot * target.scale
     bow = np.broadcast_to(target.bow, (len(target.device_from_target), 2))[plan.target_pose]
-    in_target = np.concatenate([flat, np.sum(bow * flat * flat, axis=1, keepdims=True)], axis=1)
+    height = np.sum(bow * flat * flat, axis=1) + (0.0 if plan.height is None else plan.height)
+    in_target = np.column_stack([flat, height])
     device_from_target = (bench.tracking.true_from_reported @ target.device_from_target)[plan.target_pose]
     return np.asarray(np.einsum("nij,nj->ni", device_from_target[:, :3, :3], in_target) + device_from_target[:, :3, 3])
-
-
-def _turned(bench: Bench, time_s: FloatArray, direction: FloatArray) -> FloatArray:
-    """Directions after the slip, if there is one."""
-    mount = bench.mount
-    slipped = time_s >= mount.slip_time_s
-    if not slipped.any() or not mount.slip_rotation.any():
-        return direction
-    return np.where(slipped[:, None], direction @ rotations_of_vectors(mount.slip_rotation).T, direction)

@@ -1,0 +1,184 @@
+"""One table of observations: what a camera saw of the panel and of targets, from where and under which conditions.
+
+Photographic sessions, bench sessions and simulations all yield this table. Capture files hold it, fits take the
+captures of one colour from it, and a diagnosis takes it as a session. Device frame (OpenXR), metres.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.correspondences import (
+    Conditions,
+    DisplayCaptures,
+    EyeCaptures,
+    SeeThroughCaptures,
+    concatenate,
+    select,
+)
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+PANEL_PIXEL, REAL_POINT = 0, 1
+"""Kinds of features."""
+_GREEN = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationTable:
+    """Observations of one eye; a row is one feature seen in one direction.
+
+    Attributes:
+        device, eye: names.
+        panel: the panel whose pixels were decoded.
+        eye_box: the eye box that the display was observed for.
+        see_through_eye_box: likewise of see-through; None without any.
+        kind: (n,) of feature, `PANEL_PIXEL` or `REAL_POINT`.
+        capture: (n,) index of the camera place.
+        target_pose: (n,) index of the target's pose; -1 for the panel.
+        feature: (n, 3) panel pixel u, v and NaN, or a point in the device frame.
+        target_point: (n, 3) the point in its target's frame; NaN where unknown, and for the panel.
+        viewpoint: (n, 3) the camera's entrance pupil.
+        view_dir: (n, 3) unit direction in which the feature was seen.
+        sigma_arcmin: (n,) standard deviation of `view_dir` about each transverse axis.
+        conditions: of each row.
+
+    Raises:
+        BadInputError: a column does not fit the others, or holds what captures may not hold.
+    """
+
+    device: str
+    eye: str
+    panel: Panel
+    eye_box: EyeBox
+    see_through_eye_box: EyeBox | None
+    kind: IntArray
+    capture: IntArray
+    target_pose: IntArray
+    feature: FloatArray
+    target_point: FloatArray
+    viewpoint: FloatArray
+    view_dir: FloatArray
+    sigma_arcmin: FloatArray
+    conditions: Conditions
+
+    def __post_init__(self) -> None:
+        lengths = {name: len(np.atleast_1d(getattr(self, name))) for name in COLUMNS}
+        lengths |= {"conditions": len(self.conditions.visit)}
+        if len(set(lengths.values())) > 1:
+            raise BadInputError(f"captures: columns differ in length ({lengths}); write the file again.")
+        for name in ("feature", "target_point"):
+            if (shape := np.shape(getattr(self, name))) != (len(self), 3):
+                raise BadInputError(f"captures: '{name}' must have shape {(len(self), 3)}, not {shape}.")
+        if not np.isin(self.kind, (PANEL_PIXEL, REAL_POINT)).all():
+            raise BadInputError(f"captures: 'kind' must be {PANEL_PIXEL} (panel pixel) or {REAL_POINT} (real point).")
+        if self.see_through_eye_box is None and np.any(self.kind == REAL_POINT):
+            raise BadInputError("captures: there are real points, but no 'see_through_eye_box'; state it.")
+        # Whatever captures may not hold is refused here.
+        self.display(), self.see_through()
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def display(self, channel: int | None = None) -> DisplayCaptures | None:
+        """Return the observations of the panel, in one colour channel or in all; None without any."""
+        rows = self.kind == PANEL_PIXEL
+        if channel is not None:
+            rows = rows & (self.conditions.channel == channel)
+        if not rows.any():
+            return None
+        return DisplayCaptures(
+            **self._common(rows), eye_box=self.eye_box, panel=self.panel, pixel=self.feature[rows, :2]
+        )
+
+    def see_through(self) -> SeeThroughCaptures | None:
+        """Return the observations of real points; None without any."""
+        rows = self.kind == REAL_POINT
+        if not rows.any() or self.see_through_eye_box is None:
+            return None
+        return SeeThroughCaptures(
+            **self._common(rows),
+            eye_box=self.see_through_eye_box,
+            point=self.feature[rows],
+            target_pose=self.target_pose[rows],
+            target_point=self.target_point[rows],
+        )
+
+    def captures(self) -> EyeCaptures:
+        """Return what a fit of one wavelength takes: green where there is a choice, else the first colour.
+
+        Raises:
+            BadInputError: there are no observations of the panel.
+        """
+        channels = np.unique(self.conditions.channel[self.kind == PANEL_PIXEL])
+        if len(channels) == 0:
+            raise BadInputError("captures: there are none of the panel, so there is no display to calibrate.")
+        display = self.display(_GREEN if _GREEN in channels else int(channels[0]))
+        assert display is not None
+        return EyeCaptures(display, self.see_through())
+
+    def _common(self, rows: BoolArray) -> dict[str, Any]:
+        """What both kinds of captures take."""
+        columns = {name: getattr(self, name)[rows] for name in ("viewpoint", "view_dir", "capture", "sigma_arcmin")}
+        return columns | {"device": self.device, "eye": self.eye, "conditions": select(self.conditions, rows)}
+
+
+_HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions")
+COLUMNS = tuple(each.name for each in fields(ObservationTable) if each.name not in _HEADER)
+"""Names of the arrays of a table, besides those of its conditions."""
+
+
+def observation_table(
+    display: DisplayCaptures | None, see_through: SeeThroughCaptures | None, panel: Panel | None = None
+) -> ObservationTable:
+    """Return captures of one eye as one table; `panel` where there are no display captures.
+
+    Raises:
+        BadInputError: there are neither, or they are of different eyes.
+    """
+    if display is not None:
+        panel = EyeCaptures(display, see_through).display.panel
+    first = display or see_through
+    if first is None or panel is None:
+        raise BadInputError("captures: there are neither of the panel nor of a target; there must be one of the two.")
+    parts = [each for each in (display, see_through) if each is not None]
+    stage_axes = max((each.conditions.stage.shape[1] for each in parts if each.conditions), default=0)
+    columns = [_columns(each, stage_axes) for each in parts]
+    return ObservationTable(
+        device=first.device,
+        eye=first.eye,
+        panel=panel,
+        eye_box=first.eye_box,
+        see_through_eye_box=None if see_through is None else see_through.eye_box,
+        conditions=concatenate([each.pop("conditions") for each in columns]),
+        **{name: np.concatenate([each[name] for each in columns]) for name in COLUMNS},
+    )
+
+
+def _columns(captures: DisplayCaptures | SeeThroughCaptures, stage_axes: int) -> dict[str, Any]:
+    count = len(captures)
+    nothing: NDArray[np.float64] = np.full((count, 3), np.nan)
+    conditions = captures.conditions
+    if conditions is None:
+        conditions = Conditions.recorded(count, stage=np.full(stage_axes, np.nan))
+    shared = {name: getattr(captures, name) for name in ("capture", "viewpoint", "view_dir", "sigma_arcmin")}
+    shared["conditions"] = conditions
+    if isinstance(captures, DisplayCaptures):
+        feature = np.column_stack([captures.pixel, nothing[:, 0]])
+        pose = np.full(count, -1)
+        return shared | {
+            "kind": pose * 0 + PANEL_PIXEL,
+            "target_pose": pose,
+            "feature": feature,
+            "target_point": nothing,
+        }
+    on_target = nothing if captures.target_point is None else captures.target_point
+    return shared | {
+        "kind": np.full(count, REAL_POINT),
+        "target_pose": captures.target_pose,
+        "feature": captures.point,
+        "target_point": on_target,
+    }

@@ -1,0 +1,164 @@
+"""Load what was measured of an eye, with the bench that should explain it: bench sessions and captures alike.
+
+Captures state where the camera stood and in which directions it saw what. They need no description of a real camera or
+stage: `direction_bench` stands for both, with an ideal pinhole camera of one arcminute per pixel.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from wlr_render.captures.capture_file import load_observations
+from wlr_render.captures.correspondences import SeeThroughCaptures
+from wlr_render.captures.observation_table import ObservationTable
+from wlr_render.captures.session import Session
+from wlr_render.errors import BadInputError
+from wlr_render.files import shipped_names
+from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
+from wlr_render.geometry.transforms import rigid
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device
+from wlr_render.optics.device_file import load_device
+from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.simulation.bench_file import load_bench
+from wlr_render.simulation.session_captures import session_of
+from wlr_render.simulation.session_folder import load_session
+
+_MARGIN = 0.02  # of the directions on each side
+_FINEST_PX = 1e-3  # sigma of a reading of exact captures
+_LEAST_SPREAD_M = 1e-4  # of points that fix a target's pose
+_DECIMALS = 12
+
+
+def load_measurements(
+    path: str | Path, bench_file: str | Path | None = None, device: str | Path | None = None
+) -> tuple[Bench, Session]:
+    """Read a bench session, a capture file, or the captures in the output folder of a calibration.
+
+    Args:
+        path: folder of a bench session or of a calibration, or a capture file.
+        bench_file: the bench to compare with; of captures, its target poses may be left out.
+        device: name or file of the headset that captures are compared with (default: the shipped one that they name).
+
+    Raises:
+        BadInputError: a file is missing or breaks its format, or bench, device and captures do not fit each other.
+    """
+    path = Path(path)
+    captures = path if path.is_file() else _captures_in(path, bench_file)
+    if captures is None:
+        if device is not None:
+            raise BadInputError(
+                f"{path}: is no calibration's folder and no capture file, so no device can be chosen for it; name "
+                "another bench by --bench."
+            )
+        return load_session(path, bench_file)
+    if bench_file is not None and device is not None:
+        raise BadInputError("--bench and --device both state the headset; give one of them.")
+    table = load_observations(captures)
+    if bench_file is None:
+        bench = direction_bench(load_device(device) if device else _named_device(table, captures), table, captures)
+    else:
+        bench = load_bench(bench_file)
+        if len(bench.target.pitch) == 0:
+            bench = replace(bench, target=_target(table.see_through(), captures))
+    return bench, session_of(bench, table, path.stem if path.is_file() else path.resolve().name)
+
+
+def direction_bench(device: Device, table: ObservationTable, source: str | Path) -> Bench:
+    """The bench of captures: the device, targets where the captures say, and a camera of one arcminute per pixel.
+
+    Args:
+        device: as it should be.
+        table: what was observed.
+        source: name of the captures, for messages.
+
+    Raises:
+        BadInputError: the device has no such eye, or the points of a target pose do not fix its pose.
+    """
+    if table.eye not in device.eyes:
+        raise BadInputError(f"{source}: is of the {table.eye} eye, which {device.name} does not have.")
+    turned = table.conditions.device_from_camera
+    alike = np.isfinite(turned).all() and np.all(np.ptp(turned, axis=0) < 10.0**-_DECIMALS)
+    device_from_camera = turned[0] if alike else np.eye(3)
+    known = np.where(np.isfinite(turned), turned, device_from_camera)
+    tangents = tangents_of_dir(np.einsum("nji,nj->ni", known, table.view_dir))
+    low, high = tangents.min(axis=0), tangents.max(axis=0)
+    margin = _MARGIN * (high - low) + ARCMIN
+    size = np.ceil((high - low + 2.0 * margin) / ARCMIN)
+    centre = np.array([margin[0] - low[0], high[1] + margin[1]]) / ARCMIN
+    # An angle away from the axis of a pinhole covers more pixels: the geometric mean of radially and across.
+    per_arcmin = (1.0 + np.sum(tangents**2, axis=1)) ** 0.75
+    sigma_px = max(_FINEST_PX, float(np.sqrt(np.mean((table.sigma_arcmin * per_arcmin) ** 2))))
+    camera = EyeballCamera(
+        size, np.full(2, 1.0 / ARCMIN), centre, sigma_px, device_from_camera=np.asarray(device_from_camera)
+    )
+    stage = Stage(np.array(table.eye_box.centre))
+    return Bench(device, table.eye, camera, stage, _target(table.see_through(), source))
+
+
+def _captures_in(folder: Path, bench_file: str | Path | None) -> Path | None:
+    """The capture file in a calibration's output folder; None in another folder."""
+    found = sorted(folder.glob("captures-*.npz"))
+    if (folder / "bench.toml").exists() or not found:
+        return None
+    if len(found) > 1 and bench_file is not None:
+        wanted = f"captures-{load_bench(bench_file).eye}.npz"
+        found = [path for path in found if path.name == wanted] or found
+    if len(found) > 1:
+        raise BadInputError(f"{folder}: has {' and '.join(path.name for path in found)}; name one of these files.")
+    return found[0]
+
+
+def _named_device(table: ObservationTable, source: Path) -> Device:
+    if table.device in shipped_names("devices", ".toml"):
+        return load_device(table.device)
+    raise BadInputError(
+        f"{source}: is of '{table.device}', which is no shipped device; name its prescription by --device, or a bench "
+        "by --bench."
+    )
+
+
+def _target(captures: SeeThroughCaptures | None, source: str | Path) -> Target:
+    """The target at the poses in which captures have seen it; a number without captures gets the pose before it."""
+    if captures is None:
+        return Target(np.zeros((0, 4, 4)), np.zeros(0))
+    on_target = np.full_like(captures.point, np.nan) if captures.target_point is None else captures.target_point
+    numbers = np.unique(captures.target_pose)
+    poses, pitches = [], []
+    for number in numbers:
+        rows = captures.target_pose == number
+        pose = _pose(captures.point[rows], on_target[rows])
+        if pose is None:
+            raise BadInputError(f"{source}: target pose {number} has no three points off one line; leave it out.")
+        poses.append(pose)
+        pitches.append(_pitch(captures.point[rows]))
+    of_number = np.searchsorted(numbers, np.arange(numbers[-1] + 1), side="right").clip(1) - 1
+    return Target(np.stack(poses)[of_number], np.array(pitches)[of_number])
+
+
+def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
+    """Pose (4, 4) of a target from its points (n, 3) in the device frame and in its own; None where they do not fix it.
+
+    Where the target's own points are unknown, its plane is that of least squares, with x to the right.
+    """
+    centre = point.mean(axis=0)
+    _, spread, axes = np.linalg.svd(point - centre, full_matrices=False)
+    if len(point) < 3 or spread[1] / np.sqrt(len(point)) < _LEAST_SPREAD_M:
+        return None
+    known = np.isfinite(on_target).all(axis=1)
+    if known.sum() >= 3:
+        own_centre, at = on_target[known].mean(axis=0), point[known].mean(axis=0)
+        rotation = Rotation.align_vectors(point[known] - at, on_target[known] - own_centre)[0].as_matrix()
+        return rigid(rotation, at - rotation @ own_centre)
+    normal = axes[2] * np.sign(axes[2, 2])
+    right = normalised(np.array([1.0, 0.0, 0.0]) - normal[0] * normal)
+    return rigid(np.column_stack([right, np.cross(normal, right), normal]), centre)
+
+
+def _pitch(point: FloatArray) -> float:
+    """Distance of neighbouring points."""
+    places = np.unique(np.round(point, 6), axis=0)
+    return float(np.median(KDTree(places).query(places, k=2)[0][:, 1]))
