@@ -1,6 +1,7 @@
 """What was read in photographs, carried into the device frame."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from wlr_render.calibration.photograph_captures import (
     PanelView,
     TargetView,
     display_captures,
+    recorded_of,
     see_through_captures,
     within_field,
 )
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.decoded import DecodedSamples
+from wlr_render.captures.photo_session import CodeSet
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
@@ -43,6 +46,21 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     assert set(captures.capture) == {5}
     assert captures.sigma_arcmin == pytest.approx(np.hypot(0.07, 0.02) / 700 / ARCMIN)
     assert np.allclose(captures.viewpoint, [0.002, 0.001, 0.03])
+    np.testing.assert_allclose(captures.target_point, board.point_of(index))
+
+
+def test_conditions_of_photographs_are_kept_and_the_camera_looks_along_its_minus_z():
+    samples = DecodedSamples(np.full((3, 2), 200.5), np.full((3, 2), 5.0), np.full(3, 0.1), np.full(3, 2.0))
+    taken = CodeSet(Path("set"), np.array([0.01, 0.02]), channel="blue", time_s=40.0)
+    views = [PanelView(POSE, samples, recorded_of(taken)), PanelView(POSE, samples)]
+    conditions = display_captures(HEADSET, Panel(20, 10), CAMERA, views).conditions
+    assert conditions.channel.tolist() == [2, 2, 2, -1, -1, -1]
+    np.testing.assert_array_equal(conditions.time_s[:3], 40.0)
+    np.testing.assert_array_equal(conditions.stage[:3], [[0.01, 0.02]] * 3)
+    assert np.isnan(conditions.stage[3:]).all()
+    assert np.isnan(conditions.temperature_c).all()
+    np.testing.assert_allclose(-conditions.device_from_camera[:, :, 2], [POSE[:3, 2]] * 6)
+    np.testing.assert_allclose(np.linalg.det(conditions.device_from_camera), 1.0)
 
 
 def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():

@@ -16,6 +16,7 @@ from wlr_render.calibration.photograph_captures import (
     PanelView,
     TargetView,
     display_captures,
+    recorded_of,
     see_through_captures,
     within_field,
 )
@@ -213,7 +214,7 @@ def _captures(
     """Captures from both kinds of photographs; `places` numbers the camera position of each see-through photograph."""
     headset = Headset(session.device, session.eye, session.eye_box)
     panels = [
-        PanelView(station.device_from_camera(np.asarray(each.stage)), found.samples)
+        PanelView(station.device_from_camera(np.asarray(each.stage)), found.samples, recorded_of(each))
         for each, found in reading.decoded(session.display)
     ]
     targets = [
@@ -223,8 +224,9 @@ def _captures(
             each.target_pose,
             place,
             observation,
+            recorded_of(each) | {"visit": visit},
         )
-        for (each, observation), place in zip(through, places, strict=True)
+        for visit, ((each, observation), place) in enumerate(zip(through, places, strict=True))
     ]
     display = display_captures(headset, session.pattern.panel, camera, panels)
     see_through = see_through_captures(headset, session.board, camera, targets)

@@ -1,14 +1,15 @@
 """Convert observations in photographs to captures in the device frame."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.captures.boards.board import Board, BoardObservation
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
+from wlr_render.captures.correspondences import Conditions, DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
+from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -44,10 +45,12 @@ class PanelView:
     Attributes:
         device_from_camera: (4, 4).
         samples: what was decoded.
+        conditions: what was recorded, by the names of `Conditions`.
     """
 
     device_from_camera: FloatArray
     samples: DecodedSamples
+    conditions: Mapping[str, ArrayLike] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +62,7 @@ class TargetView:
         target_pose: index of the target's place.
         capture: index of the camera's place.
         observation: the dots found.
+        conditions: as of a `PanelView`.
     """
 
     device_from_camera: FloatArray
@@ -66,6 +70,7 @@ class TargetView:
     target_pose: int
     capture: int
     observation: BoardObservation
+    conditions: Mapping[str, ArrayLike] = field(default_factory=dict)
 
 
 def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: Sequence[PanelView]) -> DisplayCaptures:
@@ -92,6 +97,7 @@ def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: 
                 pixel=view.samples.panel_pixel[sound],
                 capture=np.full(int(sound.sum()), number),
                 sigma_arcmin=(sigma_px * _arcmin_per_pixel(camera))[sound],
+                conditions=_conditions(view, int(sound.sum())),
             )
         )
     return concatenate(parts)
@@ -113,7 +119,7 @@ def see_through_captures(
     for view in views:
         direction, sound = _directions(camera, view.device_from_camera, view.observation.pixel)
         count = int(sound.sum())
-        point = transforms.apply(view.device_from_target, board.point_of(view.observation.index[sound]))
+        on_target = board.point_of(view.observation.index[sound])
         parts.append(
             SeeThroughCaptures(
                 headset.device,
@@ -121,10 +127,12 @@ def see_through_captures(
                 headset.eye_box,
                 viewpoint=np.broadcast_to(view.device_from_camera[:3, 3], (count, 3)),
                 view_dir=direction[sound],
-                point=point,
+                point=transforms.apply(view.device_from_target, on_target),
                 capture=np.full(count, view.capture),
                 target_pose=np.full(count, view.target_pose),
                 sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(camera))[sound],
+                conditions=_conditions(view, count),
+                target_point=on_target,
             )
         )
     return concatenate(parts)
@@ -144,6 +152,20 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
     if not inside.any():
         raise BadInputError("no dot of the target was seen in the directions of the panel; put the target before it.")
     return select(see_through, inside)
+
+
+def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, ArrayLike]:
+    """Return what session.toml records of a photograph or a set, by the names of `Conditions`."""
+    stated = {"stage": taken.stage, "time_s": taken.time_s, "temperature_c": taken.temperature_c}
+    if isinstance(taken, CodeSet) and taken.channel is not None:
+        stated["channel"] = CHANNELS.index(taken.channel)
+    return {name: value for name, value in stated.items() if value is not None}
+
+
+def _conditions(view: PanelView | TargetView, count: int) -> Conditions:
+    """Conditions of the rows of a view; its camera has OpenCV's axes."""
+    rotation = view.device_from_camera[:3, :3] @ transforms.OPENXR_FROM_OPENCV
+    return Conditions.recorded(count, device_from_camera=rotation, **view.conditions)
 
 
 def _directions(

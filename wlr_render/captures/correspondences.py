@@ -196,8 +196,17 @@ def concatenate(parts: Sequence[_AnyRows]) -> _AnyRows:
     per_row: dict[str, Any] = {}
     for name in _per_row(parts[0]):
         values = [getattr(part, name) for part in parts]
-        per_row[name] = concatenate(values) if isinstance(values[0], Conditions) else np.concatenate(values)
+        if isinstance(values[0], Conditions):
+            per_row[name] = concatenate(values)
+        else:
+            per_row[name] = np.concatenate(_of_one_width(values) if name == "stage" else values)
     return replace(parts[0], **per_row)
+
+
+def _of_one_width(stages: Sequence[FloatArray]) -> list[FloatArray]:
+    """Stage readings (n, m), those without a reading filled up with NaN."""
+    width = max(each.shape[1] for each in stages)
+    return [np.pad(each, ((0, 0), (0, width - each.shape[1])), constant_values=np.nan) for each in stages]
 
 
 def _per_row(captures: DisplayCaptures | SeeThroughCaptures | Conditions) -> list[str]:

@@ -145,8 +145,7 @@ def observation_table(
     if first is None or panel is None:
         raise BadInputError("captures: there are neither of the panel nor of a target; there must be one of the two.")
     parts = [each for each in (display, see_through) if each is not None]
-    stage_axes = max((each.conditions.stage.shape[1] for each in parts if each.conditions), default=0)
-    columns = [_columns(each, stage_axes) for each in parts]
+    columns = [_columns(each) for each in parts]
     return ObservationTable(
         device=first.device,
         eye=first.eye,
@@ -158,14 +157,11 @@ def observation_table(
     )
 
 
-def _columns(captures: DisplayCaptures | SeeThroughCaptures, stage_axes: int) -> dict[str, Any]:
+def _columns(captures: DisplayCaptures | SeeThroughCaptures) -> dict[str, Any]:
     count = len(captures)
     nothing: NDArray[np.float64] = np.full((count, 3), np.nan)
-    conditions = captures.conditions
-    if conditions is None:
-        conditions = Conditions.recorded(count, stage=np.full(stage_axes, np.nan))
     shared = {name: getattr(captures, name) for name in ("capture", "viewpoint", "view_dir", "sigma_arcmin")}
-    shared["conditions"] = conditions
+    shared["conditions"] = captures.conditions or Conditions.recorded(count)
     if isinstance(captures, DisplayCaptures):
         feature = np.column_stack([captures.pixel, nothing[:, 0]])
         pose = np.full(count, -1)

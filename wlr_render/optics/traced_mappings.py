@@ -21,6 +21,9 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.tracer import trace
 
+TRACED = " (traced)"
+"""End of the name of mappings that trace a device exactly."""
+
 _DEGREE = 4
 _VIEWPOINTS = 60
 _SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents in which the panel is looked for: 63 degrees to each side
@@ -93,7 +96,7 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = 0.55) 
         raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
     optics = device.eyes[eye]
     display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
-    return EyeMappings(f"{device.name} (traced)", eye, display, see_through, optics.eye_box, optics.field)
+    return EyeMappings(device.name + TRACED, eye, display, see_through, optics.eye_box, optics.field)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from wlr_render.geometry.transforms import rigid
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import TRACED
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.bench_file import load_bench
 from wlr_render.simulation.session_captures import session_of
@@ -58,8 +59,10 @@ def load_measurements(
     if bench_file is not None and device is not None:
         raise BadInputError("--bench and --device both state the headset; give one of them.")
     table = load_observations(captures)
+    table = replace(table, device=table.device.removesuffix(TRACED))
     if bench_file is None:
         bench = direction_bench(load_device(device) if device else _named_device(table, captures), table, captures)
+        table = replace(table, device=bench.device.name)  # a calibration may have called it otherwise
     else:
         bench = load_bench(bench_file)
         if len(bench.target.pitch) == 0:

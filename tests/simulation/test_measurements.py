@@ -1,0 +1,174 @@
+"""Captures are diagnosed as the bench session is that they were made of, and by a device alone."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.session_writer import write_session
+
+from wlr_render.captures.capture_file import load_observations, save_captures
+from wlr_render.captures.correspondences import Conditions
+from wlr_render.captures.observation_table import observation_table
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import Settings
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.transforms import rotation_about
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.measurements import load_measurements
+from wlr_render.simulation.session_captures import observations_of
+from wlr_render.simulation.session_folder import load_session, save_session
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_session import simulate
+
+SCALE_PERCENT = 0.4
+FEW = {name: CAUSES[name] for name in ("target_scale", "combiner_tilt", "camera_rotation")}
+quick = partial(diagnose, causes=FEW, settings=Settings(subsample=1500))
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory):
+    """Folder of a bench session whose target was printed too large."""
+    folder = tmp_path_factory.mktemp("bench") / "printed"
+    effect = Effect("target_scale", {"scale_percent": SCALE_PERCENT})
+    write_session(folder, Plan(grid=(7, 6), dots=(7, 5), off_plane=6), [effect], np.random.default_rng(2))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def captures(printed, tmp_path_factory):
+    """Capture file of the same session."""
+    path = tmp_path_factory.mktemp("captures") / "captures-right.npz"
+    return save_captures(path, observations_of(*load_session(printed)))
+
+
+def assert_same_diagnosis(found, expected):
+    assert found.verdict == expected.verdict
+    assert [cause.name for cause in found.causes] == [cause.name for cause in expected.causes]
+    for a, b in zip(found.causes, expected.causes, strict=True):
+        for p, q in zip(a.parameters, b.parameters, strict=True):
+            assert (p.value, p.sigma) == pytest.approx((q.value, q.sigma), rel=1e-4)
+    for part in ("before", "after"):
+        a, b = ({k: v for k, v in vars(getattr(each, part)).items() if v is not None} for each in (found, expected))
+        assert a == pytest.approx(b, rel=1e-6)
+
+
+def test_captures_are_diagnosed_as_the_session_that_they_were_made_of(printed, captures):
+    expected = quick(*load_session(printed))
+    assert [cause.name for cause in expected.causes] == ["target_scale"]
+    found = quick(*load_measurements(captures, printed / "bench.toml"))
+    assert_same_diagnosis(found, expected)
+
+
+def test_by_the_device_alone_the_cause_is_named_with_its_size(captures):
+    bench, session = load_measurements(captures)
+    np.testing.assert_allclose(1.0 / bench.camera.focal_px, np.radians(1 / 60))
+    assert np.all((session.plan.display.camera_pixel > 0) & (session.plan.display.camera_pixel < bench.camera.size_px))
+    found = quick(bench, session)
+    (cause,) = found.causes
+    assert (cause.name, found.verdict) == ("target_scale", "explained")
+    for parameter in cause.parameters:
+        assert abs(parameter.value - SCALE_PERCENT) < 4 * parameter.sigma
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory):
+    """Capture file of a headset that is as it should be, on a stage that repeats to 5 um and 20 urad."""
+    truth, rng = traced_eye(load_device("northstar"), "right"), np.random.default_rng(3)
+    setup = CaptureSetup(truth, 0.25, 5e-6, grid=(9, 8), stage_turn_rad=20e-6)
+    positions = setup.camera_positions("volumetric", 16)
+    table = observation_table(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return save_captures(tmp_path_factory.mktemp("repeated") / "captures-right.npz", table)
+
+
+def test_an_imperfect_stage_is_judged_alike_from_captures_and_from_a_session(repeated, tmp_path):
+    bench, session = load_measurements(repeated, device="northstar")
+    found = quick(bench, session)
+    assert_same_diagnosis(found, quick(*load_session(save_session(tmp_path / "session", bench, session))))
+    assert not session.plan.display.time_s.any()
+
+
+def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path):
+    truth, rng = traced_eye(load_device("northstar"), "right"), np.random.default_rng(3)
+    setup = CaptureSetup(truth, grid=(5, 4))
+    positions = setup.camera_positions("volumetric", 6)
+    display, see_through = simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)
+    for turned in (None, np.eye(3), rotation_about("y", 0.2), _by_capture(display.capture, see_through.capture)):
+        parts = (display, see_through)
+        if turned is not None:
+            each = turned if isinstance(turned, tuple) else (turned, turned)
+            parts = [
+                replace(part, conditions=Conditions.recorded(len(part), device_from_camera=rotation))
+                for part, rotation in zip(parts, each, strict=True)
+            ]
+        path = save_captures(tmp_path / "captures-right.npz", observation_table(*parts))
+        bench, session = load_measurements(path)
+        predicted = simulate(bench, session.plan)
+        np.testing.assert_allclose(predicted.panel_pixel, session.readings.panel_pixel, atol=1e-6)
+        np.testing.assert_allclose(predicted.dot_pixel, session.readings.dot_pixel, atol=1e-6)
+        again_bench, again = load_session(save_session(tmp_path / "again", bench, session))
+        predicted = simulate(again_bench, again.plan)
+        np.testing.assert_allclose(predicted.panel_pixel, again.readings.panel_pixel, atol=1e-6)
+        np.testing.assert_allclose(predicted.dot_pixel, again.readings.dot_pixel, atol=1e-6)
+
+
+def _by_capture(*captures):
+    """A rotation of the camera for each row, one for each camera position."""
+    turns = np.stack([rotation_about("x", angle) for angle in np.linspace(-0.1, 0.1, 6)])
+    return tuple(turns[each] for each in captures)
+
+
+def test_targets_that_are_not_flat_keep_their_shape(repeated, tmp_path):
+    table = load_observations(repeated)
+    seen = table.see_through()
+    lifted = seen.point + [0, 0, 0.001] * np.cos(300 * seen.point[:, :1])
+    own = np.column_stack([seen.point[:, 1], -seen.point[:, 0], lifted[:, 2] - seen.point[:, 2]]) + [0.3, 0.0, 0.01]
+    for target_point in (None, own):
+        changed = replace(seen, point=lifted, target_point=target_point)
+        path = save_captures(tmp_path / "captures-right.npz", observation_table(table.display(), changed))
+        bench, session = load_measurements(path)
+        plan = session.plan.see_through
+        assert plan.height.std() > 3e-4
+        at = np.column_stack([plan.dot, plan.height])
+        pose = bench.target.device_from_target[plan.target_pose]
+        np.testing.assert_allclose(np.einsum("nij,nj->ni", pose[:, :3, :3], at) + pose[:, :3, 3], lifted, atol=1e-12)
+        if target_point is not None:
+            np.testing.assert_allclose(at, own, atol=1e-9)
+
+
+def test_a_calibrations_folder_has_the_captures_of_one_eye(captures, printed, tmp_path):
+    folder = tmp_path / "calibrated"
+    folder.mkdir()
+    (folder / "captures-right.npz").write_bytes(captures.read_bytes())
+    assert load_measurements(folder)[1].name == "calibrated"
+    (folder / "captures-left.npz").write_bytes(captures.read_bytes())
+    with pytest.raises(BadInputError, match=r"has captures-left\.npz and captures-right\.npz; name one"):
+        load_measurements(folder)
+    assert load_measurements(folder, printed / "bench.toml")[0].eye == "right"
+
+
+def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_path):
+    for arguments, words in (
+        ((printed, None, "northstar"), "no device can be chosen for it"),
+        ((captures, printed / "bench.toml", "northstar"), "give one of them"),
+        ((captures, _other_device(printed, tmp_path)), "the captures are of northstar"),
+        ((tmp_path / "nothing",), "nothing: has no bench.toml, so it is not a bench session"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            load_measurements(*arguments)
+    table = replace(load_observations(captures), device="mine")
+    other = save_captures(tmp_path / "captures-right.npz", table)
+    with pytest.raises(BadInputError, match=r"is of 'mine', which is no shipped device; name its prescription by --de"):
+        load_measurements(other)
+    assert load_measurements(other, None, "northstar")[0].device.name == "northstar"
+
+
+def _other_device(printed, folder):
+    """The bench of a session, with another headset."""
+    text = (printed / "bench.toml").read_text().replace('"northstar"', '"birdbath28"')
+    (folder / "bench.toml").write_text(text)
+    return folder / "bench.toml"
