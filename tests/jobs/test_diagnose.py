@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,12 +12,15 @@ from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
 
+from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.jobs import diagnose
 from wlr_render.simulation.bench_file import load_bench
+from wlr_render.simulation.session_captures import observations_of
+from wlr_render.simulation.session_folder import load_session
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
@@ -86,6 +90,27 @@ def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_go
     assert {limit["cause"] for limit in record["detection_limits"]} == set(FEW)
     assert not (out / "diagnosis.json").exists()
     assert not (out / "corrected" / "bench.toml").exists()
+
+
+def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes, tmp_path, capsys):
+    calibrated, out = tmp_path / "calibrated", tmp_path / "out"
+    calibrated.mkdir()
+    table = observations_of(*load_session(session))
+    unrecorded = replace(table.conditions, time_s=np.full(len(table), np.nan))
+    save_captures(calibrated / "captures-right.npz", replace(table, conditions=unrecorded))
+    status, printed = run(capsys, calibrated, "--device", "northstar", "--out", out)
+    assert status == 0
+    assert "Explained: printed size of the target (target_scale: scale_" in printed.out
+    assert "No times are recorded" in printed.out
+    record = json.loads((out / "diagnosis.json").read_text())
+    assert [cause["name"] for cause in record["causes"]] == ["target_scale"]
+    assert record["session"] == "calibrated"
+    status, printed = run(capsys, out / "corrected", "--out", out / "again")
+    assert status == 0
+    assert "No effect found" in printed.out
+    status, printed = run(capsys, session, "--device", "northstar", "--out", out)
+    assert status == 2
+    assert "no device can be chosen for it" in printed.err
 
 
 def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):

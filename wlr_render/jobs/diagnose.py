@@ -4,6 +4,9 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+
+from wlr_render.captures.session import Session
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
@@ -59,8 +62,18 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     files = _write_corrected(folder / CORRECTED, found)
     device = [Path(options.device)] if options.device and Path(options.device).is_file() else []
     inputs = (options.session, *([options.bench] if options.bench else []), *device)
-    report = save_report(replace(diagnosis_report(found, in_use, inputs, folder), files=files), folder, STEM)
+    report = diagnosis_report(found, in_use, inputs, folder)
+    report = replace(report, warnings=[*report.warnings, *_not_recorded(session)], files=files)
+    report = save_report(report, folder, STEM)
     return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)
+
+
+def _not_recorded(session: Session) -> list[str]:
+    """A warning if the session states no times."""
+    times = [part.time_s for part in session.plan.parts if part is not None]
+    if any(np.any(time_s) for time_s in times):
+        return []
+    return ["No times are recorded: causes that depend on time (slip, warm-up) cannot be found."]
 
 
 def _in_use(nominal: Bench, found: Diagnosis) -> ImprovementInUse | None:

@@ -11,11 +11,15 @@ from browser import needs_browser, open_page
 from wlr_render.calibration.poses import motion_between
 from wlr_render.calibration.station_file import load_station
 from wlr_render.captures.capture_file import load_captures
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.calibrate.photos import calibrated, report_of
 from wlr_render.models.model_file import load_eye_model
+from wlr_render.optics.device_writer import save_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot
+from wlr_render.simulation.measurements import load_measurements
 from wlr_render.toml_files import read_toml
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
@@ -73,6 +77,20 @@ def test_captures_agree_with_the_devices_exact_mappings(found, bench):
     seen = truth.see_through.view_dir_of_real_point(see_through.point, see_through.viewpoint)
     assert seen.usable.all()
     assert np.median(arcmin_between(seen.value, see_through.view_dir)) < allowed
+
+
+def test_a_photographic_session_can_be_diagnosed(found, bench, photo_session, tmp_path):
+    device = save_device(bench.device, tmp_path / "device.toml")
+    nominal, session = load_measurements(photo_session.out, device=device)
+    conditions = load_captures(photo_session.out / "captures-right.npz").see_through.conditions
+    stage = np.array([each.stage for each in found.session.see_through])
+    np.testing.assert_array_equal(conditions.stage, stage[conditions.visit])
+    predictor = Predictor.of_session(nominal, session)
+    observations, residual = predictor.observations, predictor.residual(Explanation())
+    assert np.mean(observations.part == SEE_THROUGH) > 0.1
+    for part in (DISPLAY, SEE_THROUGH):
+        arcmin = np.linalg.norm(observations.arcminutes(residual, part), axis=1)
+        assert np.median(arcmin) < 4 * camera_error_arcmin(found.station)
 
 
 def test_a_flat_image_is_fitted_to_the_noise(found):
