@@ -84,6 +84,12 @@ VERBS = (
     ),
     Verb("import", DATA, "import_session:import_session", "Convert a third-party data set into a bench session."),
     Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
+    Verb(
+        "capture",
+        DATA,
+        "capture:capture",
+        "Show a panel code picture by picture and photograph each with your camera's command.",
+    ),
     Verb("decode", DATA, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
     Verb("board", DATA, "targets:board", "Design a two-size dot board and write it for printing and for calibration."),
     Verb("pattern", DATA, "targets:pattern", "Write the pictures of a panel code, and a page that shows them."),

@@ -16,6 +16,9 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 
 Code = Literal["gray", "fringes", "gray-fringes"]
+Primary = Annotated[
+    Literal["red", "green", "blue"] | None, described("Primary to show the code in (default: white, all of them).")
+]
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class PatternOptions(Options):
     _: KW_ONLY
     panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), Range(at_least=1)]
     pattern: Annotated[Code, described("Code to show.")] = "gray-fringes"
+    channel: Primary = None
     out: Annotated[Path, described("Output folder.")] = Path("out/pattern")
 
 
@@ -62,7 +66,7 @@ def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> 
         BadInputError: no such code can be made.
     """
     code = make_pattern(options.pattern, Panel(*options.panel))
-    pictures = write_show_page(output_folder(options.out), code)
+    pictures = write_show_page(output_folder(options.out), code, options.channel)
     page = options.out / PAGE
     advice = [f"Open {page} on the panel's screen to show them."]
     return Report("Pattern", f"{len(pictures)} pictures of the code {options.pattern}.", advice, files=[page])

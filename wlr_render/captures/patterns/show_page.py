@@ -4,29 +4,38 @@ import base64
 import json
 from pathlib import Path
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.photographs import write_photograph
-from wlr_render.files import write_text
+from wlr_render.files import write_image, write_text
 
 PAGE = "show.html"
 
 
-def write_show_page(folder: str | Path, pattern: Pattern) -> list[Path]:
+def write_show_page(folder: str | Path, pattern: Pattern, channel: str | None = None) -> list[Path]:
     """Write the pictures and the page.
 
     The page needs nothing else beside it. Opened on the panel as an external monitor, it shows picture after picture,
-    one picture pixel on one panel pixel: at a click or a key, or every two seconds as `show.html?seconds=2`.
+    one picture pixel on one panel pixel: at a click or a key, or every two seconds as `show.html?seconds=2`. Where a
+    `ShowServer` serves it, it shows the pictures that the server asks for.
 
     Args:
         folder: is made if need be.
         pattern: to show.
+        channel: primary to show it in: "red", "green" or "blue"; None for white.
 
     Returns:
         The pictures in the order of showing, 000_white.png, 001_black.png, ...; numbered as `Pattern.image` is.
     """
     names = pattern.names()
     paths = [
-        write_photograph(Path(folder) / f"{index:03d}_{name.replace(' ', '_')}.png", pattern.image(index))
+        write_image(
+            Path(folder) / f"{index:03d}_{name.replace(' ', '_')}.png",
+            _in_primary(pattern.image(index), channel),
+            [cv2.IMWRITE_PNG_COMPRESSION, 1],
+        )
         for index, name in enumerate(names)
     ]
     pictures = [_embedded(path) for path in paths]
@@ -34,6 +43,15 @@ def write_show_page(folder: str | Path, pattern: Pattern) -> list[Path]:
     content = {"names": names, "pictures": pictures, "width": pattern.panel.width_px, "height": pattern.panel.height_px}
     write_text(Path(folder) / PAGE, _HTML.replace("CONTENT", json.dumps(content)).replace("SIZE", size))
     return paths
+
+
+def _in_primary(image: NDArray[np.uint8], channel: str | None) -> NDArray[np.uint8]:
+    """(h, w) as it is for white, else (h, w, 3) in OpenCV's order blue, green, red."""
+    if channel is None:
+        return image
+    coloured = np.zeros((*image.shape, 3), np.uint8)
+    coloured[..., ("blue", "green", "red").index(channel)] = image
+    return coloured
 
 
 def _embedded(path: Path) -> str:
@@ -55,8 +73,9 @@ _HTML = """<!DOCTYPE html>
 "use strict";
 const code = CONTENT;
 const picture = document.querySelector("img"), text = document.querySelector("p");
-const seconds = Number(new URLSearchParams(location.search).get("seconds") || 0);
-let index = -1, timer = null;
+const options = new URLSearchParams(location.search);
+const seconds = Number(options.get("seconds") || 0), remote = options.has("remote");
+let index = -1, timer = null, started = false, shown = -1;
 
 // One picture pixel on one panel pixel, whatever zoom and scaling the system has.
 function fit() {
@@ -67,8 +86,9 @@ function fit() {
 function message() {
   const here = Math.round(innerWidth * devicePixelRatio) + " x " + Math.round(innerHeight * devicePixelRatio);
   text.textContent = code.names.length + " pictures for a panel of SIZE pixels; this window has " + here + ". " +
+    (remote ? "Move it to the panel's screen and click for full screen; then the capture begins." :
     "Click for full screen and the first picture; then click or press any key for the next, Backspace or the left " +
-    "arrow for the one before. With ?seconds=2 behind the address they change by themselves.";
+    "arrow for the one before. With ?seconds=2 behind the address they change by themselves.");
 }
 
 function show(next) {
@@ -80,23 +100,49 @@ function show(next) {
   if (index === code.names.length) { clearInterval(timer); timer = null; document.title = "all shown"; }
 }
 
-function start() {
-  document.documentElement.requestFullscreen?.();
-  show(0);
-  if (seconds > 0) timer = setInterval(() => show(index + 1), 1000 * seconds);
+// Ask the server which picture to show, and tell it which one is on the screen.
+async function poll() {
+  const size = [innerWidth, innerHeight].map(length => Math.round(length * devicePixelRatio));
+  try {
+    const query = "?shown=" + shown + "&width=" + size[0] + "&height=" + size[1];
+    const answer = await fetch("state" + query, {cache: "no-store"});
+    if (answer.status === 404) { location.replace("/"); return; }  // another code is being captured
+    const next = (await answer.json()).show;
+    if (next !== shown) {
+      show(next);
+      if (!picture.hidden) await picture.decode();
+      await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
+      shown = next;
+    }
+  } catch (error) { console.log("no answer: " + error); }  // between two captures nothing serves the page
+  setTimeout(poll, 100);
+}
+
+async function start() {
+  const full = document.documentElement.requestFullscreen?.().catch(() => {});
+  if (remote && !started) {
+    started = true;
+    await full;
+    poll();
+  } else if (!remote) {
+    show(0);
+    if (seconds > 0) timer = setInterval(() => show(index + 1), 1000 * seconds);
+  }
 }
 
 addEventListener("resize", () => { fit(); message(); });
-addEventListener("click", () => index < 0 ? start() : show(index + 1));
+addEventListener("click", () => remote || index < 0 ? start() : show(index + 1));
 addEventListener("keydown", event => {
   if (["Shift", "Control", "Alt", "Meta", "Escape", "F11"].includes(event.key)) return;
   event.preventDefault();
-  if (event.key === "Backspace" || event.key === "ArrowLeft") show(index - 1);
+  if (remote) start();
+  else if (event.key === "Backspace" || event.key === "ArrowLeft") show(index - 1);
   else if (index < 0) start();
   else show(index + 1);
 });
 fit();
 message();
+if (options.get("remote") === "now") start();
 </script>
 </html>
 """

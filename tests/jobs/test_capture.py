@@ -1,0 +1,128 @@
+"""A code is shown and photographed by a camera's command; the page and the camera are imitated."""
+
+import contextlib
+import json
+import os
+import re
+import sys
+import threading
+import time
+import urllib.request
+
+import cv2
+import numpy as np
+import pytest
+
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.captures.photographs import photographs_in, read_photograph
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.capture import CaptureOptions, capture
+from wlr_render.mappings import Panel
+from wlr_render.progress import Progress
+
+PANEL = Panel(8, 4)
+CODE = make_pattern("gray", PANEL)
+
+
+class ImitatedPage(Progress):
+    """Opens the page that the job names, and puts each picture that it shows into a file, the screen."""
+
+    def __init__(self, screen):
+        self.screen, self.shown = screen, []
+
+    def say(self, text):
+        url = re.search(r"http://\S+/", text).group(0)
+        threading.Thread(target=self._run, args=(url,), daemon=True).start()
+
+    def _run(self, url):
+        with contextlib.suppress(OSError):  # the job has ended
+            self._poll(url)
+
+    def _poll(self, url):
+        with urllib.request.urlopen(url) as answer:
+            root = answer.url.rsplit("/", 1)[0]
+        number = -1
+        while number < len(CODE.names()):
+            with urllib.request.urlopen(f"{root}/state?shown={number}&width=8&height=4") as answer:
+                wanted = json.load(answer)["show"]
+            if wanted != number:
+                self._show(root, wanted)
+            number = wanted
+            time.sleep(0.01)
+
+    def _show(self, root, number):
+        if 0 <= number < len(CODE.names()):
+            name = f"{number:03d}_{CODE.names()[number].replace(' ', '_')}.png"
+            with urllib.request.urlopen(f"{root}/{name}") as answer:
+                self.screen.write_bytes(answer.read())
+            self.shown.append(number)
+
+
+@pytest.fixture
+def camera(tmp_path):
+    """A camera's program: copies the screen, and fails while there is a file `flat_battery`."""
+    program = tmp_path / "camera.py"
+    program.write_text(
+        "import sys, shutil, pathlib\n"
+        f"here = pathlib.Path({str(tmp_path)!r})\n"
+        "if (here / 'flat_battery').exists() and '004' in sys.argv[1]: sys.exit('the battery is flat')\n"
+        "shutil.copy(here / 'screen', sys.argv[1])\n"
+    )
+    return f"{sys.executable} -S -E {program} {{path}}"
+
+
+def options(tmp_path, camera, **others):
+    given = {"panel": (8, 4), "pattern": "gray", "port": 0, "settle_s": 0.0, "page_timeout_s": 20.0, **others}
+    return CaptureOptions(tmp_path / "display" / "00", trigger=camera, **given)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr("wlr_render.captures.trigger._STABLE_S", 0.02)
+    monkeypatch.setattr("wlr_render.captures.trigger._LOOK_S", 0.01)
+
+
+@pytest.mark.usefixtures("quick")
+def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_continues(tmp_path, camera):
+    (tmp_path / "flat_battery").touch()
+    page, given = ImitatedPage(tmp_path / "screen"), options(tmp_path, camera)
+    with pytest.raises(BadInputError, match=r"004_.*failed with status 1 \(the battery is flat\)"):
+        capture(given, progress=page)
+    assert page.shown == [0, 1, 2, 3, 4]
+    os.remove(tmp_path / "flat_battery")
+
+    page = ImitatedPage(tmp_path / "screen")
+    report = capture(given, progress=page)
+    count = len(CODE.names())
+    assert report.verdict.startswith(f"{count - 4} photographs taken, 4 kept from an earlier run")
+    assert page.shown == list(range(4, count))
+    paths = photographs_in(given.folder)
+    assert len(paths) == count
+    for number, path in enumerate(paths):
+        assert np.array_equal(read_photograph(path, PhotographFormat(synthetic=True)), CODE.image(number))
+    assert capture(given, progress=page).verdict.startswith(f"0 photographs taken, {count} kept")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_primary_alone(tmp_path, camera):
+    given = options(tmp_path, camera, channel="red")
+    capture(given, progress=ImitatedPage(tmp_path / "screen"))
+    white = cv2.imread(str(given.folder / "000_white.png"), cv2.IMREAD_UNCHANGED)
+    assert white.reshape(-1, 3).tolist() == [[0, 0, 255]] * white[..., 0].size
+
+
+def test_what_cannot_be_captured_is_refused_first(tmp_path, camera):
+    given = options(tmp_path, camera)
+    given.folder.mkdir(parents=True)
+    (given.folder / "holiday.jpg").touch()
+    with pytest.raises(BadInputError, match=r"holds holiday\.jpg, which is no photograph of this code"):
+        capture(given)
+    with pytest.raises(BadInputError, match=r"has no \{path\}"):
+        capture(options(tmp_path, "gphoto2"))
+
+
+def test_a_page_that_nobody_opens(tmp_path, camera):
+    with pytest.raises(BadInputError, match=r"no page asked for a picture; open http://127.0.0.1:"):
+        capture(options(tmp_path, camera, page_timeout_s=0.2))
+    assert list((tmp_path / "display" / "00").iterdir()) == []

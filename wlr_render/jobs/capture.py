@@ -1,0 +1,88 @@
+"""Show a code picture by picture, and take a photograph of each with the camera's own program."""
+
+import contextlib
+import tempfile
+import time
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.patterns.show_page import write_show_page
+from wlr_render.captures.patterns.show_server import ShowServer
+from wlr_render.captures.photographs import SUFFIXES
+from wlr_render.captures.trigger import take_photograph, words_of
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
+from wlr_render.jobs.options import Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.targets import Code, Primary
+from wlr_render.mappings import Panel
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+
+_BLACK_S = 2.0  # longest wait for a black page at the end
+Suffix = Literal[".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".npy", ".dng"]
+
+
+@dataclass(frozen=True)
+class CaptureOptions(Options):
+    """Options of `capture`."""
+
+    folder: Annotated[Path, described("Folder of the photographs; an interrupted capture continues there.")]
+    _: KW_ONLY
+    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), Range(at_least=1)]
+    trigger: Annotated[
+        str,
+        described(
+            'Command that takes one photograph and writes it to {path}, e.g. "gphoto2 --capture-image-and-download '
+            '--filename {path}".'
+        ),
+    ]
+    pattern: Annotated[Code, described("Code to show.")] = "gray-fringes"
+    channel: Primary = None
+    suffix: Annotated[Suffix, described("Ending of the photographs' names.")] = ".png"
+    port: Annotated[int, described("Port of the page at 127.0.0.1."), Range(at_least=0, at_most=65535)] = 8765
+    settle_s: Annotated[
+        float, described("Seconds from a picture's appearance to its photograph."), Range(at_least=0)
+    ] = 0.2
+    timeout_s: Annotated[float, described("Longest wait for a photograph, in seconds."), Range(above=0)] = 30.0
+    page_timeout_s: Annotated[float, described("Longest wait for the page, in seconds."), Range(above=0)] = 300.0
+
+
+def capture(options: CaptureOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Photograph the pictures that the folder does not have yet.
+
+    Raises:
+        BadInputError: the folder holds other photographs, the page is not opened or does not show a picture, or a
+            photograph is not taken; those taken are kept.
+    """
+    words_of(options.trigger)
+    code = make_pattern(options.pattern, Panel(*options.panel))
+    folder = output_folder(options.folder)
+    with tempfile.TemporaryDirectory() as shown:
+        pictures = write_show_page(shown, code, options.channel)
+        paths = [folder / f"{picture.stem}{options.suffix}" for picture in pictures]
+        _refuse_others(folder, paths)
+        missing = [number for number, path in enumerate(paths) if not path.is_file()]
+        if missing:
+            with ShowServer(Path(shown), code.panel, options.port) as page:
+                progress.say(f"open {page.url} on the panel's screen and click on it")
+                for number in progress(missing, len(missing), "photographs"):
+                    page.show(number, options.page_timeout_s)
+                    time.sleep(options.settle_s)
+                    take_photograph(options.trigger, paths[number], options.timeout_s)
+                with contextlib.suppress(BadInputError):  # the photographs are complete, whether or not it turns black
+                    page.show(len(paths), _BLACK_S)
+    return Report(
+        "Capture",
+        f"{len(missing)} photographs taken, {len(paths) - len(missing)} kept from an earlier run: {folder}",
+        ["List the folder in session.toml as [[display]] with its stage reading."],
+    )
+
+
+def _refuse_others(folder: Path, paths: list[Path]) -> None:
+    """Photographs of something else in the folder would be read as part of the code."""
+    found = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
+    others = sorted(path.name for path in set(found) - set(paths))
+    if others:
+        raise BadInputError(f"{folder}: holds {others[0]}, which is no photograph of this code; choose another folder.")
