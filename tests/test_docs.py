@@ -84,7 +84,7 @@ def fault_of_command(text, *, complete, of_script):
         complete: whether the command must be accepted as it stands, and not only its verb and its options' names.
         of_script: whether the words of the script `wlr` are meant too.
     """
-    app, words = VERBS, text.split("#")[0].split()
+    app, words = VERBS, re.sub(r"\"[^\"]*\"", "TEXT", text.split("#")[0]).split()
     if of_script and words and words[0] in WORDS_OF_THE_SCRIPT:
         if words[0] != "bench":
             return ""

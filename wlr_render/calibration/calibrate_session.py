@@ -141,8 +141,6 @@ def tracking_of(session: PhotoSession) -> tuple[SessionCamera, FloatArray]:
             or (camera.known is not None and getattr(camera.known, "kind", "") != "brown")
             for camera in cameras
         ),
-        "has standard deviations of a camera": session.tracking_sigma is not None
-        or any(camera.known_sigma is not None for camera in cameras),
         **{f"{name!r} is empty": not getattr(session, name) for name in ("bare", "see_through", "display")},
     }
     if reasons := [reason for reason, applies in lacking.items() if applies]:
