@@ -39,7 +39,8 @@ _VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
 BORDER_WIDTH = 1.596
 """Width over which a blurred border is missing in the strength of its bit, in standard deviations of the blur."""
-_WIDE, _WIDE_FROM = 0.2, 0.72  # slope and start of the rms error of cells that are narrower than the blur, in cells
+_WIDE, _WIDE_FROM = 0.21, 0.76  # slope and start of the rms error of cells that are narrower than the blur, in cells
+_LEAST = 0.012  # rms error of counted cells at any blur, in cells
 _BOX = 0.048  # rms error of a pixel without blur that is 1.5 cells wide, in cells
 _WIDE_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # of the cells, and their shares of its variance
 _WIDE_REST = 0.22  # share of the higher ones
@@ -222,10 +223,10 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
     for n in _PIXEL_HARMONICS:
         variance += 0.5 * (np.exp(-2 * (np.pi * n) ** 2 * blur) / (np.pi * n)) ** 2 * _left_of_wave(n * per_pixel)
     if reading.is_counted:
-        wide = _WIDE * np.maximum(BORDER_WIDTH * np.sqrt(blur) - _WIDE_FROM, 0)
+        wide = np.hypot(_WIDE * np.maximum(BORDER_WIDTH * np.sqrt(blur) - _WIDE_FROM, 0), _LEAST)
         # A sharp pixel between one and two cells wide: a box is no Gaussian.
         width = np.sqrt(np.sum(per_pixel**2, axis=0))
-        sharp = np.clip(2 - np.sqrt(blur) * BORDER_WIDTH / np.maximum(0.5 * width, 1e-6), 0, 1)
+        sharp = np.clip(6 - 5 * np.sqrt(blur) * BORDER_WIDTH / np.maximum(0.5 * width, 1e-6), 0, 1)
         wide = np.hypot(wide, _BOX * sharp * np.abs(np.sin(np.pi * width)) * (width > 1))
         waves = [share * _left_of_wave(n * per_pixel) for n, share in _WIDE_HARMONICS]
         variance += wide**2 * (np.sum(waves, axis=0) + _WIDE_REST / WINDOW**2)
