@@ -18,7 +18,8 @@ _COARSE_SIGMA = 0.15  # of the width of cells of several panel pixels
 _SMOOTHING_GAIN = 7.31
 """Variance of the mean of 9 x 9 smoothed pixels over that of independent ones: (73 / 729)**2 of a photographed pixel's,
 against 1/9 of it in each smoothed pixel, times 81."""
-_HARMONICS_LEFT = 0.02  # least part of the variance of cells that remains: their harmonics, where the wave vanishes
+_CELL_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # of the cells, with shares of the variance
+_HIGHER_HARMONICS = 0.22  # share of the others
 _FILLED = 0.6  # share of a window's pixels that must be accepted
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
 _RIM_PX = 2  # camera pixels beside a rejected one that are not used
@@ -191,13 +192,33 @@ def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray
         slope: (n, 2, 2) change of both panel axes along x (slope[:, 0]) and y, panel pixels per camera pixel.
         cell_px: (n,) width of the cells.
     """
-    periods = slope / cell_px[:, None, None]
-    periods -= np.rint(periods)  # a wave with a whole number of periods a pixel looks constant
-    of_window, of_pixel = (
-        np.prod((np.sinc(width * periods) / np.sinc(periods)) ** 2, axis=1)
-        for width in (2 * _REACH_PX + 1, _SMOOTHED_PX)
-    )
-    return np.asarray(np.mean(np.maximum(of_window / np.maximum(of_pixel, 0.05), _HARMONICS_LEFT), axis=-1))
+    periods = np.moveaxis(slope / cell_px[:, None, None], 1, 0)
+    of_window, of_pixel = (mean_of_cell_errors(periods, width) for width in (2 * _REACH_PX + 1, _SMOOTHED_PX))
+    return np.asarray(np.mean(of_window / of_pixel, axis=-1))
+
+
+def mean_of_cell_errors(periods: FloatArray, width: int) -> FloatArray:
+    """(...) part of the variance of errors of counted cells that a mean over width x width camera pixels leaves.
+
+    The harmonics and their shares are those of a Gray code seen blurred.
+
+    Args:
+        periods: (2, ...) cells per camera pixel in x and y.
+        width: camera pixels.
+    """
+    left = [share * left_of_wave(n * periods, width) for n, share in _CELL_HARMONICS]
+    return np.asarray(np.sum(left, axis=0) + _HIGHER_HARMONICS / width**2)
+
+
+def left_of_wave(frequency: FloatArray, width: int) -> FloatArray:
+    """(...) part of a wave's variance that the mean over width x width camera pixels leaves.
+
+    Args:
+        frequency: (2, ...) periods per camera pixel in x and y.
+        width: camera pixels.
+    """
+    alias = frequency - np.rint(frequency)  # a wave with a whole number of periods a pixel looks constant
+    return np.asarray(np.prod((np.sinc(width * alias) / np.sinc(alias)) ** 2, axis=0))
 
 
 def _planes(

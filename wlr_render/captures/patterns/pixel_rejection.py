@@ -8,7 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection, coarse_variance
+from wlr_render.captures.decoded import (
+    Decoded,
+    DecodeOptions,
+    Rejection,
+    coarse_variance,
+    left_of_wave,
+    mean_of_cell_errors,
+)
 from wlr_render.captures.patterns.photometry import Grey, PanelLight
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
@@ -40,10 +47,8 @@ _PIXEL_HARMONICS = (1, 2)
 BORDER_WIDTH = 1.596
 """Width over which a blurred border is missing in the strength of its bit, in standard deviations of the blur."""
 _WIDE, _WIDE_FROM = 0.21, 0.76  # slope and start of the rms error of cells that are narrower than the blur, in cells
-_LEAST = 0.012  # rms error of counted cells at any blur, in cells
+_LEAST = 0.01  # rms error of counted cells at any blur, in cells
 _BOX = 0.048  # rms error of a pixel without blur that is 1.5 cells wide, in cells
-_WIDE_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # of the cells, and their shares of its variance
-_WIDE_REST = 0.22  # share of the higher ones
 _NEEDED = 3  # neighbours that agree; fewer at the border of the picture
 _FEW = 400  # pairs that say nothing about the order of photographs
 
@@ -221,22 +226,17 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
     blur = np.maximum(reading.blur_px**2, np.sum(slope**2, axis=0) / 12) / cell**2
     variance = np.zeros(cell.shape)
     for n in _PIXEL_HARMONICS:
-        variance += 0.5 * (np.exp(-2 * (np.pi * n) ** 2 * blur) / (np.pi * n)) ** 2 * _left_of_wave(n * per_pixel)
+        variance += (
+            0.5 * (np.exp(-2 * (np.pi * n) ** 2 * blur) / (np.pi * n)) ** 2 * left_of_wave(n * per_pixel, WINDOW)
+        )
     if reading.is_counted:
         wide = np.hypot(_WIDE * np.maximum(BORDER_WIDTH * np.sqrt(blur) - _WIDE_FROM, 0), _LEAST)
         # A sharp pixel between one and two cells wide: a box is no Gaussian.
         width = np.sqrt(np.sum(per_pixel**2, axis=0))
         sharp = np.clip(6 - 5 * np.sqrt(blur) * BORDER_WIDTH / np.maximum(0.5 * width, 1e-6), 0, 1)
         wide = np.hypot(wide, _BOX * sharp * np.abs(np.sin(np.pi * width)) * (width > 1))
-        waves = [share * _left_of_wave(n * per_pixel) for n, share in _WIDE_HARMONICS]
-        variance += wide**2 * (np.sum(waves, axis=0) + _WIDE_REST / WINDOW**2)
+        variance += wide**2 * mean_of_cell_errors(per_pixel, WINDOW)
     return np.asarray(cell**2 * variance + coarse_variance(reading.cell_px))
-
-
-def _left_of_wave(frequency: FloatArray) -> FloatArray:
-    """(h, w) part of a wave's variance that the mean over the window leaves; (2, h, w) periods per pixel in x and y."""
-    alias = frequency - np.rint(frequency)
-    return np.asarray(np.prod((np.sinc(WINDOW * alias) / np.sinc(alias)) ** 2, axis=0))
 
 
 def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
