@@ -121,6 +121,7 @@ class BoardPhotograph:
         eye: "left" or "right".
         regions: (n, 4) lowest u, v and highest u, v of the parts of the picture that see the target past the optics,
             pixels from the outer corner of the top-left pixel; None for the whole picture.
+        other_regions: (n, 4) the same of a photograph through the optics, which do not count as seen through them.
         time_s: when it was taken, seconds from any origin; None if unknown.
         temperature_c: of the bench, degrees Celsius; None if unknown.
     """
@@ -133,6 +134,7 @@ class BoardPhotograph:
     orientation: int = 0
     eye: str = "right"
     regions: FloatArray | None = None
+    other_regions: FloatArray | None = None
     time_s: float | None = None
     temperature_c: float | None = None
 
@@ -141,14 +143,17 @@ class BoardPhotograph:
         """Path of the file."""
         return self.folder / self.name
 
-    def in_regions(self, pixel: FloatArray) -> BoolArray:
-        """Which pixels (n, 2) lie in one of the regions, (n,); all if there are no regions."""
-        if self.regions is None:
-            return np.ones(len(pixel), dtype=bool)
-        inside = np.zeros(len(pixel), dtype=bool)
-        for region in self.regions:
-            inside |= np.all((pixel >= region[:2]) & (pixel <= region[2:]), axis=1)
-        return inside
+    def counts(self, pixel: FloatArray) -> BoolArray:
+        """Which pixels (n, 2) this entry is about, (n,): those in its `regions` and not in its `other_regions`."""
+        whole = np.ones(len(pixel), dtype=bool) if self.regions is None else _in_regions(pixel, self.regions)
+        return whole if self.other_regions is None else whole & ~_in_regions(pixel, self.other_regions)
+
+
+def _in_regions(pixel: FloatArray, regions: FloatArray) -> BoolArray:
+    inside = np.zeros(len(pixel), dtype=bool)
+    for region in regions:
+        inside |= np.all((pixel >= region[:2]) & (pixel <= region[2:]), axis=1)
+    return inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,14 +279,6 @@ class PhotoSession:
         """The board at a target pose."""
         given = self.targets.get(target_pose)
         return self.board if given is None or given.board is None else given.board
-
-    def past_optics(self, photograph: BoardPhotograph, pixel: FloatArray) -> BoolArray:
-        """Which pixels (n, 2) of a photograph see the target past the optics by the entries of `beside`, (n,)."""
-        past = np.zeros(len(pixel), dtype=bool)
-        for each in self.beside:
-            if each.path == photograph.path:
-                past |= each.in_regions(pixel)
-        return past
 
     def for_eye(self, eye: str) -> "PhotoSession":
         """The session of one of its eyes: its own panel photographs and those through its optics, all others shared."""

@@ -1,6 +1,7 @@
 """Contradictions and gaps of a session.toml: each is refused in one sentence."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -118,6 +119,14 @@ def _name(entry: Entry) -> str:
 
 
 def _check_regions(file: Table, session: PhotoSession) -> None:
+    pose_of: dict[Path, int] = {}
+    for photograph in (*session.bare, *session.beside, *session.see_through, *session.tracking):
+        other = pose_of.setdefault(photograph.path, photograph.target_pose)
+        if other != photograph.target_pose:
+            raise file.fail(
+                f"{photograph.name} is listed with target poses {other} and {photograph.target_pose}; a photograph is "
+                "read as one target: correct one of them, or copy the file under another name if it shows two boards."
+            )
     through = {each.path: each for each in session.see_through}
     width, height = session.eyeball_camera.size_px
     for number, each in enumerate(session.beside, start=1):

@@ -103,7 +103,9 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         place_tolerance=tolerance,
     )
     file.finish()
-    session = with_places(session, form)
+    regions = {each.path: each.regions for each in session.beside}
+    through = tuple(replace(each, other_regions=regions.get(each.path)) for each in session.see_through)
+    session = with_places(replace(session, see_through=through), form)
     check_session(file, session)
     return session
 

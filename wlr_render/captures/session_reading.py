@@ -87,8 +87,10 @@ class Reading:
     kept: int = 0
 
     def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
-        """Those of some photographs that could be read, with their observations."""
-        return [(each, self.boards[each.path]) for each in photographs if each.path in self.boards]
+        """Those of some photographs that could be read, with their observations in the regions of their entries."""
+        read = [(each, self.boards[each.path]) for each in photographs if each.path in self.boards]
+        counted = [(each, observation.only(each.counts(observation.pixel))) for each, observation in read]
+        return [(each, observation) for each, observation in counted if len(observation)]
 
     def decoded(self, sets: Sequence[CodeSet]) -> list[tuple[CodeSet, PanelReading]]:
         """Those of some sets that could be decoded, with what they say."""
@@ -121,6 +123,11 @@ def read_session(
 
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
+    if session.code_order != "as shown" or session.code_manifest is not None:
+        raise BadInputError(
+            f"{session.folder}: [code] 'order' and 'manifest' cannot be read yet; number the photographs in the order "
+            "of `wlr-render pattern`, and remove the key."
+        )
     for each in session.display:
         camera, pattern = session.eyeball_camera, session.panels[each.eye].pattern
         name = session.name_of(each.folder)
