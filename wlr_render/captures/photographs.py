@@ -16,6 +16,8 @@ Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""
 
 _BLACK = 0.01  # of full scale: where the brightest twentieth of a picture is darker, it is black
+_BRIGHTEST = 99.5  # percentile of grey values that becomes white where a detector needs 8 bits
+_WELL_EXPOSED = 128.0  # pictures of 8 bits with such values stay as they are
 _RAW = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf")
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg", ".npy", *_RAW)
 
@@ -108,6 +110,15 @@ def write_photograph(path: str | Path, image: Photograph) -> Path:
     """Write (h, w) uint8 or uint16 as .png or .tif, whole or not at all."""
     # Noise does not compress: more effort only takes longer.
     return write_image(path, image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+
+
+def as_bytes(image: Photograph) -> NDArray[np.uint8]:
+    """Return the picture in 8 bits for detectors: of 16 bits, or hardly exposed, with its brightest values near 255."""
+    brightest = float(np.percentile(image, _BRIGHTEST))
+    if image.dtype == np.uint8 and not 0 < brightest < _WELL_EXPOSED:
+        return np.asarray(image, dtype=np.uint8)
+    scaled = np.minimum(image.astype(np.float32) * (255.0 / max(brightest, 1.0)), 255.0)
+    return np.asarray(np.rint(scaled), dtype=np.uint8)
 
 
 def photographs_in(folder: str | Path) -> list[Path]:

@@ -2,15 +2,22 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import astuple, replace
 
+import cv2
 import numpy as np
 import pytest
 from board_pictures import BOARD
 from PIL import Image
 
+from wlr_render.captures.boards.april_grid import AprilGrid
+from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
-from wlr_render.captures.boards.board_file import load_board, save_board
+from wlr_render.captures.boards.board_file import board_table, load_board, save_board
+from wlr_render.captures.boards.charuco import CharucoBoard
+from wlr_render.captures.boards.chessboard import Chessboard
+from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 
@@ -85,3 +92,91 @@ def test_a_png_too_coarse_for_its_dots_is_refused(tmp_path):
     with pytest.raises(BadInputError, match=r"smallest shapes are 6\.0 pixels wide; choose another resolution"):
         write_board_png(BOARD, tmp_path / "board.png", 40)
     assert not list(tmp_path.iterdir())
+
+
+KINDS = {
+    "dots": replace(BOARD, tolerances=BoardTolerances(1e-3, 1e-3, 5e-6)),
+    "charuco": CharucoBoard(8, 6, 0.0254, 0.01905, "DICT_4X4_1000", legacy=True, margin_m=0.01),
+    "april-grid": AprilGrid(6, 5, 0.04, 0.25, border_bits=1, first_id=4, first_at_bottom=False),
+    "chessboard": Chessboard(9, 6, 0.02423, 0.02, BoardTolerances(flatness_m=0.0)),
+    "circles": CircleGrid(9, 7, 0.02, 0.012, 0.02),
+    "asymmetric-circles": CircleGrid(4, 11, 0.02, 0.02, 0.03, staggered=True),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_comes_back_as_it_was_written(tmp_path, kind):
+    path = save_board(KINDS[kind], tmp_path / "board.toml")
+    assert f'kind = "{kind}"' in path.read_text()
+    back = load_board(path)
+    assert type(back) is type(KINDS[kind])
+    assert board_table(back) == board_table(KINDS[kind])
+    assert np.allclose(back.point_of(back.indices()), KINDS[kind].point_of(KINDS[kind].indices()), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_found_in_its_own_drawing(tmp_path, kind):
+    board = KINDS[kind]
+    image = read_photograph(write_board_png(board, tmp_path / "board.png", 150))
+    found = board.find(cv2.GaussianBlur(np.asarray(image), (0, 0), 1.0))
+    assert len(found) >= 0.95 * len(board.indices()), "but for what the ruler touches"
+    per_metre = 150 / 0.0254
+    numbered = found, found.half_turned(board)
+    there = [per_metre * (board.point_of(each.index)[:, :2] + 0.5 * board.size_m) for each in numbered]
+    assert min(np.abs(found.pixel - place).max() for place in there) < 0.6, "as the picture's size is rounded"
+    drawn = ET.parse(write_board_svg(board, tmp_path / "board.svg")).getroot()
+    assert board.title in drawn.find(f"{SVG}title").text
+
+
+def test_a_file_without_a_kind_is_a_board_of_dots(tmp_path):
+    path = save_board(BOARD, tmp_path / "board.toml")
+    kept = [
+        line for line in path.read_text().splitlines() if not re.match("kind|scale_sigma|flatness|print_error", line)
+    ]
+    path.write_text("\n".join(kept))
+    board = load_board(path)
+    assert np.array_equal(board.large, BOARD.large)
+    assert np.allclose(astuple(board.tolerances), astuple(BoardTolerances()))
+
+
+def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path):
+    path = tmp_path / "board.toml"
+    path.write_text(
+        'kind = "chessboard"\nscreen = true\npixel_pitch_mm = 0.25\ncorner_columns = 9\ncorner_rows = 6\n'
+        "square_px = 100\nmargin_px = 20\n"
+    )
+    board = load_board(path)
+    assert board.square_m == pytest.approx(0.025)
+    assert board.margin_m == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "sentence"),
+    [
+        ("charuco", 'kind = "charuco"', 'kind = "charucco"', "'kind' is 'charucco'; it must be one of dots, charuco"),
+        ("charuco", "marker_mm = 19.05", "marker_mm = 30", "'marker_mm' is not smaller than 'square_mm'"),
+        ("charuco", "DICT_4X4_1000", "DICT_4X4", "'dictionary' is 'DICT_4X4'; it must be one of"),
+        ("charuco", "square_columns = 8", "square_columns = 800", "needs 2400 markers, but DICT_4X4_1000 has 1000"),
+        (
+            "april-grid",
+            "spacing = 0.25",
+            "spacing = 2.5",
+            "'spacing' is 2.5; it is the gap between tags over their side",
+        ),
+        ("april-grid", "first_id = 4", "first_id = 570", "needs tags up to 599, but 36h11 ends at 586"),
+        ("chessboard", "corner_columns = 9", "corner_columns = 6", "looks the same turned by 90 degrees"),
+        ("chessboard", "square_mm", "square_px", r"'square_mm' is missing \(found 'square_px' instead\)"),
+        ("chessboard", "square_mm = 24.23", "square_mm = 0", "'square_mm' is 0; it must be above zero"),
+        ("chessboard", "flatness_mm = 0", "flatness_mm = -1", "'flatness_mm' is -1; it must be a standard deviation"),
+        ("circles", "columns = 9", "columns = 7", "looks the same turned by 90 degrees"),
+        ("circles", "diameter_mm = 12", "diameter_mm = 20", "circles nearly touch"),
+    ],
+)
+def test_a_file_of_another_kind_that_is_wrong_is_named(tmp_path, kind, old, new, sentence):
+    path = save_board(KINDS[kind], tmp_path / "board.toml")
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(BadInputError, match=sentence) as caught:
+        load_board(path)
+    assert str(path) in str(caught.value)

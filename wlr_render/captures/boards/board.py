@@ -126,3 +126,19 @@ class Board(Protocol):
         Raises:
             BoardNotFoundError: the board is not in the picture or too little of it, or another board is.
         """
+
+
+def grid_indices(columns: int, rows: int) -> IntArray:
+    """Return (column, row) of a whole grid, (columns * rows, 2), row by row."""
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    return np.stack([column, row], axis=-1).reshape(-1, 2)
+
+
+def grid_points(index: NDArray[np.integer], columns: int, rows: int, pitch_m: float) -> FloatArray:
+    """Return places (..., 3), board frame, in an even grid by (column, row), (..., 2)."""
+    return flat_points((np.asarray(index) - 0.5 * (np.array([columns, rows]) - 1)) * pitch_m)
+
+
+def flat_points(in_plane: FloatArray) -> FloatArray:
+    """Return places (..., 3) with z = 0 from x and y, (..., 2)."""
+    return np.concatenate([in_plane, np.zeros((*in_plane.shape[:-1], 1))], axis=-1)

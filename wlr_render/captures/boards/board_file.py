@@ -1,65 +1,216 @@
-"""Board files: board.toml with the design of a board and how far the print may differ from it."""
+"""Board files: board.toml with the design of a board of any kind and how far the print may differ from it."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wlr_render.captures.boards.april_grid import DICTIONARY, AprilGrid
 from wlr_render.captures.boards.board import Board, BoardTolerances
 from wlr_render.captures.boards.board_design import check_sizes
+from wlr_render.captures.boards.charuco import CharucoBoard
+from wlr_render.captures.boards.chessboard import Chessboard
+from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.dot_board import DotBoard
+from wlr_render.captures.boards.markers import DICTIONARIES, dictionary_of
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray
 from wlr_render.toml_files import Table, read_toml, write_toml
 
-KINDS = ("dots",)
-_COMMENT = """A board of large and small dots on a square grid. Lengths are millimetres as measured on the print:
-where the printer scaled it, measure the ruler and multiply all four by measured / written.
-sizes: one text per row of dots, from the top; 1 large, 0 small.
+KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")
+"""Values of `kind`."""
+
+_COMMENT = """A calibration board. Lengths are millimetres as measured on the print:
+where the printer scaled it, measure the ruler and multiply all of them by measured / written.
 scale_sigma, flatness_mm, print_error_um: standard deviations of how far the print may differ from this design."""
+_DOTS_COMMENT = "\nsizes: one text per row of dots, from the top; 1 large, 0 small."
+_FIRST_TAGS = ("top-left", "bottom-left")
 
 
 def save_board(board: Board, path: str | Path) -> Path:
     """Write a board as TOML, so that `load_board` gives the same one back."""
-    return write_toml(path, board_table(board), _COMMENT)
+    return write_toml(path, board_table(board), _COMMENT + (_DOTS_COMMENT if isinstance(board, DotBoard) else ""))
 
 
 def board_table(board: Board) -> dict[str, Any]:
-    """Return the keys and values of a board's file."""
-    if not isinstance(board, DotBoard):
-        raise TypeError(f"a {type(board).__name__} has no board file")
-    return {
-        "kind": "dots",
-        "columns": board.columns,
-        "rows": board.rows,
-        "pitch_mm": _in_mm(board.pitch_m),
-        "large_mm": _in_mm(board.large_m),
-        "small_mm": _in_mm(board.small_m),
-        "margin_mm": _in_mm(board.margin_m),
-        "sizes": ["".join("1" if large else "0" for large in row) for row in board.large],
-        **_tolerance_keys(board.tolerances),
-    }
+    """Return the keys and values of a board's file.
+
+    Raises:
+        TypeError: the board is of a class without a file form.
+    """
+    return {**_design_keys(board), **_tolerance_keys(board.tolerances)}
+
+
+def _design_keys(board: Board) -> dict[str, Any]:
+    if isinstance(board, DotBoard):
+        return {
+            "kind": "dots",
+            "columns": board.columns,
+            "rows": board.rows,
+            "pitch_mm": _in_mm(board.pitch_m),
+            "large_mm": _in_mm(board.large_m),
+            "small_mm": _in_mm(board.small_m),
+            "margin_mm": _in_mm(board.margin_m),
+            "sizes": ["".join("1" if large else "0" for large in row) for row in board.large],
+        }
+    if isinstance(board, CharucoBoard):
+        return {
+            "kind": "charuco",
+            "square_columns": board.square_columns,
+            "square_rows": board.square_rows,
+            "square_mm": _in_mm(board.square_m),
+            "marker_mm": _in_mm(board.marker_m),
+            "dictionary": board.dictionary,
+            "legacy": board.legacy,
+            "margin_mm": _in_mm(board.margin_m),
+        }
+    if isinstance(board, AprilGrid):
+        return {
+            "kind": "april-grid",
+            "tag_columns": board.tag_columns,
+            "tag_rows": board.tag_rows,
+            "tag_mm": _in_mm(board.tag_m),
+            "spacing": board.spacing,
+            "border_bits": board.border_bits,
+            "first_id": board.first_id,
+            "first_tag": _FIRST_TAGS[board.first_at_bottom],
+            "margin_mm": _in_mm(board.margin_m),
+        }
+    if isinstance(board, Chessboard):
+        return {
+            "kind": "chessboard",
+            "corner_columns": board.columns,
+            "corner_rows": board.rows,
+            "square_mm": _in_mm(board.square_m),
+            "margin_mm": _in_mm(board.margin_m),
+        }
+    if isinstance(board, CircleGrid):
+        return {
+            "kind": "asymmetric-circles" if board.staggered else "circles",
+            "columns": board.columns,
+            "rows": board.rows,
+            "pitch_mm": _in_mm(board.pitch_m),
+            "diameter_mm": _in_mm(board.diameter_m),
+            "margin_mm": _in_mm(board.margin_m),
+        }
+    raise TypeError(f"a {type(board).__name__} has no board file")
 
 
 def load_board(path: str | Path) -> Board:
     """Read a board of any kind; a file without `kind` is a board of dots.
+
+    With `screen = true` the board is shown on a monitor: `pixel_pitch_mm` is the monitor's, and all lengths are given
+    in its pixels (`square_px` in place of `square_mm`).
 
     Raises:
         BadInputError: the file is missing or not as `save_board` writes it, or its features cannot be distinguished;
             the sentence has the key.
     """
     table = read_toml(path)
-    table.text("kind", "dots", choices=KINDS)
+    kind = table.text("kind", "dots", choices=KINDS)
+    lengths = _Lengths.of(table)
     tolerances = _tolerances(table)
-    board = _dot_board(table, tolerances)
+    board: Board
+    if kind == "dots":
+        board = _dot_board(table, lengths, tolerances)
+    elif kind == "charuco":
+        board = _charuco(table, lengths, tolerances)
+    elif kind == "april-grid":
+        board = _april_grid(table, lengths, tolerances)
+    elif kind == "chessboard":
+        board = _chessboard(table, lengths, tolerances)
+    else:
+        board = _circles(table, lengths, tolerances, staggered=kind == "asymmetric-circles")
     table.finish()
     return board
 
 
-def _dot_board(table: Table, tolerances: BoardTolerances) -> DotBoard:
-    pitch_m, large_m, small_m, margin_m = (
-        1e-3 * table.number(key) for key in ("pitch_mm", "large_mm", "small_mm", "margin_mm")
-    )
+@dataclass(frozen=True)
+class _Lengths:
+    """Reads lengths of a file, in metres: from millimetres, or from pixels of a monitor."""
+
+    table: Table
+    unit: str
+    unit_m: float
+
+    @classmethod
+    def of(cls, table: Table) -> "_Lengths":
+        if not table.flag("screen", False):
+            return cls(table, "mm", 1e-3)
+        pitch = table.number("pixel_pitch_mm")
+        if pitch <= 0:
+            raise table.fail(f"'pixel_pitch_mm' is {pitch:g}; it must be above zero.")
+        return cls(table, "px", 1e-3 * pitch)
+
+    def key(self, name: str) -> str:
+        return f"{name}_{self.unit}"
+
+    def number(self, name: str, default_m: float | None = None) -> float:
+        """A length; above zero unless there is a default, which is for margins."""
+        default = None if default_m is None else default_m / self.unit_m
+        value = self.table.number(self.key(name), default)
+        if value < 0 or (value == 0 and default is None):
+            raise self.table.fail(f"'{self.key(name)}' is {value:g}; it must be above zero.")
+        return value * self.unit_m
+
+
+def _charuco(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> CharucoBoard:
+    columns, rows = table.whole("square_columns", 2), table.whole("square_rows", 2)
+    square, marker = lengths.number("square"), lengths.number("marker")
+    if marker >= square:
+        raise table.fail(
+            f"'{lengths.key('marker')}' is not smaller than '{lengths.key('square')}'; give the side of the marker's "
+            "black border."
+        )
+    dictionary, legacy = table.text("dictionary", choices=DICTIONARIES), table.flag("legacy", False)
+    needed = (columns * rows + 1) // 2
+    if needed > (known := len(dictionary_of(dictionary).bytesList)):
+        raise table.fail(f"the board needs {needed} markers, but {dictionary} has {known}; is the dictionary right?")
+    margin = lengths.number("margin", 0.0)
+    return CharucoBoard(columns, rows, square, marker, dictionary, legacy, margin, tolerances)
+
+
+def _april_grid(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> AprilGrid:
+    columns, rows, tag = table.whole("tag_columns", 1), table.whole("tag_rows", 1), lengths.number("tag")
+    spacing = table.number("spacing", 0.3)
+    if not 0 < spacing < 1:
+        raise table.fail(f"'spacing' is {spacing:g}; it is the gap between tags over their side, between 0 and 1.")
+    border = table.whole("border_bits", 1) if table.has("border_bits") else 2
+    first = table.whole("first_id") if table.has("first_id") else 0
+    known = len(dictionary_of(DICTIONARY).bytesList)
+    if first + columns * rows > known:
+        raise table.fail(f"the board needs tags up to {first + columns * rows - 1}, but 36h11 ends at {known - 1}.")
+    at_bottom = table.text("first_tag", _FIRST_TAGS[1], choices=_FIRST_TAGS) == _FIRST_TAGS[1]
+    margin = lengths.number("margin", 0.0)
+    return AprilGrid(columns, rows, tag, spacing, border, first, at_bottom, margin, tolerances)
+
+
+def _chessboard(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> Chessboard:
+    columns, rows = table.whole("corner_columns", 3), table.whole("corner_rows", 3)
+    if columns == rows:
+        raise table.fail(
+            f"a chessboard of {columns} x {rows} inner corners looks the same turned by 90 degrees; use one with "
+            "different numbers, or a ChArUco board."
+        )
+    square = lengths.number("square")
+    return Chessboard(columns, rows, square, lengths.number("margin", square), tolerances)
+
+
+def _circles(table: Table, lengths: _Lengths, tolerances: BoardTolerances, staggered: bool) -> CircleGrid:
+    columns, rows = table.whole("columns", 2), table.whole("rows", 3)
+    if not staggered and columns == rows:
+        raise table.fail(
+            f"a grid of {columns} x {rows} circles looks the same turned by 90 degrees; use one with different numbers."
+        )
+    pitch, diameter = lengths.number("pitch"), lengths.number("diameter")
+    if diameter > 0.85 * pitch * (np.sqrt(2.0) if staggered else 1.0):
+        raise table.fail(f"'{lengths.key('diameter')}' is so large that circles nearly touch; measure it again.")
+    return CircleGrid(columns, rows, pitch, diameter, lengths.number("margin", pitch), staggered, tolerances)
+
+
+def _dot_board(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> DotBoard:
+    pitch_m, large_m, small_m, margin_m = (lengths.number(key) for key in ("pitch", "large", "small", "margin"))
     large = _sizes(table)
     for key, number in (("columns", large.shape[1]), ("rows", large.shape[0])):
         if table.number(key) != number:
@@ -76,7 +227,7 @@ def _tolerances(table: Table) -> BoardTolerances:
     given = BoardTolerances(
         table.number("scale_sigma", usual.scale_sigma),
         1e-3 * table.number("flatness_mm", 1e3 * usual.flatness_m),
-        1e-6 * table.number("print_error_um", 1e6 * usual.print_error_m),
+        1e-6 * table.number("print_error_um", round(1e6 * usual.print_error_m, 6)),
     )
     for key, value in _tolerance_keys(given).items():
         if value < 0:

@@ -15,19 +15,18 @@ from wlr_render.captures.boards.board import (
     BoardObservation,
     BoardTolerances,
     RealArray,
+    grid_indices,
+    grid_points,
 )
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.boards.dot_detection import find_dots
 from wlr_render.captures.boards.dot_identity import identify
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, link_lattices
-from wlr_render.captures.boards.lattice_shape import LatticeShape, lattice_shape
+from wlr_render.captures.boards.lattice_shape import LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # lattices, the largest first, that are compared with the board
-_OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
-_OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
-_LEAST_CELL = 0.05  # of the usual one; under a row of dots alone there are none
 _LARGE_ARE_DARKEST = 75  # percentile of contrasts nearby: about the middle one of the large dots, blurred least
 
 
@@ -68,8 +67,7 @@ class DotBoard:
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
         """Centres (..., 3), board frame, of dots by (column, row), (..., 2)."""
-        in_plane = (np.asarray(index) - 0.5 * (np.array([self.columns, self.rows]) - 1)) * self.pitch_m
-        return np.concatenate([in_plane, np.zeros((*in_plane.shape[:-1], 1))], axis=-1)
+        return grid_points(index, self.columns, self.rows, self.pitch_m)
 
     @property
     def title(self) -> str:
@@ -96,8 +94,7 @@ class DotBoard:
 
     def indices(self) -> IntArray:
         """(column, row) of all dots, (rows * columns, 2), row by row."""
-        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        return np.stack([column, row], axis=-1).reshape(-1, 2)
+        return grid_indices(self.columns, self.rows)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
         """How bright the board is at places (..., 2), x and y: 1 white, 0 dot, NaN beyond its edge.
@@ -191,20 +188,11 @@ def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattic
     Raises:
         BoardNotFoundError: too few are left.
     """
-    keep = np.isfinite(measured.sigma_px[lattice.dot])
-    while True:
-        lattice = DotLattice(lattice.dot[keep], lattice.index[keep])
-        if len(lattice) < LEAST_DOTS:
-            raise BoardNotFoundError(f"only {len(lattice)} dots in one piece were seen whole; show more of the board.")
-        pixel = measured.dots.centre[lattice.dot]
-        shape = lattice_shape(lattice.index, pixel)
-        off = np.linalg.norm(pixel - shape.expected, axis=-1) / shape.doubt
-        most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
-        # An outlier makes its neighbours look like outliers too; only the worst of a neighbourhood goes.
-        keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
-        keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
-        if keep.all():
-            return lattice, shape
+    lattice = lattice.only(np.isfinite(measured.sigma_px[lattice.dot]))
+    rows, shape = smooth_rows(lattice.index, measured.dots.centre[lattice.dot], LEAST_DOTS)
+    if shape is None:
+        raise BoardNotFoundError(f"only {len(rows)} dots in one piece were seen whole; show more of the board.")
+    return lattice.only(rows), shape
 
 
 def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: DotBoard) -> BoolArray:

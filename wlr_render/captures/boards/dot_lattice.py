@@ -39,6 +39,10 @@ class DotLattice:
     dot: IntArray
     index: IntArray
 
+    def only(self, rows: NDArray[np.generic]) -> "DotLattice":
+        """Some of the dots, by mask (k,) or by position."""
+        return DotLattice(self.dot[rows], self.index[rows])
+
     def __len__(self) -> int:
         return len(self.dot)
 

@@ -18,10 +18,14 @@ _STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is to
 
 _LEAST_STIFFNESS = 1e-9  # of first orders: a row of dots alone has no slope across, and gets zero
 
+_OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
+_OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
+_LEAST_CELL = 0.05  # of the usual one; under a row of dots alone there are none
+
 
 @dataclass(frozen=True, eq=False)
 class LatticeShape:
-    """Third-order maps around n dots, each fitted to its neighbours without itself.
+    """Third-order maps around n features, each fitted to its neighbours without itself.
 
     At the edge of a fragment all neighbours lie on one side; with second orders only, third ones would pass for them.
 
@@ -59,8 +63,8 @@ class LatticeShape:
         return np.asarray(0.25 * radius[:, None] ** 2 * (mean_lift + np.einsum("nck,nk->nc", self.slope, growth)))
 
 
-def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
-    """Fit a third-order map around each dot.
+def lattice_shape(index: FloatArray | IntArray, pixel: FloatArray) -> LatticeShape:
+    """Fit a third-order map around each feature.
 
     Args:
         index: (n, 2) lattice coordinates, n >= 2.
@@ -76,3 +80,25 @@ def lattice_shape(index: IntArray, pixel: FloatArray) -> LatticeShape:
     slope = np.stack([term[:, 1], term[:, 2]], axis=-1)
     curvature = np.stack([np.stack([term[:, 3], term[:, 4]], -1), np.stack([term[:, 4], term[:, 5]], -1)], -1)
     return LatticeShape(pixel + term[:, 0], np.sqrt(1.0 + covariance[:, 0, 0]), slope, curvature, near)
+
+
+def smooth_rows(index: FloatArray | IntArray, pixel: FloatArray, least: int) -> tuple[IntArray, LatticeShape | None]:
+    """Return which features lie where their neighbours expect them, and their maps; the worst are taken out first.
+
+    Args:
+        index: (n, 2) lattice coordinates.
+        pixel: (n, 2) where they are seen.
+        least: where fewer are left, the maps are None.
+    """
+    rows = np.arange(len(index))
+    while len(rows) >= least:
+        shape = lattice_shape(index[rows], pixel[rows])
+        off = np.linalg.norm(pixel[rows] - shape.expected, axis=-1) / shape.doubt
+        most = np.maximum(_OUTLIER_SPREADS * float(np.median(off)), _OUTLIER_CELLS * np.sqrt(shape.cell_px2))
+        # An outlier makes its neighbours look like outliers too; only the worst of a neighbourhood goes.
+        keep = (off <= most) | (off < off[shape.neighbour].max(axis=1))
+        keep &= shape.cell_px2 > _LEAST_CELL * float(np.median(shape.cell_px2))
+        if keep.all():
+            return rows, shape
+        rows = rows[keep]
+    return rows, None

@@ -1,0 +1,238 @@
+"""Chessboards: found whole, by OpenCV; a board of another size than stated is refused."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, uniform_filter
+
+from wlr_render.captures.boards.board import (
+    USUAL_TOLERANCES,
+    BoardNotFoundError,
+    BoardObservation,
+    BoardTolerances,
+    RealArray,
+    grid_indices,
+    grid_points,
+)
+from wlr_render.captures.boards.cell_pattern import CellPattern
+from wlr_render.captures.boards.corner_observation import observe_corners
+from wlr_render.captures.photographs import Photograph, as_bytes
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+_SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+_QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+_LEAST_HALVED_PX = 200  # smaller pictures are not halved
+_WITHIN = (0.2, 0.5, 0.8)  # of a square's side, where its colour is read
+_ALTERNATING = 0.9  # of those places that have the colour of a chessboard
+_BEYOND, _ASIDE = 1.3, 0.3  # where squares beyond the board are looked for: cells from the outermost corners
+_ALIKE = 0.5  # of the board's own contrast, and of the places along a side, that make a further row of squares
+
+
+@dataclass(frozen=True, eq=False)
+class Chessboard:
+    """A chessboard of black and white squares; its features are the inner corners.
+
+    Attributes:
+        columns, rows: of inner corners; one less than of squares.
+        square_m: side of a square.
+        margin_m: white around the squares.
+        tolerances: how far the print may differ.
+    """
+
+    columns: int
+    rows: int
+    square_m: float
+    margin_m: float
+    tolerances: BoardTolerances = USUAL_TOLERANCES
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(2,) width and height with the margin."""
+        return (np.array([self.columns, self.rows]) + 1) * self.square_m + 2 * self.margin_m
+
+    @property
+    def title(self) -> str:
+        """Kind, numbers and sizes in words."""
+        return f"chessboard {self.columns} x {self.rows} inner corners, squares {1e3 * self.square_m:g} mm"
+
+    @property
+    def finest_m(self) -> float:
+        """Side of a square."""
+        return self.square_m
+
+    @property
+    def half_turn_symmetric(self) -> bool:
+        """True where squares that are opposite each other have one colour: columns + rows is even."""
+        return (self.columns + self.rows) % 2 == 0
+
+    def indices(self) -> IntArray:
+        """(column, row) of all inner corners, row by row."""
+        return grid_indices(self.columns, self.rows)
+
+    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
+        """Corners (..., 3), board frame, by (column, row), (..., 2)."""
+        return grid_points(index, self.columns, self.rows, self.square_m)
+
+    @cached_property
+    def _pattern(self) -> CellPattern:
+        square = grid_indices(self.columns + 1, self.rows + 1)
+        low = (square - 0.5 * (np.array([self.columns, self.rows]) + 1)) * self.square_m
+        return CellPattern.of_black(
+            self.size_m, np.concatenate([low, low + self.square_m], axis=1), square.sum(axis=1) % 2 == 0
+        )
+
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """As `Board.reflectance`; the square at the top left is black."""
+        return self._pattern.reflectance(in_board, softness_m)
+
+    def svg_shapes(self) -> list[str]:
+        """The black squares."""
+        return self._pattern.svg_shapes()
+
+    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
+        """As `Board.find`; all inner corners must be in the picture.
+
+        Raises:
+            BoardNotFoundError: no such chessboard is in the picture, or one of more squares.
+        """
+        grid = self._grid(image, name)
+        if _cross(grid) < 0:
+            grid = grid[:, ::-1]
+        if not self.half_turn_symmetric and _first_is_light(image, grid):
+            # The square after the first corner must be black, as the one at the top left is.
+            grid = grid[::-1, ::-1]
+        sides = _sides_with_more(image, grid)
+        if sides:
+            raise BoardNotFoundError(
+                f"{name}: the chessboard seen has more squares than board.toml says ({self.columns} x {self.rows} "
+                f"inner corners): they go on at its {' and '.join(sides)}; count the inner corners of the whole board."
+            )
+        index = self.indices()
+        try:
+            found = observe_corners(image, index, index.astype(np.float64), [grid[index[:, 1], index[:, 0]]])
+        except BoardNotFoundError as error:
+            raise BoardNotFoundError(f"{name}: {error}") from error
+        return replace(found, ambiguous_half_turn=self.half_turn_symmetric)
+
+    def _grid(self, image: Photograph, name: str) -> FloatArray:
+        """(rows, columns, 2) pixels, in OpenCV's order.
+
+        Raises:
+            BoardNotFoundError: nothing is found, or only what is not a chessboard of this size.
+        """
+        skipping = False
+        for grid in self._detect(as_bytes(image)):
+            if _alternates(image, grid):
+                return grid
+            skipping = True
+        if skipping:
+            raise BoardNotFoundError(
+                f"{name}: {self.columns} x {self.rows} inner corners were only found by leaving out others "
+                "between them; the chessboard has more squares than board.toml says: count the inner "
+                "corners of the whole board."
+            )
+        raise BoardNotFoundError(
+            f"{name}: no chessboard of {self.columns} x {self.rows} inner corners is in the picture; show all of its "
+            "squares with some white around them, and check the numbers in board.toml."
+        )
+
+    def _detect(self, grey: NDArray[np.uint8]) -> Iterator[FloatArray]:
+        """(rows, columns, 2) pixels, from outer corners, by one detector after the other."""
+        shape = (self.columns, self.rows)
+        # Pictures of wide lenses, and blurred ones, may only be read at half their size.
+        for scale in (1, 2):
+            if scale > 1:
+                if min(grey.shape) < _LEAST_HALVED_PX:
+                    return
+                grey = np.asarray(cv2.pyrDown(grey), dtype=np.uint8)
+            for detector, flags in (
+                (cv2.findChessboardCornersSB, _SECTORS),
+                (cv2.findChessboardCorners, _QUADS),
+            ):
+                found, corners = detector(grey, shape, flags=flags)
+                if found:
+                    grid = np.asarray(corners, dtype=np.float64).reshape(self.rows, self.columns, 2)
+                    yield scale * grid - OPENCV_PIXEL_SHIFT
+
+
+def _cross(grid: FloatArray) -> float:
+    """Positive where rows go clockwise of columns, as on a board that is not mirrored."""
+    right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    return float(right[0] * down[1] - right[1] * down[0])
+
+
+def _cells(image: Photograph, grid: FloatArray) -> FloatArray:
+    """(rows - 1, columns - 1, 9) grey values on each square between four corners."""
+    samples = []
+    for down in _WITHIN:
+        for right in _WITHIN:
+            top = (1 - right) * grid[:-1, :-1] + right * grid[:-1, 1:]
+            bottom = (1 - right) * grid[1:, :-1] + right * grid[1:, 1:]
+            samples.append(_grey(image, (1 - down) * top + down * bottom))
+    return np.stack(samples, axis=-1)
+
+
+def _first_is_light(image: Photograph, grid: FloatArray) -> bool:
+    middle = np.median(_cells(image, grid), axis=-1)
+    row, column = np.indices(middle.shape)
+    like = (row + column) % 2 == 0
+    return bool(middle[like].mean() > middle[~like].mean())
+
+
+def _alternates(image: Photograph, grid: FloatArray) -> bool:
+    """Whether the squares between the corners are of one colour each, and black and white in turn."""
+    cells = _cells(image, grid)
+    middle = np.median(cells, axis=-1)
+    # A window of three squares across has black and white nearly in balance; mirrored at the edges too.
+    threshold = uniform_filter(middle, 3, mode="mirror")
+    row, column = np.indices(middle.shape)
+    light = (cells > threshold[..., None]) == ((row + column) % 2 == 0)[..., None]
+    share = float(np.mean(light))
+    return max(share, 1.0 - share) >= _ALTERNATING
+
+
+def _sides_with_more(image: Photograph, grid: FloatArray) -> list[str]:
+    """Sides of the corners' grid beyond whose outermost squares the pattern of black and white goes on."""
+    turned = {"top": grid, "bottom": grid[::-1], "left": grid.swapaxes(0, 1), "right": grid.swapaxes(0, 1)[::-1]}
+    return [side for side, lines in turned.items() if _goes_on(image, lines)]
+
+
+def _goes_on(image: Photograph, grid: FloatArray) -> bool:
+    """Whether squares alternate before the first line of a grid (lines, along, 2) as they do behind it.
+
+    Around each corner of the line, the step from one side of it to the other is looked at: within the outermost
+    squares, and one square farther out, where a board of the right size is plain.
+    """
+    inside = _steps(image, _extended(grid, -_ASIDE))
+    beyond = _steps(image, _extended(grid, -_BEYOND))
+    usable = np.isfinite(beyond) & np.isfinite(inside)
+    if usable.sum() < 2:
+        return False
+    # Beyond, black and white are exchanged; elsewhere than on a chessboard the signs are random or the steps small.
+    strength = -beyond[usable] * np.sign(inside[usable]) / np.median(np.abs(inside[usable]))
+    return bool(np.median(strength) > _ALIKE)
+
+
+def _extended(grid: FloatArray, at: float) -> FloatArray:
+    """Pixels (along, 2) at `at` lines from the first, on the parabola through the first three."""
+    first, second, third = grid[0], grid[1], grid[2]
+    return np.asarray(first + at * (-1.5 * first + 2 * second - 0.5 * third) + at**2 * (0.5 * (first + third) - second))
+
+
+def _steps(image: Photograph, line: FloatArray) -> FloatArray:
+    """(along - 2,) grey steps across each place of a line but its ends; NaN beyond the picture."""
+    before = line[1:-1] + _ASIDE * (line[:-2] - line[1:-1])
+    after = line[1:-1] + _ASIDE * (line[2:] - line[1:-1])
+    steps = _grey(image, after) - _grey(image, before)
+    return np.asarray(steps * (-1.0) ** np.arange(len(steps)))
+
+
+def _grey(image: Photograph, pixel: FloatArray) -> FloatArray:
+    """Grey values (...) at pixels (..., 2); NaN beyond the picture."""
+    place = np.moveaxis(pixel[..., ::-1] - 0.5, -1, 0)
+    return np.asarray(map_coordinates(image, place, np.float64, order=1, mode="constant", cval=np.nan))

@@ -1,0 +1,194 @@
+"""Grids of equal dark circles, in rows or staggered: found whole."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+
+from wlr_render.captures.boards.board import (
+    USUAL_TOLERANCES,
+    BoardNotFoundError,
+    BoardObservation,
+    BoardTolerances,
+    RealArray,
+    flat_points,
+    grid_indices,
+)
+from wlr_render.captures.boards.dot_centres import measure_dots
+from wlr_render.captures.boards.dot_detection import find_dots
+from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, link_lattices
+from wlr_render.captures.boards.lattice_shape import smooth_rows
+from wlr_render.captures.photographs import Photograph
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_TRIES = 3  # lattices, the largest first, that are compared with the grid
+_QUARTER = np.array([[0, 1], [-1, 0]])
+
+
+@dataclass(frozen=True, eq=False)
+class CircleGrid:
+    """Dark circles on white.
+
+    Attributes:
+        columns: circles in a row.
+        rows: numbers of rows.
+        pitch_m: distance of neighbouring rows; in a grid that is not staggered, of columns too. In a staggered one (as
+            OpenCV's asymmetric grid) circles of a row are twice as far apart, and every second row, from the second, is
+            shifted right by once the pitch.
+        diameter_m: of a circle.
+        margin_m: white from the outermost circles' centres to the edge.
+        staggered: every second row is shifted.
+        tolerances: how far the print may differ.
+    """
+
+    columns: int
+    rows: int
+    pitch_m: float
+    diameter_m: float
+    margin_m: float
+    staggered: bool = False
+    tolerances: BoardTolerances = USUAL_TOLERANCES
+
+    @property
+    def _extent(self) -> IntArray:
+        """(2,) width and height between outermost centres, in pitches."""
+        width = 2 * self.columns - 1 if self.staggered else self.columns - 1
+        return np.array([width, self.rows - 1])
+
+    @property
+    def size_m(self) -> FloatArray:
+        """(2,) width and height with the margin."""
+        return np.asarray(self._extent * self.pitch_m + 2 * self.margin_m, dtype=np.float64)
+
+    @property
+    def title(self) -> str:
+        """Kind, numbers and sizes in words."""
+        return (
+            f"{'staggered ' if self.staggered else ''}circle grid {self.columns} x {self.rows}, pitch "
+            f"{1e3 * self.pitch_m:g} mm, circles {1e3 * self.diameter_m:g} mm"
+        )
+
+    @property
+    def finest_m(self) -> float:
+        """Diameter of a circle."""
+        return self.diameter_m
+
+    @property
+    def half_turn_symmetric(self) -> bool:
+        """True but for staggered grids with an odd number of rows."""
+        return not self.staggered or self.rows % 2 == 0
+
+    def indices(self) -> IntArray:
+        """(column, row) of all circles, row by row."""
+        return grid_indices(self.columns, self.rows)
+
+    def _pitches(self, index: NDArray[np.integer]) -> IntArray:
+        """(..., 2) places in pitches from the top left."""
+        index = np.asarray(index, dtype=np.int64)
+        if not self.staggered:
+            return np.asarray(index, dtype=np.int64)
+        return np.asarray(np.stack([2 * index[..., 0] + index[..., 1] % 2, index[..., 1]], axis=-1), dtype=np.int64)
+
+    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
+        """Centres (..., 3), board frame, by (column, row), (..., 2)."""
+        return flat_points((self._pitches(index) - 0.5 * self._extent) * self.pitch_m)
+
+    @property
+    def _lattice(self) -> FloatArray:
+        """(2, 2) so that places in pitches times it are those in the square lattice of the circles."""
+        return np.array([[0.5, -0.5], [0.5, 0.5]]) if self.staggered else np.eye(2)
+
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """As `Board.reflectance`."""
+        place = in_board / self.pitch_m + 0.5 * self._extent
+        nearest = np.rint(np.nan_to_num(place) @ self._lattice) @ np.linalg.inv(self._lattice)
+        x, y = np.rint(nearest[..., 0]), np.rint(nearest[..., 1])
+        column = (x - y % 2) / 2 if self.staggered else x
+        there = (column >= 0) & (column < self.columns) & (y >= 0) & (y < self.rows)
+        from_centre = self.pitch_m * np.linalg.norm(place - nearest, axis=-1)
+        beyond_edge = np.where(there, from_centre - 0.5 * self.diameter_m, np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ramp = np.clip(beyond_edge / softness_m + 0.5, 0.0, 1.0)
+        white = np.where(np.asarray(softness_m) > 0, ramp, beyond_edge > 0)
+        inside = (np.abs(in_board) <= 0.5 * self.size_m).all(axis=-1)
+        return np.where(inside, white, np.nan).astype(in_board.dtype)
+
+    def svg_shapes(self) -> list[str]:
+        """The circles."""
+        centre_mm = 1e3 * (self.point_of(self.indices())[:, :2] + 0.5 * self.size_m)
+        return [f'<circle cx="{x:.4f}" cy="{y:.4f}" r="{500.0 * self.diameter_m:.4f}"/>' for x, y in centre_mm]
+
+    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
+        """As `Board.find`; all circles must be in the picture.
+
+        Raises:
+            BoardNotFoundError: no such grid is in the picture, or one of more circles.
+        """
+        dots = find_dots(image)
+        most = 0
+        for lattice in link_lattices(dots)[:_TRIES]:
+            most = max(most, len(lattice))
+            placed = self._placed(lattice.index, name)
+            if placed is None:
+                continue
+            index, dot = placed[0], lattice.dot[placed[1]]
+            measured = measure_dots(image, dots, dot)
+            seen = np.nonzero(np.isfinite(measured.sigma_px[dot]))[0]
+            along = self._pitches(index) @ self._lattice
+            unit = self.pitch_m * (np.sqrt(2.0) if self.staggered else 1.0)
+            rows, shape = smooth_rows(along[seen], measured.dots.centre[dot[seen]], LEAST_DOTS)
+            if shape is None:
+                continue
+            keep = seen[rows]
+            pixel = measured.dots.centre[dot[keep]]
+            pixel = pixel - shape.centroid_shift(np.full(len(keep), 0.5 * self.diameter_m / unit))
+            order = np.lexsort(index[keep].T)
+            return BoardObservation(
+                index[keep][order],
+                pixel[order],
+                measured.sigma_px[dot[keep]][order],
+                unidentified=len(lattice) - len(index),
+                disagreeing=len(index) - len(keep),
+                ambiguous_half_turn=self.half_turn_symmetric,
+            )
+        raise BoardNotFoundError(
+            f"{name}: no {self.title} is in the picture: {len(dots)} dark spots were seen, {most} of them "
+            "on one lattice; show all of its circles, and check the numbers in board.toml."
+        )
+
+    def _placed(self, lattice: IntArray, name: str) -> tuple[IntArray, IntArray] | None:
+        """Index (n, 2) of each circle, and which of the lattice's dots (n,) it is; None if the grid is not in it.
+
+        Raises:
+            BoardNotFoundError: more circles than the grid has are in rows with it.
+        """
+        index = self.indices()
+        own = np.rint(self._pitches(index) @ self._lattice).astype(np.int64)
+        own -= own.min(axis=0)
+        for turns in range(4):
+            turned = lattice @ np.linalg.matrix_power(_QUARTER, turns)
+            turned = turned - turned.min(axis=0)
+            if (turned.max(axis=0) < own.max(axis=0)).any():
+                continue
+            there = _occupied(turned)
+            fits = np.argwhere(np.rint(correlate(there, _occupied(own), mode="valid")) == len(own))
+            extra = len(turned) - len(own)
+            if len(fits) > 1 or (len(fits) == 1 and extra >= 0.5 * min(self.columns, self.rows)):
+                raise BoardNotFoundError(
+                    f"{name}: the grid seen has more circles than board.toml says ({self.columns} x {self.rows}): "
+                    f"{len(turned)} lie on its lattice; count them."
+                )
+            if len(fits) == 1:
+                which = np.full(there.shape, -1)
+                which[turned[:, 0], turned[:, 1]] = np.arange(len(turned))
+                at = own + fits[0]
+                return index, which[at[:, 0], at[:, 1]]
+        return None
+
+
+def _occupied(place: IntArray) -> FloatArray:
+    """(m, n) 1 where a lattice's place is taken."""
+    taken: BoolArray = np.zeros(place.max(axis=0) + 1, dtype=bool)
+    taken[place[:, 0], place[:, 1]] = True
+    return taken.astype(np.float64)

@@ -1,0 +1,237 @@
+"""Sub-pixel places of chessboard corners: a model of two blurred edges that cross, fitted to the grey values.
+
+The model is (b + b_x x + b_y y) + (a + a_x x + a_y y) erf(e_1 / (sqrt(2) s)) erf(e_2 / (sqrt(2) s)), where e_1 and e_2
+are the distances from the two edges and s is the blur: uneven light and defocus are in it, so that neither shifts the
+corner. The sigma comes from the grey values that the model leaves and from how steeply it changes with the place.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+
+_FIRST_BLUR_PX = 0.8
+_LEAST_BLUR_PX = 0.25  # a pixel is a square of 0.29 px
+_REACH_PART = 0.42  # of a cell, that the window reaches to either side
+_LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # of small cells more, as far as no other corner comes in
+_MOST_REACH_PX = 8.0  # beyond, edges bend
+_GUARD_BLURS = 2.5  # distance from another shape that is not read, in blurs
+_LEAST_MARGIN = 0.5  # of the margin is read at any blur
+_STEPS = 20
+_CONVERGED_PX = 1e-4
+_MOST_SHIFT_PART = 0.5  # of the window's reach: a fit that goes farther has found something else
+_LEAST_PIXELS = 20
+_LEAST_CONTRAST = 3.0  # half the step from black to white, in noises of a pixel
+_QUANTUM_VARIANCE = 1.0 / 12.0  # of rounding to whole grey values
+_MODEL_ERROR_PX = 0.005  # what pixels that are squares, and edges that bend, leave without any noise
+
+
+@dataclass(frozen=True, eq=False)
+class FittedCorners:
+    """Corners by fit; NaN where no corner is, or the window lies beyond the picture.
+
+    Attributes:
+        pixel: (n, 2) from the outer corner of the top-left pixel.
+        sigma_px: (n,) standard deviation per axis.
+        contrast: (n,) half the grey step from black to white, positive where the quadrant between the two positive
+            axes of the slope is the light one.
+    """
+
+    pixel: FloatArray
+    sigma_px: FloatArray
+    contrast: FloatArray
+
+
+def fit_corners(
+    image: NDArray[np.generic],
+    start: FloatArray,
+    slope: FloatArray,
+    reach: float = 1.0,
+    white_margin: float | None = None,
+) -> FittedCorners:
+    """Fit corners that are known to about a pixel.
+
+    Args:
+        image: (h, w) grey.
+        start: (n, 2) pixels, from the outer corner of the top-left pixel.
+        slope: (n, 2, 2) pixels (rows) per cell (columns): the edges run along its columns.
+        reach: so many cells around a corner nothing but its two edges is seen.
+        white_margin: from the edges into the light quadrants, in cells, until another shape begins (the marker of a
+            ChArUco board); None for none.
+    """
+    grey = np.ascontiguousarray(image, dtype=np.float32)
+    number = len(start)
+    pixel, sigma, contrast = np.full((number, 2), np.nan), np.full(number, np.nan), np.full(number, np.nan)
+    sound = np.abs(np.linalg.det(slope)) > 1e-3
+    sound[sound] &= np.isfinite(start[sound]).all(axis=-1)
+    across = np.zeros(number)
+    across[sound] = 1.0 / np.linalg.norm(np.linalg.inv(slope[sound]), axis=2).max(axis=1)  # px between edges' parallels
+    reach_px = np.minimum(
+        np.maximum(_REACH_PART * across, np.minimum(_LEAST_REACH_PX, _LEAST_REACH_PART * across)), _MOST_REACH_PX
+    )
+    reach_px = np.minimum(reach_px, reach * across)
+    half = np.ceil(1.5 * reach_px).astype(np.int64)
+    for size in np.unique(half[sound]):
+        of = np.nonzero(sound & (half == size))[0]
+        window = _Window.around(grey, start[of], slope[of], reach_px[of] / across[of], int(size), white_margin)
+        pixel[of], sigma[of], contrast[of] = _fit(window, start[of], slope[of], reach_px[of])
+    return FittedCorners(pixel, sigma, contrast)
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Grey values (m, p) around m corners at x, y (m, p) from their starts, and which of them are read.
+
+    `near_edges` is the distance (m, p) from the nearer edge, `margin_px` (m,) how far from it other shapes begin.
+    """
+
+    grey: FloatArray
+    x: FloatArray
+    y: FloatArray
+    read: BoolArray
+    near_edges: FloatArray
+    margin_px: FloatArray
+
+    @classmethod
+    def around(
+        cls,
+        grey: NDArray[np.float32],
+        start: FloatArray,
+        slope: FloatArray,
+        reach: FloatArray,
+        half: int,
+        white_margin: float | None,
+    ) -> "_Window":
+        height, width = grey.shape
+        padded = cv2.copyMakeBorder(grey, half, half, half, half, cv2.BORDER_REPLICATE)
+        steps = np.arange(-half, half + 1)
+        base = np.clip(np.floor(start).astype(np.int64), 0, [width - 1, height - 1])
+        shape = (len(start), len(steps), len(steps))
+        u = np.broadcast_to((base[:, :1] + steps)[:, None, :], shape).reshape(len(start), -1)
+        v = np.broadcast_to((base[:, 1:] + steps)[:, :, None], shape).reshape(len(start), -1)
+        x, y = u + 0.5 - start[:, :1], v + 0.5 - start[:, 1:]
+        inverse = np.linalg.inv(slope)
+        along = inverse[:, :, :1] * x[:, None, :] + inverse[:, :, 1:] * y[:, None, :]  # (m, 2, p) cells
+        read = (np.abs(along) <= reach[:, None, None]).all(axis=1)
+        read &= (u >= 0) & (v >= 0) & (u < width) & (v < height)
+        # Distance, in pixels, from the nearer edge: what lies deep in a light quadrant may be a marker.
+        per_px = np.linalg.norm(inverse, axis=2)[:, :, None]
+        near = np.abs(along / per_px).min(axis=1)
+        margin = np.full(len(start), np.inf) if white_margin is None else white_margin / per_px[:, :, 0].max(axis=1)
+        return cls(padded[v + half, u + half].astype(np.float64), x, y, read, near, margin)
+
+
+def _fit(
+    window: _Window, start: FloatArray, slope: FloatArray, reach_px: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Places, sigmas and contrasts of m corners by damped Gauss-Newton steps; the light is solved for in each."""
+    count = len(start)
+    # place x, y; angles of the edges along the slope's columns; log of the blur
+    state = np.zeros((count, 5))
+    state[:, 2] = np.arctan2(slope[:, 1, 0], slope[:, 0, 0])
+    state[:, 3] = np.arctan2(slope[:, 1, 1], slope[:, 0, 1])
+    state[:, 4] = np.log(_FIRST_BLUR_PX)
+    damping = np.full(count, 1e-3)
+    read = _readable(window, np.full(count, _FIRST_BLUR_PX))
+    now = _Linearised.at(window, read, state)
+    for step in range(_STEPS):
+        if step in (3, 8):
+            read = _readable(window, np.exp(state[:, 4]))
+            now = _Linearised.at(window, read, state)
+        normal = now.normal + damping[:, None, None] * _diagonal(now.normal)
+        change = np.linalg.solve(normal + 1e-12 * np.eye(5), now.gradient[..., None])[..., 0]
+        change[:, :2] = np.clip(change[:, :2], -1.0, 1.0)
+        change[:, 2:] = np.clip(change[:, 2:], -0.3, 0.3)
+        tried = state + change
+        tried[:, 4] = np.maximum(tried[:, 4], np.log(_LEAST_BLUR_PX))
+        then = _Linearised.at(window, read, tried)
+        better = then.cost <= now.cost
+        state = np.where(better[:, None], tried, state)
+        damping = np.where(better, 0.2 * damping, 10.0 * damping)
+        now = then.where(better, now)
+        if step > 8 and np.all(~better | (np.abs(change[:, :2]).max(axis=1) < _CONVERGED_PX)):
+            break
+    used = read.sum(axis=1)
+    variance = np.maximum(now.cost / np.maximum(used - 11, 1), _QUANTUM_VARIANCE)
+    covariance = np.linalg.inv(now.normal + 1e-12 * _diagonal(now.normal) + 1e-12 * np.eye(5))
+    own = 0.5 * np.trace(covariance[:, :2, :2], axis1=1, axis2=2) * variance
+    sigma = np.hypot(np.sqrt(np.maximum(own, 0.0)), _MODEL_ERROR_PX)
+    sound = (used >= _LEAST_PIXELS) & (np.linalg.norm(state[:, :2], axis=1) <= _MOST_SHIFT_PART * reach_px)
+    sound &= np.abs(now.contrast) > _LEAST_CONTRAST * np.sqrt(variance)
+    sound &= (sigma < 0.25 * reach_px) & (damping < 1e6)
+    place = np.where(sound[:, None], start + state[:, :2], np.nan)
+    return place, np.where(sound, sigma, np.nan), np.where(sound, now.contrast, np.nan)
+
+
+def _readable(window: _Window, blur_px: FloatArray) -> BoolArray:
+    # Shapes beyond the margin lie alike in both light quadrants, so that little of their blur does no harm.
+    allowed = np.maximum(window.margin_px - _GUARD_BLURS * blur_px, _LEAST_MARGIN * window.margin_px)
+    return window.read & (window.near_edges < allowed[:, None])
+
+
+def _diagonal(matrix: FloatArray) -> FloatArray:
+    return np.asarray(matrix * np.eye(matrix.shape[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """Sum of squares (m,), normal matrix (m, 5, 5) and gradient (m, 5) with the light solved for; contrast (m,)."""
+
+    cost: FloatArray
+    normal: FloatArray
+    gradient: FloatArray
+    contrast: FloatArray
+
+    @classmethod
+    def at(cls, window: _Window, read: BoolArray, state: FloatArray) -> "_Linearised":
+        x, y = window.x - state[:, :1], window.y - state[:, 1:2]
+        blur = np.exp(state[:, 4:])
+        (cos_1, sin_1), (cos_2, sin_2) = ((np.cos(state[:, k : k + 1]), np.sin(state[:, k : k + 1])) for k in (2, 3))
+        # Beside the first axis' edge lies the sign of the second axis, and the other way round.
+        side = np.sign(cos_1 * sin_2 - sin_1 * cos_2)
+        from_1, from_2 = side * (cos_1 * y - sin_1 * x), side * (sin_2 * x - cos_2 * y)
+        edge_1, edge_2 = erf(from_1 / (np.sqrt(2.0) * blur)), erf(from_2 / (np.sqrt(2.0) * blur))
+        steep_1, steep_2 = (
+            np.sqrt(2.0 / np.pi) / blur * np.exp(-0.5 * (distance / blur) ** 2) for distance in (from_1, from_2)
+        )
+        cross = edge_1 * edge_2
+        weight = read.astype(np.float64)
+        # As many columns as unknowns of the light: its plane, and that of the contrast.
+        light = np.stack([np.ones_like(x), x, y, cross, x * cross, y * cross], axis=-1) * weight[..., None]
+        transposed = np.swapaxes(light, 1, 2)
+        normal = transposed @ light
+        inverse = np.linalg.inv(normal + 1e-9 * _diagonal(normal) + 1e-9 * np.eye(6))
+        grey = (window.grey * weight)[..., None]
+        solved = inverse @ (transposed @ grey)
+        left = (grey - light @ solved)[..., 0]
+        strength = solved[:, 3] + solved[:, 4] * x + solved[:, 5] * y
+        by_1, by_2 = strength * steep_1 * edge_2, strength * edge_1 * steep_2  # slopes by from_1 and from_2
+        slopes = (
+            np.stack(
+                [
+                    side * (by_1 * sin_1 - by_2 * sin_2),
+                    side * (-by_1 * cos_1 + by_2 * cos_2),
+                    by_1 * side * (-sin_1 * y - cos_1 * x),
+                    by_2 * side * (cos_2 * x + sin_2 * y),
+                    -(by_1 * from_1 + by_2 * from_2),
+                ],
+                axis=-1,
+            )
+            * weight[..., None]
+        )
+        # What a change of the light does as well is no news of the corner (variable projection).
+        slopes = slopes - light @ (inverse @ (transposed @ slopes))
+        turned = np.swapaxes(slopes, 1, 2)
+        return cls((left**2).sum(axis=1), turned @ slopes, (turned @ left[..., None])[..., 0], solved[:, 3, 0])
+
+    def where(self, better: BoolArray, other: "_Linearised") -> "_Linearised":
+        return _Linearised(
+            np.where(better, self.cost, other.cost),
+            np.where(better[:, None, None], self.normal, other.normal),
+            np.where(better[:, None], self.gradient, other.gradient),
+            np.where(better, self.contrast, other.contrast),
+        )

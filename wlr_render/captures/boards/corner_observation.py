@@ -1,0 +1,74 @@
+"""From roughly known corners of a board to an observation: sub-pixel fit, and outliers left out."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
+from wlr_render.captures.boards.corner_fit import fit_corners
+from wlr_render.captures.boards.lattice_shape import lattice_shape, smooth_rows
+from wlr_render.captures.photographs import Photograph
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+_LEAST_FOR_OUTLIERS = 9  # fewer neighbours do not tell which of them is wrong
+LEAST_CORNERS = 4
+
+
+def observe_corners(
+    image: Photograph,
+    index: IntArray,
+    place: FloatArray,
+    starts: Sequence[FloatArray],
+    reach: float = 1.0,
+    white_margin: float | None = None,
+) -> BoardObservation:
+    """Return the observation of corners that are known to about a pixel; those that do not look like one are left out.
+
+    Args:
+        image: (h, w) grey.
+        index: (n, 2) column and row.
+        place: (n, 2) on the board in cells, x right and y down.
+        starts: (n, 2) pixels each, from the outer corner of the top-left pixel; where the first leads to no corner, the
+            next is tried.
+        reach, white_margin: see `corner_fit.fit_corners`.
+
+    Raises:
+        BoardNotFoundError: too few corners are left; the sentence lacks the photograph's name.
+    """
+    if len(index) < LEAST_CORNERS:
+        raise _too_few(len(index))
+    slope = lattice_shape(place, starts[0]).slope
+    pixel, sigma = np.full((len(index), 2), np.nan), np.full(len(index), np.nan)
+    for start in starts:
+        missing = np.nonzero(~np.isfinite(sigma))[0]
+        fitted = fit_corners(image, start[missing], slope[missing], reach, white_margin)
+        pixel[missing], sigma[missing] = fitted.pixel, fitted.sigma_px
+    rows = np.nonzero(np.isfinite(sigma))[0]
+    if len(rows) >= _LEAST_FOR_OUTLIERS:
+        rows = rows[_smooth(place[rows], pixel[rows])]
+    if len(rows) < LEAST_CORNERS:
+        raise _too_few(len(rows))
+    rows = rows[np.lexsort(index[rows].T)]
+    left_out = len(index) - len(rows)
+    return BoardObservation(index[rows], pixel[rows], sigma[rows], disagreeing=left_out)
+
+
+def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
+    """Rows of corners that lie where their neighbours expect them.
+
+    Over few, large cells perspective is more than a smooth map of third order: then the corners are compared with the
+    best homography, and what it leaves must be smooth. Of a very wide lens the picture has none.
+    """
+    tried = [smooth_rows(place, pixel, _LEAST_FOR_OUTLIERS)[0]]
+    homography, _ = cv2.findHomography(place, pixel, cv2.LMEDS)
+    if homography is not None:
+        expected = cv2.perspectiveTransform(place[:, None, :], homography)[:, 0]
+        cell = np.sqrt(np.prod(np.ptp(expected, axis=0)) / np.prod(np.ptp(place, axis=0)))
+        if np.isfinite(expected).all() and cell > 0:
+            tried.append(smooth_rows(expected / cell, pixel, _LEAST_FOR_OUTLIERS)[0])
+    return max(tried, key=len)
+
+
+def _too_few(corners: int) -> BoardNotFoundError:
+    return BoardNotFoundError(f"only {corners} corners of the board were seen; show more of it.")
