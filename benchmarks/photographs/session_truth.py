@@ -73,15 +73,16 @@ def _exact_captures(bench: PhotoBench, found: SessionCalibration, rng: np.random
     places: dict[str, int] = {}
     for photograph, observation in found.reading.seen(session.see_through):
         pose, target = bench.camera_at(np.asarray(photograph.stage)), bench.device_from_target[photograph.target_pose]
-        point = transforms.apply(target, session.board.point_of(observation.index))
+        on_target = bench.printed.point_of(observation.index)
+        point = transforms.apply(target, on_target)
         pixel = camera_view.pixel_of_real_point(bench.optics, camera, pose, point)
         pixel = pixel + rng.normal(size=pixel.shape) * observation.sigma_px[:, None]
         sound = np.asarray(np.isfinite(pixel).all(axis=-1))
         whole_observation = replace(observation, pixel=pixel).only(sound)
         place = places.setdefault(photograph.place, len(places))
-        targets.append(TargetView(pose, target, photograph.target_pose, place, whole_observation))
+        targets.append(TargetView(pose, target, photograph.target_pose, place, whole_observation, on_target[sound]))
     display = display_captures(headset, session.pattern.panel, camera, panels)
-    return EyeCaptures(display, within_field(see_through_captures(headset, session.board, camera, targets), display))
+    return EyeCaptures(display, within_field(see_through_captures(headset, camera, targets), display))
 
 
 def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
@@ -96,12 +97,15 @@ def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
 
 def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> ReportTable:
     tests = TruthTests.of(truth, seed)
-    measured, ideal = tests.errors(compared.found.fit.mappings), tests.errors(compared.ideal.mappings)
+    measured, ideal = (
+        tests.errors(compared.found.eyes[compared.bench.eye].fit.mappings),
+        tests.errors(compared.ideal.mappings),
+    )
     rows: list[list[Cell]] = [
         [name, from_photographs.rms, from_numbers.rms, from_photographs.rms / from_numbers.rms, from_photographs.median]
         for (name, from_photographs), (_, from_numbers) in zip(measured.items(), ideal.items(), strict=True)
     ]
-    fit = compared.found.fit
+    fit = compared.found.eyes[compared.bench.eye].fit
     title = (
         "Models from photographs beside models from exact correspondences with the same noise, "
         f"{fit.display.report.viewpoints} places"
@@ -111,12 +115,11 @@ def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> Repor
 
 
 def _station_table(compared: SessionTruth) -> ReportTable:
-    station, bench = compared.found.station, compared.bench
-    reference = station.stage.reference
-    poses = [("eyeball camera", station.pose_at(reference), bench.camera_at(reference))]
+    found, bench = compared.found.bench, compared.bench
+    first = compared.found.session.display[0]
+    poses = [("eyeball camera", found.camera_pose(first), bench.camera_at(np.asarray(first.stage)))]
     poses += [
-        (f"target pose {number}", pose, bench.device_from_target[number])
-        for number, pose in station.device_from_target.items()
+        (f"target pose {number}", pose, bench.device_from_target[number]) for number, pose in found.targets.items()
     ]
     rows: list[list[Cell]] = []
     for name, pose, true in poses:
@@ -132,4 +135,4 @@ def _station_table(compared: SessionTruth) -> ReportTable:
             ]
         )
     columns = ["pose", "off by (mm)", "stated sigma (mm)", "turned by (arcmin)", "stated sigma (arcmin)"]
-    return ReportTable("The station beside the truth", columns, rows, ("Lengths of vectors; sigma likewise.",))
+    return ReportTable("The bench beside the truth", columns, rows, ("Lengths of vectors; sigma likewise.",))

@@ -39,7 +39,9 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     point = transforms.apply(target, board.point_of(index))
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
     observation = BoardObservation(index, pixel, np.full(len(index), 0.07))
-    captures = see_through_captures(HEADSET, board, CAMERA, [TargetView(POSE, target, 3, 5, observation)])
+    captures = see_through_captures(
+        HEADSET, CAMERA, [TargetView(POSE, target, 3, 5, observation, board.point_of(observation.index))]
+    )
     straight = normalised(captures.point - captures.viewpoint)
     assert np.max(arcmin_between(captures.view_dir, straight)) < 1e-6
     assert set(captures.target_pose) == {3}
@@ -79,7 +81,7 @@ def test_no_views_are_refused():
     with pytest.raises(BadInputError, match="no photographs of the panel are left"):
         display_captures(HEADSET, Panel(20, 10), CAMERA, [])
     with pytest.raises(BadInputError, match="no photographs of the target through the optics are left"):
-        see_through_captures(HEADSET, design_board(8, 6, 0.03), CAMERA, [])
+        see_through_captures(HEADSET, CAMERA, [])
 
 
 def test_dots_beyond_the_panel_s_field_are_left_out():
@@ -88,8 +90,9 @@ def test_dots_beyond_the_panel_s_field_are_left_out():
     index = board.indices()
     point = transforms.apply(target, board.point_of(index))
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
-    view = TargetView(POSE, target, 0, 0, BoardObservation(index, pixel, np.full(len(index), 0.05)))
-    see_through = see_through_captures(HEADSET, board, CAMERA, [view])
+    observation = BoardObservation(index, pixel, np.full(len(index), 0.05))
+    view = TargetView(POSE, target, 0, 0, observation, board.point_of(index))
+    see_through = see_through_captures(HEADSET, CAMERA, [view])
     corners = np.array([[200.0, 160.0], [440.0, 320.0]])
     samples = DecodedSamples(corners, np.zeros((2, 2)), np.ones(2), np.ones(2))
     display = display_captures(HEADSET, Panel(20, 10), CAMERA, [PanelView(POSE, samples)])

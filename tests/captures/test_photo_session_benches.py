@@ -7,7 +7,6 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from wlr_render.calibration.calibrate_session import tracking_of
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import board_table, save_board
@@ -406,23 +405,6 @@ def test_an_example_of_the_manual_is_read(name, tmp_path):
     write_toml(tmp_path / FILE, content)
     session = load_photo_session(tmp_path)
     assert session.display
-
-
-@pytest.mark.parametrize(
-    ("bench", "reason"),
-    [
-        (rotary, "has no stage with three linear axes"),
-        (by_hand, "has \\[\\[beside\\]\\] photographs, 'bare' is empty"),
-        (fiducials, "has \\[\\[target\\]\\] poses"),
-        (optics_alone, "has a stage axis with a stated direction, has a 'gauge'"),
-        (both_eyes, "is of both eyes"),
-        (colour, "has sets of single primaries"),
-        (with_all_else, "has several orientations of the camera, has a camera with another lens than Brown's"),
-    ],
-)
-def test_calibration_names_what_it_does_not_take(bench, reason, tmp_path):
-    with pytest.raises(BadInputError, match=f"{reason}.*; `calibrate photos` needs"):
-        tracking_of(load_photo_session(saved(bench(tmp_path))))
 
 
 # Contradictions.

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wlr_render.captures.boards.board import Board, BoardObservation
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.correspondences import Conditions, DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens import Lens
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -61,7 +61,8 @@ class TargetView:
         device_from_camera, device_from_target: (4, 4).
         target_pose: index of the target's place.
         capture: index of the camera's place.
-        observation: the dots found.
+        observation: the features found.
+        target_point: (n, 3) their true places, target's frame.
         conditions: as of a `PanelView`.
     """
 
@@ -70,10 +71,11 @@ class TargetView:
     target_pose: int
     capture: int
     observation: BoardObservation
+    target_point: FloatArray
     conditions: Mapping[str, ArrayLike] = field(default_factory=dict)
 
 
-def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: Sequence[PanelView]) -> DisplayCaptures:
+def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequence[PanelView]) -> DisplayCaptures:
     """Return captures of the panel; every view is one camera position.
 
     Raises:
@@ -103,9 +105,7 @@ def display_captures(headset: Headset, panel: Panel, camera: LensCamera, views: 
     return concatenate(parts)
 
 
-def see_through_captures(
-    headset: Headset, board: Board, camera: LensCamera, views: Sequence[TargetView]
-) -> SeeThroughCaptures:
+def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetView]) -> SeeThroughCaptures:
     """Return captures of the target through the optics.
 
     Raises:
@@ -119,7 +119,7 @@ def see_through_captures(
     for view in views:
         direction, sound = _directions(camera, view.device_from_camera, view.observation.pixel)
         count = int(sound.sum())
-        on_target = board.point_of(view.observation.index[sound])
+        on_target = view.target_point[sound]
         parts.append(
             SeeThroughCaptures(
                 headset.device,
@@ -169,7 +169,7 @@ def _conditions(view: PanelView | TargetView, count: int) -> Conditions:
 
 
 def _directions(
-    camera: LensCamera, device_from_camera: FloatArray, pixel: FloatArray
+    camera: Lens, device_from_camera: FloatArray, pixel: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Directions (n, 3) in the device frame, and which of them the camera model has at all, (n,).
 
@@ -186,5 +186,5 @@ def _directions(
     return direction, np.asarray(np.isfinite(in_camera).all(axis=-1))
 
 
-def _arcmin_per_pixel(camera: LensCamera) -> float:
+def _arcmin_per_pixel(camera: Lens) -> float:
     return float(1.0 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)

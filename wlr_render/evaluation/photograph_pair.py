@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 
@@ -33,7 +33,7 @@ class PairMisalignment:
         return len(self.index)
 
 
-def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera: LensCamera) -> PairMisalignment:
+def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera: Lens) -> PairMisalignment:
     """Match the dots of both photographs by their indices on the board; dots found in only one are omitted.
 
     Args:

@@ -39,6 +39,10 @@ class Lens(Protocol):
         """Width and height."""
 
     @property
+    def focal_px(self) -> FloatArray:
+        """(2,) pixels per unit of the undistorted image in u and v, at its centre."""
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the P parameters that a fit can estimate."""
 

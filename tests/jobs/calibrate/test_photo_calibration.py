@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from browser import needs_browser, open_page
 
+from wlr_render.calibration.bench.bench_file import load_station
 from wlr_render.calibration.poses import motion_between
-from wlr_render.calibration.station_file import load_station
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.calibration.calibrate_session import Lens, SessionCalibration
+from wlr_render.calibration.bench.checks import prior_pulls, reading_pulls
+from wlr_render.calibration.bench.state import BOARD_SHAPE
+from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
 from wlr_render.calibration.poses import Pose
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import write_figure
-from wlr_render.geometry.lens_camera import LENS_PARAMETERS
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, ReportTable, Section
@@ -20,10 +21,13 @@ _ACROSS = 6  # small pictures side by side
 
 def headline(found: SessionCalibration) -> str:
     """What was read, what came of it, and whether anything is off."""
-    off = sum(not check.ok for check in found.station.checks)
-    checks = f"{off} check(s) of the station failed" if off else "every check of the station passed"
+    off = sum(not check.ok for check in found.bench.checks)
+    checks = f"{off} check(s) of the bench failed" if off else "every check of the bench passed"
+    fits = [fit_sentences(each.kinds) for each in found.eyes.values()]
+    if len(fits) > 1:
+        fits = [f"{eye.capitalize()} eye: {fit}" for eye, fit in zip(found.eyes, fits, strict=True)]
     return (
-        f"{fit_sentences(found.kinds)} {len(found.reading.boards)} photographs of the board and "
+        f"{' '.join(fits)} {len(found.reading.boards)} photographs of the board and "
         f"{len(found.reading.panels)} sets of the panel were read, {len(found.all_excluded)} excluded; {checks}."
     )
 
@@ -33,33 +37,44 @@ def advice(found: SessionCalibration) -> list[str]:
     steps = ["Correct the entries of session.toml that are excluded, or take the photographs again."] * bool(
         found.faults
     )
-    steps += [f"{check.step}: {check.sentence}" for check in found.station.checks if not check.ok]
-    return [*steps, *fit_advice(found.fit)]
+    steps += [f"{check.step}: {check.sentence}" for check in found.bench.checks if not check.ok]
+    return [*steps, *(step for each in found.eyes.values() for step in fit_advice(each.fit))]
 
 
-def set_names(found: SessionCalibration) -> list[str]:
-    """Names of the panel's photographed sets, by number of the display's capture."""
-    return [found.session.name_of(each.folder) for each, _ in found.reading.decoded(found.session.display)]
+def set_names(found: SessionCalibration, eye: EyeCalibration) -> list[str]:
+    """Names of the panel's photographed sets of an eye, by number of the display's capture."""
+    return [found.session.name_of(each.folder) for each, _ in found.reading.decoded(eye.session.display)]
 
 
 def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     """Tables, pictures (written into `folder`) and plots, in the order of the procedure."""
     read = [_read_table(found), _excluded_table(found), _decoded_table(found)]
-    return [
+    blocks: list[Block] = [
         Section("What was read"),
         *(table for table in read if table.rows),
-        Picture("Coverage", _draw_coverage(folder / "coverage.png", found), "Camera positions, and what they saw."),
+        *(_coverage(folder, each, len(found.eyes) > 1) for each in found.eyes.values()),
         Picture(
             "Decoding", _draw_rejections(folder / "decoding.png", found), "Camera pixels of every set of the panel."
         ),
-        Section("The station"),
+        Section("The bench"),
         _lens_table(found),
+        *_kinds_tables(found),
         _poses_table(found),
         *_pose_plots(found),
+        _errors_table(found),
+        _chi_squared_table(found),
         _checks_table(found),
-        Section("The models"),
-        *fit_blocks(found.kinds, found.captures, set_names(found)),
     ]
+    for eye, each in found.eyes.items():
+        blocks.append(Section("The models" if len(found.eyes) == 1 else f"The models of the {eye} eye"))
+        blocks += fit_blocks(each.kinds, each.captures, set_names(found, each))
+    return blocks
+
+
+def _coverage(folder: Path, each: EyeCalibration, several: bool) -> Picture:
+    name = f"coverage-{each.eye}" if several else "coverage"
+    title = f"Coverage, {each.eye} eye" if several else "Coverage"
+    return Picture(title, _draw_coverage(folder / f"{name}.png", each), "Camera positions, and what they saw.")
 
 
 def _read_table(found: SessionCalibration) -> ReportTable:
@@ -110,30 +125,37 @@ def _decoded_table(found: SessionCalibration) -> ReportTable:
 
 
 def _lens_table(found: SessionCalibration) -> ReportTable:
+    adjustment = found.bench.adjustment
     rows: list[list[Cell]] = []
-    for name, lens in (("eyeball camera", found.eyeball), ("tracking camera", found.tracking)):
-        rows += _lens_rows(name, lens)
+    for name, lens in adjustment.state.lens.items():
+        rows.append([f"{name} camera", "kind", getattr(lens, "kind", "splined"), None])
+        sigma = np.sqrt(np.diag(adjustment.covariance_of([("lens", name)])))
+        rows += [
+            [f"{name} camera", value, f"{number:.6g}", float(one)]
+            for value, number, one in zip(lens.names, lens.values, sigma, strict=True)
+        ]
     notes = ("Focal length and centre in pixels, the centre from the outer corner of the top-left pixel.",)
     return ReportTable("Lenses", ["camera", "value", "found", "standard deviation"], rows, notes)
 
 
-def _lens_rows(name: str, lens: Lens) -> list[list[Cell]]:
-    camera, found = lens.camera, lens.calibration
-    values = np.concatenate([camera.focal_px, camera.centre_px, camera.distortion])
-    sigma = [None] * len(values) if found is None else [float(one) for one in found.sigma]
+def _kinds_tables(found: SessionCalibration) -> list[ReportTable]:
     rows: list[list[Cell]] = [
-        [name, value, f"{number:.6g}", one]
-        for value, number, one in zip(LENS_PARAMETERS, values, sigma, strict=True)
-        if number != 0
+        [f"{name} camera", kind, rms, "chosen" if kind == getattr(each.lens, "kind", "") else ""]
+        for name, each in found.bench.lenses.items()
+        for kind, rms in each.tried.items()
     ]
-    misfit = float(np.sqrt(np.mean(lens.poses.rms_px**2)))
-    return [*rows, [name, "reprojection error, rms (px)", f"{misfit:.3g}", None]]
+    note = "The simplest kind that predicts held-out photographs as well as any is chosen."
+    columns = ["camera", "kind of lens", "held-out reprojection error, rms (px)", ""]
+    return [ReportTable("Kinds of lenses", columns, rows, (note,))] if rows else []
 
 
 def _poses(found: SessionCalibration) -> dict[str, Pose]:
-    station = found.station
-    poses = {"eyeball camera, at the reference reading": station.pose_at(station.stage.reference)}
-    return poses | {f"target pose {number}": pose for number, pose in station.device_from_target.items()}
+    bench, poses = found.bench, {}
+    for eye, each in found.eyes.items():
+        first = each.session.display[0] if each.session.display else each.session.see_through[0]
+        which = f", {eye} eye" if len(found.eyes) > 1 else ""
+        poses[f"eyeball camera at the first panel photographs{which}"] = bench.camera_pose(first)
+    return poses | {f"target pose {number}": pose for number, pose in bench.targets.items()}
 
 
 def _pose_plots(found: SessionCalibration) -> list[Plot]:
@@ -151,20 +173,51 @@ def _pose_plots(found: SessionCalibration) -> list[Plot]:
 
 
 def _poses_table(found: SessionCalibration) -> ReportTable:
-    station = found.station
     rows: list[list[Cell]] = []
     for name, pose in _poses(found).items():
         place = ", ".join(f"{1e3 * length:.3f}" for length in pose.b_from_a[:3, 3])
         turn, shift = (" / ".join(f"{one:.2g}" for one in sigma) for sigma in (pose.sigma_arcmin, pose.sigma_mm))
         rows.append([name, place, shift, turn])
     columns = ["pose", "origin (mm)", "its sigma x / y / z (mm)", "sigma of rotation about x / y / z (arcmin)"]
-    jitter = station.stage.jitter
-    notes = (
-        "Device frame with OpenXR's axes (x right, y up, z backward), whatever axes session.toml has.",
-        f"Repeatability of the stage: {1e6 * jitter.translation_m:.2g} um and {1e6 * jitter.rotation_rad:.2g} "
-        "microradians per axis; the eyeball camera's sigmas include it.",
-    )
+    notes = ("Device frame with OpenXR's axes (x right, y up, z backward), whatever axes session.toml has.",)
     return ReportTable("Poses in the device frame", columns, rows, notes)
+
+
+def _errors_table(found: SessionCalibration) -> ReportTable:
+    """What the photographs say of stage and board."""
+    adjustment = found.bench.adjustment
+    sizes, state = adjustment.sizes, adjustment.state
+    rows: list[list[Cell]] = []
+    if state.offsets:
+        rows += [
+            ["stage, repeatability of position (um)", 1e6 * sizes.shift, None],
+            ["stage, repeatability of rotation (urad)", 1e6 * sizes.turn, None],
+            ["stage, smooth error of position over the travel (um)", 1e6 * sizes.smooth_shift, None],
+            ["stage, smooth error of rotation over the travel (urad)", 1e6 * sizes.smooth_turn, None],
+        ]
+    for name, shape in state.shape.items():
+        sigma = np.sqrt(np.diag(adjustment.covariance_of([("shape", name)])))
+        for k, value in enumerate(BOARD_SHAPE):
+            unit, scale = ("um", 1e6) if k < 3 else ("parts per million", 1e6)
+            rows.append([f"{name}, {value} ({unit})", scale * float(shape.low[k]), scale * float(sigma[k])])
+        rows.append([f"{name}, errors of single features (um)", 1e6 * sizes.feature_m[name], None])
+    for target, change in state.focus.items():
+        sigma_change = float(np.sqrt(adjustment.covariance_of([("focus", target)])[0, 0]))
+        rows.append([f"focal length at target pose {target} (parts per million)", 1e6 * change, 1e6 * sigma_change])
+    note = "Standard deviations per axis, found from the photographs; they are in the sigmas of all poses."
+    return ReportTable("Errors of stage, board and lens", ["error", "found", "its sigma"], rows, (note,))
+
+
+def _chi_squared_table(found: SessionCalibration) -> ReportTable:
+    pulls = [*reading_pulls(found.bench.adjustment), *prior_pulls(found.bench.adjustment)]
+    rows: list[list[Cell]] = [[each.kind, each.reduced, each.freedom, each.probability] for each in pulls]
+    columns = ["of", "reduced chi-squared", "degrees of freedom", "probability by chance"]
+    notes = (
+        "Features: against their stated sigma, which is known to a factor of two.",
+        "Stage: against the repeatability found.",
+        "What was stated beforehand (poses, known lenses, the board's file): against its stated sigma.",
+    )
+    return ReportTable("Reduced chi-squared", columns, rows, notes)
 
 
 def _checks_table(found: SessionCalibration) -> ReportTable:
@@ -177,24 +230,24 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
             float(check.limit),
             check.sentence,
         ]
-        for check in sorted(found.station.checks, key=lambda check: check.ok)
+        for check in sorted(found.bench.checks, key=lambda check: check.ok)
     ]
     columns = ["check", "step", "quantity", "value", "limit", "what it says"]
-    return ReportTable("Checks of the station", columns, rows, tuple(found.station.unchecked))
+    return ReportTable("Checks of the bench", columns, rows, tuple(found.bench.unchecked))
 
 
-def _draw_coverage(path: Path, found: SessionCalibration) -> Path:
+def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
     """Camera positions with the eye box, the panel as it was decoded, and the directions in which targets were seen."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13.5, 4.2), layout="constrained")
     places, panel, world = figure.subplots(1, 3)
     box, display, see_through = found.session.eye_box, found.captures.display, found.captures.see_through
-    assert see_through is not None
     x, y = 1e3 * np.unique(display.viewpoint, axis=0)[:, :2].T
     places.plot(x, y, "o", label="panel")
-    x, y = 1e3 * np.unique(see_through.viewpoint, axis=0)[:, :2].T
-    places.plot(x, y, "+", markersize=10, label="through the optics")
+    if see_through is not None:
+        x, y = 1e3 * np.unique(see_through.viewpoint, axis=0)[:, :2].T
+        places.plot(x, y, "+", markersize=10, label="through the optics")
     (left, bottom), (width, height) = 1e3 * (box.centre - box.size / 2)[:2], 1e3 * box.size[:2]
     places.plot(
         left + width * np.array([0, 1, 1, 0, 0]), bottom + height * np.array([0, 0, 1, 1, 0]), "k-", label="eye box"
@@ -207,7 +260,8 @@ def _draw_coverage(path: Path, found: SessionCalibration) -> Path:
     drawn = panel.imshow(counts.T, extent=(0, size[0], size[1], 0), cmap="viridis")
     figure.colorbar(drawn, ax=panel, shrink=0.7, label="samples")
     panel.set(xlabel="u (px)", ylabel="v (px)", title="decoded panel positions")
-    for pose in np.unique(see_through.target_pose):
+    for pose in np.unique(see_through.target_pose) if see_through is not None else ():
+        assert see_through is not None
         tangents = see_through.tangents[see_through.target_pose == pose]
         world.plot(*np.rad2deg(np.arctan(tangents)).T, ".", markersize=1, label=f"target pose {pose}")
     seen = np.rad2deg(np.arctan(display.tangents))

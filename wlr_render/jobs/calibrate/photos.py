@@ -1,14 +1,15 @@
 """Calibrate cameras, stage and one eye from the photographs of a session."""
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session, tracking_of
+from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.files import output_folder
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, save_models
+from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, MODEL_FILE, FitOptions, OutputFolder, save_models
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks, set_names
 from wlr_render.jobs.options import Options, ProgressArgument, Workers, described
@@ -16,6 +17,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 
+_RESULTS = (("captures", ".npz"), ("station", ".json"))
 READ = "read"
 """Folder, in the output folder, of what was read from photographs, so that a later run reads only what is new."""
 
@@ -44,28 +46,40 @@ def calibrate_photos(options: CalibratePhotosOptions, *, progress: ProgressArgum
 def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
     """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz."""
     session = load_photo_session(options.session)
-    tracking_of(session)  # what cannot be calibrated is refused before anything is read
-    options.fit.prescription_of(session.eye)
+    for eye in session.eyes:  # a faulty prescription is refused before anything is read
+        options.fit.prescription_of(eye)
     folder = output_folder(options.out)
     reading = read_session(session, folder / READ, options.workers, progress)
-    progress.say("calibrating cameras and station, fitting the models")
+    _remove_results(folder, session.eyes)
+    progress.say("calibrating the bench, fitting the models")
     return calibrate_session(session, reading, folder, options.fit.fit)
+
+
+def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
+    """Results of an earlier run must not stand beside those of one that is refused."""
+    for name in (MODEL_FILE, *(f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in _RESULTS)):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _record(found: SessionCalibration) -> dict[str, Any]:
+    fits = {eye: each.fit.model().report for eye, each in found.eyes.items()}
+    return {"eye": found.session.eye, "fit": fits[found.session.eye]} if len(fits) == 1 else {"eyes": fits}
 
 
 def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Report:
     """Write model.json, pictures and the report of a calibration."""
     session, folder = found.session, output_folder(options.out)
-    model, notes = save_models(folder, [found.fit])
-    blocks = session_blocks(found, folder)
+    model, notes = save_models(folder, [each.fit for each in found.eyes.values()])
+    warnings = [warning for each in found.eyes.values() for warning in fit_warnings(each.fit, set_names(found, each))]
     report = Report(
-        f"Calibration of {session.device}, {session.eye} eye",
+        f"Calibration of {session.device}, {' and '.join(session.eyes)} eye",
         verdict=headline(found),
         advice=advice(found),
-        warnings=[*fit_warnings(found.fit, set_names(found)), *notes],
-        blocks=blocks,
+        warnings=[*warnings, *notes],
+        blocks=session_blocks(found, folder),
         inputs=[options.session, *options.fit.inputs],
-        files=[model, folder / f"captures-{session.eye}.npz", folder / f"station-{session.eye}.json"],
+        files=[model, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in _RESULTS)],
         faults=found.faults,
-        record={"options": options, "device": session.device, "eye": session.eye, "fit": found.fit.model().report},
+        record={"options": options, "device": session.device, **_record(found)},
     )
     return save_report(report, folder)

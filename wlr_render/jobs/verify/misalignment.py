@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
 from wlr_render.files import output_folder, write_figure
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens import Lens
 from wlr_render.jobs.options import Options
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, cell_text
 from wlr_render.report.save import save_report
@@ -62,7 +62,7 @@ def judge_pair(
     method: str,
     photographs: tuple[Path, Path],
     board: Board,
-    camera: LensCamera,
+    camera: Lens,
     shown: NDArray[np.bool_] | None = None,
 ) -> Judged:
     """Match the dots of two photographs.

@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from wlr_render.calibration.station_file import load_station
+from wlr_render.calibration.bench.bench_file import load_station
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError

@@ -13,14 +13,15 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.board_poses import BoardView, poses_of
-from wlr_render.calibration.station_file import SavedStation, load_station
+from wlr_render.calibration.bench.bench_file import SavedStation, load_station
+from wlr_render.calibration.bench.observations import TRACKING, BoardView
+from wlr_render.calibration.bench.start import board_pose
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens import Lens
 from wlr_render.jobs.options import Backend, Options, ProgressArgument, Range, Seed, Workers, described
 from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report
 from wlr_render.mappings import EyeMappings
@@ -118,7 +119,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
 
 
 def _refuse_another(
-    options: VerifySessionOptions, calibrated: tuple[str, str], camera: LensCamera, bench: PhotoBench
+    options: VerifySessionOptions, calibrated: tuple[str, str], camera: Lens, bench: PhotoBench
 ) -> None:
     if calibrated != (bench.device.name, bench.eye) or camera.size_px != bench.eyeball.camera.size_px:
         raise BadInputError(
@@ -150,15 +151,18 @@ def _track_targets(
     Raises:
         BadInputError: it does not see it.
     """
+    if station.tracking_camera is None or station.device_from_tracking is None:
+        raise BadInputError("the calibrated bench has no tracking camera, which says where the target stands.")
     shots = tuple(BoardShot(folder / f"tracking_{_name(depth)}.png", target_at(bench, depth)) for depth in depths_m)
     _retake(CameraPose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.printed, shots))
     poses = []
     for shot in shots:
         observation = bench.board.find(read_photograph(shot.path), shot.path.name)
-        seen = poses_of(station.tracking_camera, [BoardView.of_observation(shot.path.name, observation, bench.board)])
-        if not len(seen):
-            raise BadInputError(f"{shot.path}: {seen.rejected[shot.path.name]}")
-        poses.append(station.device_from_tracking @ seen.camera_from_board[0])
+        point = bench.board.point_of(observation.index)
+        if station.shape is not None:
+            point = station.shape.point_of(observation.index, point)
+        view = BoardView(shot.path.name, TRACKING, observation.index, point, observation.pixel, observation.sigma_px)
+        poses.append(station.device_from_tracking @ board_pose(station.tracking_camera, view)[0])
     return poses
 
 
@@ -220,7 +224,7 @@ def _retake(pose: CameraPose) -> int:
 
 
 def _judge(
-    bench: PhotoBench, camera: LensCamera, depth_m: float, viewpoint: int, shown: NDArray[np.bool_], folder: Path
+    bench: PhotoBench, camera: Lens, depth_m: float, viewpoint: int, shown: NDArray[np.bool_], folder: Path
 ) -> Iterator[Judged]:
     """Match the dots of one place's photographs, of those that the panel can show whole: `shown` (rows, columns)."""
     place = PairPosition(f"{depth_m:g} m, viewpoint {viewpoint}", depth_m, viewpoint)

@@ -5,18 +5,22 @@ twice at one stage reading. A target that moves is seen to move by both, a heads
 (the optics hardly change where the target is seen), and a camera or stage that moves by the eyeball camera alone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.calibration.board_poses import BoardView
-from wlr_render.calibration.check import NEGLIGIBLE_ARCMIN, REFUSED_ARCMIN, Change, Check
+from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.checks import REFUSED_ARCMIN, REFUSED_MM, Check, significance
+from wlr_render.calibration.bench.faults import APART, NEGLIGIBLE_M, NEGLIGIBLE_RAD, Fault
+from wlr_render.calibration.bench.observations import BoardView
+from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
+NEGLIGIBLE_ARCMIN = NEGLIGIBLE_RAD / ARCMIN
 _RAYLEIGH = 1.1774  # median distance from the origin of a point that scatters by 1 along both axes
 _NOISY = 2.0  # a median distance this many times what noise makes is a change
 _FOLLOWS = 0.5  # a view that moves by more than this part of what the target's motion would make has followed it
@@ -28,12 +32,12 @@ class RepeatedView:
 
     Attributes:
         target: number of the target pose.
-        reading: (3,) of the stage.
+        device_from_camera: (4, 4) of the eyeball camera.
         first, last: dots of the two; those that are in both are compared.
     """
 
     target: int
-    reading: FloatArray
+    device_from_camera: FloatArray
     first: BoardView
     last: BoardView
 
@@ -44,14 +48,62 @@ class TargetChange:
 
     Attributes:
         names: of the photographs before and after.
-        before, after: device_from_target (4, 4).
-        change: between them, at the target's middle.
+        before, after: device_from_target (4, 4); the same where nothing moved.
+        shift_mm: of the target's middle. turn_arcmin: of its orientation.
+        sigmas: significance of both, as of one normal variable.
     """
 
     names: tuple[str, str]
     before: FloatArray
     after: FloatArray
-    change: Change
+    shift_mm: float = 0.0
+    turn_arcmin: float = 0.0
+    sigmas: float = 0.0
+
+    @classmethod
+    def of(cls, adjustment: Adjustment, target: int, fault: Fault | None, names: Sequence[str]) -> "TargetChange":
+        """The change at a target pose by the fault that the adjustment set apart; none without one."""
+        before = adjustment.state.targets[target]
+        moved = [k for k in adjustment.state.targets if k % APART == target and k >= APART]
+        if fault is None or not moved:
+            return cls((names[0], names[-1]), before, before)
+        after = adjustment.state.targets[moved[-1]]
+        motion = motion_between(np.eye(4), transforms.inverse(before) @ after)
+        both = adjustment.covariance_of([("target", target), ("target", moved[-1])])
+        apart = np.concatenate([-np.eye(6), np.eye(6)], axis=1)
+        chi_square = float(motion @ np.linalg.solve(apart @ both @ apart.T, motion))
+        return cls(
+            (fault.names[0], fault.names[1]),
+            before,
+            after,
+            1e3 * float(np.linalg.norm(motion[3:])),
+            float(np.linalg.norm(motion[:3])) / ARCMIN,
+            significance(chi_square, 6),
+        )
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether anything moved."""
+        return self.sigmas > 0.0
+
+    def __str__(self) -> str:
+        return f"{self.shift_mm:.3g} mm and {self.turn_arcmin:.2g}' ({self.sigmas:.0f} sigma)"
+
+    def check(self, step: str, sentence: str) -> Check:
+        """The check of this change."""
+        turned = self.turn_arcmin * ARCMIN / NEGLIGIBLE_RAD > 1e-3 * self.shift_mm / NEGLIGIBLE_M
+        value, limit = (self.turn_arcmin, NEGLIGIBLE_ARCMIN) if turned else (self.shift_mm, 1e3 * NEGLIGIBLE_M)
+        large = self.shift_mm > REFUSED_MM or self.turn_arcmin > REFUSED_ARCMIN
+        return Check(
+            step,
+            "turn, arcmin" if turned else "shift, mm",
+            value,
+            value / max(self.sigmas, 1e-9) if self.is_significant else 0.0,
+            limit,
+            sentence,
+            not self.is_significant,
+            self.is_significant and large,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +131,7 @@ def sweep_check(
     target: int,
     tracked: TargetChange | None,
     repeated: Sequence[RepeatedView],
-    camera: LensCamera,
-    device_from_camera: Callable[[FloatArray], FloatArray],
+    camera: Lens,
 ) -> Check | None:
     """Name what moved during the sweep at one target pose; None where nothing was photographed twice.
 
@@ -89,17 +140,15 @@ def sweep_check(
         tracked: how the tracking camera saw the target change.
         repeated: all photographs through the optics that were repeated in this sweep.
         camera: the eyeball camera.
-        device_from_camera: stage reading (3,) -> (4, 4).
     """
-    views = [_view_change(view, tracked, camera, device_from_camera) for view in repeated]
+    views = [_view_change(view, tracked, camera) for view in repeated]
     step = f"sweep at target pose {target}"
     largest = max(views, key=lambda view: view.median_arcmin, default=None)
-    if tracked is not None and tracked.change.is_significant:
-        moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked.change}"
-        return tracked.change.check(step, f"{moved}; repeat this sweep with its tracking photographs", moved)
+    if tracked is not None and tracked.is_significant:
+        moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked}"
+        return tracked.check(step, f"{moved}; repeat this sweep with its tracking photographs")
     if largest is None:
-        right = "the tracking camera sees the target where it was"
-        return None if tracked is None else tracked.change.check(step, right, right)
+        return None if tracked is None else tracked.check(step, "the tracking camera sees the target where it was")
     culprit = "the camera or its stage" if tracked else "the target, the camera or its stage"
     sentence = (
         f"{culprit} moved between {largest.names[0]} and {largest.names[1]}: dots are displaced by "
@@ -128,8 +177,7 @@ def _culprit(views: Sequence[_ViewChange]) -> str:
 def _view_change(
     view: RepeatedView,
     tracked: TargetChange | None,
-    camera: LensCamera,
-    device_from_camera: Callable[[FloatArray], FloatArray],
+    camera: Lens,
 ) -> _ViewChange:
     point, displaced, sigma_px = _common(view)
     noise = np.sqrt(2.0) * sigma_px * _RAYLEIGH
@@ -144,7 +192,7 @@ def _view_change(
     )
     if tracked is None or len(point) == 0:
         return change
-    camera_from_device = transforms.inverse(device_from_camera(view.reading))
+    camera_from_device = transforms.inverse(view.device_from_camera)
     before, after = (
         camera.pixel_of_point(transforms.apply(camera_from_device @ pose, point))
         for pose in (tracked.before, tracked.after)

@@ -1,0 +1,208 @@
+"""Read and write station-EYE.json, the calibrated bench.
+
+Device frame (OpenXR), metres; cameras have OpenCV's axes and pixels count from the outer corner of the top-left pixel.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
+from wlr_render.calibration.bench.checks import Pull, prior_pulls, reading_pulls
+from wlr_render.calibration.bench.observations import EYEBALL, TRACKING
+from wlr_render.calibration.bench.state import BOARD_SHAPE, BoardShape, StageModel
+from wlr_render.calibration.poses import Pose, adjoint
+from wlr_render.errors import BadInputError
+from wlr_render.files import write_text
+from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.splined_lens import SplinedLens
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table, read_json
+
+FORMAT = "wlr-station"
+VERSION = 2
+
+
+@dataclass(frozen=True, eq=False)
+class SavedStation:
+    """Contents of station-EYE.json.
+
+    Attributes:
+        eyeball_camera, tracking_camera: the lenses; None for a tracking camera that there is not.
+        device_from_tracking: (4, 4), or None.
+        base: (4, 4) device_from_camera at the middle of the stage's readings; None without a stage.
+        stage: how the stage carries the camera, or None.
+        shape: of the board; None in files of version 1, which count it as flat.
+    """
+
+    eyeball_camera: Lens
+    tracking_camera: Lens | None
+    device_from_tracking: FloatArray | None
+    base: FloatArray | None
+    stage: StageModel | None
+    shape: BoardShape | None
+
+    def device_from_camera(self, reading: FloatArray) -> FloatArray:
+        """(m,) stage reading -> (4, 4).
+
+        Raises:
+            BadInputError: there is no stage, or the reading is of an axis that calibration never saw moving.
+        """
+        if self.base is None or self.stage is None:
+            raise BadInputError("the calibrated bench has no stage: a reading has no camera pose.")
+        travel = np.asarray(reading) - self.stage.middle
+        if np.any(travel[~self.stage.twists.any(axis=1)]):
+            raise BadInputError("the stage is read along an axis that no photograph without the headset varies.")
+        return np.asarray(self.base @ self.stage.motion(np.asarray(reading)))
+
+
+def save_station(path: str | Path, bench: CalibratedBench) -> Path:
+    """Write station-EYE.json, with the uncertainty of every pose."""
+    state, adjustment = bench.adjustment.state, bench.adjustment
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "frame": "openxr",
+        "units": {"length": "m", "angle": "rad", "pixel": "px"},
+        "eyeball_camera": _lens_record(state.lens[EYEBALL]),
+        "device_from_target": {str(k): _pose_record(pose) for k, pose in bench.targets.items()},
+        "board": _shape_record(state.shape["board"]) if "board" in state.shape else None,
+        "reduced_chi_squared": [_pull_record(each) for each in [*reading_pulls(adjustment), *prior_pulls(adjustment)]],
+        "checks": [
+            {"step": check.step, "quantity": check.quantity, "ok": bool(check.ok), "sentence": check.sentence}
+            for check in bench.checks
+        ],
+    }
+    if state.device_from_tracking is not None:
+        content["tracking_camera"] = _lens_record(state.lens[TRACKING])
+        content["device_from_tracking"] = state.device_from_tracking.tolist()
+    if state.base:
+        orientation = min(state.base)
+        to_device = adjoint(state.base[orientation])
+        covariance = to_device @ adjustment.covariance_of([("base", orientation)]) @ to_device.T
+        stage, sizes = state.stage, adjustment.sizes
+        content["stage"] = {
+            "middle": stage.middle.tolist(),
+            "half_range": stage.half_range.tolist(),
+            "device_from_camera": _pose_record(Pose(state.base[orientation], covariance)),
+            "twists": stage.twists.tolist(),
+            "smooth_error": stage.smooth.tolist(),
+            "repeatability": {"translation_um": 1e6 * sizes.shift, "rotation_urad": 1e6 * sizes.turn},
+            "smooth_size": {"translation_um": 1e6 * sizes.smooth_shift, "rotation_urad": 1e6 * sizes.smooth_turn},
+        }
+    return write_text(path, json.dumps(content, indent=1) + "\n")
+
+
+def load_station(path: str | Path) -> SavedStation:
+    """Read station-EYE.json of this version or of version 1.
+
+    Raises:
+        BadInputError: there is none, or it is of another kind.
+    """
+    table = read_json(path, "a station file", "`calibrate photos` writes it")
+    table.text("format", choices=[FORMAT])
+    if (version := table.number("version")) not in (1, VERSION):
+        raise table.fail(f"has version {version:g}, and versions 1 and {VERSION} can be read; write it again.")
+    tracking, base, stage = None, None, None
+    if table.has("tracking_camera"):
+        tracking = _lens(table.table("tracking_camera"))
+    if table.has("stage"):
+        part = table.table("stage")
+        base = part.table("device_from_camera").vectors("matrix", 4)
+        stage = _stage_of_version_1(part, base) if version == 1 else _stage(part)
+    return SavedStation(
+        _lens(table.table("eyeball_camera")),
+        tracking,
+        table.vectors("device_from_tracking", 4) if tracking is not None else None,
+        base,
+        stage,
+        _shape(table.table("board")) if version > 1 and table.unchecked("board") else None,
+    )
+
+
+def _stage(table: Table) -> StageModel:
+    return StageModel(
+        np.array(table.numbers("middle")),
+        np.array(table.numbers("half_range")),
+        table.vectors("twists", 6),
+        table.vectors("smooth_error", 6),
+    )
+
+
+def _stage_of_version_1(table: Table, base: FloatArray) -> StageModel:
+    """Axes in the device frame; null for those that were never moved."""
+    columns = table.unchecked("axes_in_device")
+    try:
+        axes = np.array([[0.0] * 3 if column is None else column for column in columns], dtype=np.float64)
+    except (TypeError, ValueError):
+        axes = np.empty(0)
+    if axes.shape != (3, 3):
+        raise table.fail(f"'axes_in_device' must be 3 columns of 3 numbers, or null, not {columns!r}.")
+    twists = np.concatenate([np.zeros((3, 3)), axes @ base[:3, :3]], axis=1)
+    return StageModel(table.vector("reference_m", 3), np.ones(3), twists, np.zeros((0, 6)))
+
+
+def _shape(table: Table) -> BoardShape:
+    return BoardShape(
+        table.vector("half_size_m", 2),
+        table.vector("shape", len(BOARD_SHAPE)),
+        table.vectors("feature", 2).astype(np.int64),
+        table.vectors("feature_error_m", 3),
+    )
+
+
+def _shape_record(shape: BoardShape) -> dict[str, Any]:
+    return {
+        "half_size_m": shape.half_m.tolist(),
+        "shape": shape.low.tolist(),
+        "feature": shape.feature.tolist(),
+        "feature_error_m": np.round(shape.place, 9).tolist(),
+    }
+
+
+def _lens_record(lens: Lens) -> dict[str, Any]:
+    record: dict[str, Any] = {"size_px": list(lens.size_px)}
+    if isinstance(lens, LensCamera):
+        return record | {
+            "kind": lens.kind,
+            "focal_px": lens.focal_px.tolist(),
+            "centre_px": lens.centre_px.tolist(),
+            "distortion": lens.distortion.tolist(),
+        }
+    assert isinstance(lens, SplinedLens)
+    return record | {
+        "kind": "splined",
+        "focal_px": lens.focal_px.tolist(),
+        "centre_px": lens.centre_px.tolist(),
+        "knots": list(lens.control.shape[:2]),
+        "control": lens.control.reshape(-1, 2).tolist(),
+        "order": lens.order,
+        "fov_x_deg": lens.fov_x_deg,
+    }
+
+
+def _lens(table: Table) -> Lens:
+    width, height = (int(side) for side in table.vector("size_px", 2))
+    kind = table.text("kind", "brown")
+    focal, centre = table.vector("focal_px", 2), table.vector("centre_px", 2)
+    if kind == "splined":
+        rows, columns = (int(side) for side in table.vector("knots", 2))
+        control = table.vectors("control", 2).reshape(rows, columns, 2)
+        return SplinedLens((width, height), focal, centre, control, table.whole("order"), table.number("fov_x_deg"))
+    return LensCamera((width, height), focal, centre, np.array(table.numbers("distortion")), kind)
+
+
+def _pose_record(pose: Pose) -> dict[str, Any]:
+    return {
+        "matrix": pose.b_from_a.tolist(),
+        "sigma_arcmin": pose.sigma_arcmin.tolist(),
+        "sigma_mm": pose.sigma_mm.tolist(),
+    }
+
+
+def _pull_record(pull: Pull) -> dict[str, Any]:
+    return {"kind": pull.kind, "value": pull.reduced, "freedom": pull.freedom, "probability": pull.probability}

@@ -1,0 +1,313 @@
+"""Checks of an adjusted bench: which step of the procedure contradicts the others, and what to do."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from wlr_render.calibration.bench.adjustment import USUAL_DIFFER, USUAL_SIZES, Adjustment
+from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
+from wlr_render.calibration.bench.observations import EYEBALL
+from wlr_render.calibration.bench.state import Key
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import FloatArray
+
+STEP = "photographs without the headset"
+
+REFUSED_MM, REFUSED_ARCMIN = 1.0, 10.0  # motions that make a calibration wrong
+_UNLIKELY = 1e-4  # probability below which chance explains nothing
+_SCALE, _REFUSED_SCALE = 0.002, 0.02  # 1 mm and 10 mm in the distance of a target at half a metre
+_SKEW_DEG = 1.0
+_UNIT = 0.1  # how far, in powers of ten, a factor may be from 1000 to be a mistaken unit
+_NOISE_DIFFERS = 0.7  # standard deviation of the logarithm of the stated noise: by a factor of 2
+_CAMERAS = {EYEBALL: "eyeball camera", "tracking": "tracking camera"}
+
+
+@dataclass(frozen=True)
+class Check:
+    """Result of checking one quantity.
+
+    Attributes:
+        step: of the procedure, or the photograph, that it speaks of.
+        quantity: with its unit.
+        value: found; `sigma`: its standard deviation; `limit`: what would still be right.
+        sentence: what is off and what to do, or that it is right.
+        ok: whether it is within the limit or within its uncertainty.
+        contradictory: whether it is so far off that a calibration from it would be wrong.
+    """
+
+    step: str
+    quantity: str
+    value: float
+    sigma: float
+    limit: float
+    sentence: str
+    ok: bool
+    contradictory: bool = False
+
+
+@dataclass(frozen=True)
+class Pull:
+    """How far readings or prior knowledge of one kind miss the solution.
+
+    Attributes:
+        kind: of reading or knowledge.
+        chi_square: sum of squares in units of sigma. freedom: its expectation.
+        probability: of so large a value by chance.
+    """
+
+    kind: str
+    chi_square: float
+    freedom: float
+    probability: float
+
+    @property
+    def reduced(self) -> float:
+        """Reduced chi-squared."""
+        return self.chi_square / max(self.freedom, 1e-9)
+
+
+def significance(chi_square: float, freedom: int) -> float:
+    """Standard deviations of one normal variable that are as improbable as this chi-squared."""
+    log_probability = float(chi2.logsf(chi_square, freedom))
+    if log_probability < -700.0:
+        return float(np.sqrt(-2.0 * log_probability))
+    return float(max(norm.isf(0.5 * np.exp(log_probability)), 0.0))
+
+
+def refuse_contradictions(checks: Iterable[Check]) -> None:
+    """Refuse a bench with a contradictory check.
+
+    Raises:
+        BadInputError: naming the step.
+    """
+    off = [check for check in checks if check.contradictory]
+    if off:
+        more = f" ({len(off) - 1} more checks contradict each other as well)" if len(off) > 1 else ""
+        raise BadInputError(f"{off[0].step}: {off[0].sentence}{more}.")
+
+
+def bench_checks(adjustment: Adjustment, faults: Sequence[Fault]) -> list[Check]:
+    """Check an adjusted bench."""
+    return [
+        *(_fault_check(fault) for fault in faults if fault.kind != "tracking"),
+        *_stage_checks(adjustment),
+        *_scales(adjustment),
+        *_angles(adjustment),
+        *(_noise_check(adjustment, name) for name in adjustment.state.lens),
+        *(_pull_check(pull) for pull in prior_pulls(adjustment)),
+    ]
+
+
+def prior_pulls(adjustment: Adjustment) -> list[Pull]:
+    """How far what was known beforehand is from what was found: extrinsics, given targets, known lenses, the board."""
+    state, seen = adjustment.state, adjustment.state.observations
+    named: dict[str, Key] = {}
+    if seen.device_from_tracking is not None:
+        named["pose of the tracking camera"] = ("extrinsics", "tracking")
+    named |= {f"given pose of target {number}": ("target", number) for number in seen.targets}
+    known = [name for name, setup in seen.cameras.items() if setup.known is not None and name in state.lens]
+    named |= {f"known lens of the {_CAMERAS[name]}": ("lens", name) for name in known}
+    named |= {f"shape of the {name}": ("shape", name) for name in state.shape}
+    pulls = []
+    for kind, key in named.items():
+        where = adjustment.layout.where[key]
+        prior = np.diag(adjustment.layout.size[where] ** 2)
+        # What was found minus what was known has this covariance; directions that nothing was learnt of have none.
+        size, vectors = np.linalg.eigh(np.eye(len(prior)) - _scaled(adjustment.covariance[where, where], prior))
+        learnt = size > 1e-3
+        away = vectors.T @ (state.deviation(key) / np.sqrt(np.diag(prior)))
+        chi_square = float(np.sum(away[learnt] ** 2 / size[learnt]))
+        freedom = int(np.count_nonzero(learnt))
+        if freedom:
+            pulls.append(Pull(kind, chi_square, freedom, float(chi2.sf(chi_square, freedom))))
+    return pulls
+
+
+def _scaled(covariance: FloatArray, prior: FloatArray) -> FloatArray:
+    per = 1.0 / np.sqrt(np.diag(prior))
+    return per[:, None] * covariance * per
+
+
+def reading_pulls(adjustment: Adjustment) -> list[Pull]:
+    """Reduced chi-squared of the features by camera, against their stated sigmas, and of the stage's random errors."""
+    normal, pulls = adjustment.normal, []
+    for name, reduced in adjustment.chi_square.items():
+        freedom = float(normal.values[name])
+        # Stated sigmas are known to a factor: their logarithm is what is judged.
+        chance = 2.0 * float(norm.sf(abs(0.5 * np.log(max(reduced, 1e-12))) / _NOISE_DIFFERS))
+        pulls.append(Pull(f"board features, {_CAMERAS[name]}", reduced * freedom, freedom, chance))
+    offsets = np.array(list(adjustment.state.offsets.values())).reshape(-1, 6)
+    if len(offsets):
+        for kind, part, size in (
+            ("rotation of the stage", slice(0, 3), adjustment.sizes.turn),
+            ("position of the stage", slice(3, 6), adjustment.sizes.shift),
+        ):
+            columns = [adjustment.layout.where["offset", place] for place in adjustment.state.offsets]
+            variance = np.array([np.diag(adjustment.covariance[where, where])[part] for where in columns])
+            freedom = float(np.sum(1.0 - np.minimum(variance / size**2, 1.0)))
+            chi_square = float(np.sum(offsets[:, part] ** 2)) / size**2
+            pulls.append(Pull(kind, chi_square, freedom, float(chi2.sf(chi_square, max(freedom, 1e-9)))))
+    return pulls
+
+
+def _fault_check(fault: Fault) -> Check:
+    turn_arcmin, shift_mm = np.linalg.norm(fault.motion[:3]) / ARCMIN, 1e3 * np.linalg.norm(fault.motion[3:])
+    size = f"{shift_mm:.3g} mm and {turn_arcmin:.2g}'"
+    if fault.kind == "photograph":
+        sentence = (
+            f"the target or the camera moved at {fault.names[0]}, which lies {size} from where the other photographs "
+            "have it; it was rejected: take it again, or correct its stage reading"
+        )
+    elif fault.kind == "exchange":
+        sentence = (
+            f"the stage readings of {fault.names[0]} and {fault.names[1]} look exchanged; both were rejected: correct "
+            "the readings, or take them again"
+        )
+    else:
+        said = [_moved(each) for each in (fault, *fault.alternatives) if each.kind not in SINGLE]
+        sentence = f"{'; or '.join(dict.fromkeys(said))}, by {size}; take these photographs again"
+    turned = turn_arcmin * ARCMIN / NEGLIGIBLE_RAD > 1e-3 * shift_mm / NEGLIGIBLE_M
+    large = fault.kind not in SINGLE and (shift_mm > REFUSED_MM or turn_arcmin > REFUSED_ARCMIN)
+    value, limit = (turn_arcmin, NEGLIGIBLE_RAD / ARCMIN) if turned else (shift_mm, 1e3 * NEGLIGIBLE_M)
+    sigmas = max(float(np.sqrt(2.0 * fault.log_odds)), 1.0)
+    step = " and ".join(fault.names) if fault.kind in SINGLE else STEP
+    quantity = "turn, arcmin" if turned else "shift, mm"
+    return Check(
+        step, quantity, float(value), float(value) / sigmas, limit, sentence, ok=False, contradictory=bool(large)
+    )
+
+
+def _moved(fault: Fault) -> str:
+    before, after = fault.names
+    if fault.kind == "target in bare":
+        return f"the target moved at pose {fault.target} between {before} and {after}"
+    if fault.kind == "camera in bare":
+        return f"the camera moved on its stage between {before} and {after}"
+    return (
+        f"the target moved at pose {fault.target} between its photographs without the headset ({before}) and by the "
+        f"tracking camera ({after})"
+    )
+
+
+def _stage_checks(adjustment: Adjustment) -> list[Check]:
+    """The stage's errors against those of ordinary stages."""
+    if not adjustment.state.offsets:
+        return []
+    sizes, checks = adjustment.sizes, []
+    rows = (
+        ("repeatability in position", "shift", 1e6 * sizes.shift, "um", 1e3 * sizes.shift > REFUSED_MM),
+        ("repeatability in rotation", "turn", 1e6 * sizes.turn, "urad", sizes.turn / ARCMIN > REFUSED_ARCMIN),
+        ("smooth error in position", "smooth shift", 1e6 * sizes.smooth_shift, "um", False),
+        ("smooth error in rotation", "smooth turn", 1e6 * sizes.smooth_turn, "urad", False),
+    )
+    for quantity, name, value, unit, refused in rows:
+        limit = 1e6 * USUAL_SIZES[name] * float(np.exp(2.5 * USUAL_DIFFER))
+        relative = 1.0 / np.sqrt(6.0 * len(adjustment.state.offsets))
+        ok = value <= limit
+        sentence = f"the stage's {quantity} is {value:.2g} {unit} per axis"
+        if not ok:
+            sentence += (
+                f", far beyond ordinary stages (up to {limit:.0f} {unit}); check stage readings, target poses and "
+                "units, and that stage, camera and target are fixed"
+            )
+        checks.append(
+            Check(STEP, f"{quantity}, {unit}", value, value * relative, limit, sentence, ok, contradictory=refused)
+        )
+    return checks
+
+
+def _scales(adjustment: Adjustment) -> list[Check]:
+    checks = []
+    for number, axis in enumerate(adjustment.state.observations.axes):
+        vector = adjustment.state.twists[number, 3:]
+        length = float(np.linalg.norm(vector))
+        if axis.kind != "linear" or length == 0.0:
+            continue
+        where = adjustment.layout.where["axis", number]
+        covariance = adjustment.covariance[where, where][3:, 3:]
+        sigma = float(np.sqrt(vector @ covariance @ vector)) / length
+        off = abs(length - 1.0)
+        ok = off <= _SCALE + 3.0 * sigma
+        name = "xyz"[number] if number < 3 else str(number + 1)
+        checks.append(
+            Check(
+                STEP,
+                f"travel along axis {name} by the board's pitch over the reading, less 1",
+                length - 1.0,
+                sigma,
+                _SCALE,
+                _scale_sentence(name, length, ok),
+                ok,
+                contradictory=off > _REFUSED_SCALE + 6.0 * sigma,
+            )
+        )
+    return checks
+
+
+def _scale_sentence(axis: str, length: float, ok: bool) -> str:
+    if ok:
+        return f"the stage's axis {axis} and the board's pitch agree to {100 * (length - 1):+.2g} %"
+    if abs(abs(np.log10(length)) - 3) < _UNIT:
+        wrong = "small, as metres read as millimetres are" if length > 1 else "large, as millimetres read as metres are"
+        return (
+            f"the stage readings along axis {axis} are 1000 times too {wrong} (or the board's pitch is in another "
+            "unit); correct the unit in the session file"
+        )
+    return (
+        f"1 mm of the stage's axis {axis} is {length:.4g} mm by the board's printed pitch; measure the pitch over many "
+        "dots with a rule (printers scale to fit the page), or correct the scale of the stage"
+    )
+
+
+def _angles(adjustment: Adjustment) -> list[Check]:
+    checks, twists = [], adjustment.state.twists
+    axes = adjustment.state.observations.axes
+    linear = [k for k, axis in enumerate(axes) if axis.kind == "linear" and np.any(twists[k])]
+    for i, j in combinations(linear, 2):
+        first, second = twists[i, 3:], twists[j, 3:]
+        size = np.linalg.norm(first) * np.linalg.norm(second)
+        skew_deg = float(np.degrees(np.arcsin(first @ second / size)))
+        none = np.zeros(3)
+        gradient = np.concatenate([none, second, none, first]) / size
+        covariance = adjustment.covariance_of([("axis", i), ("axis", j)])
+        sigma_deg = float(np.degrees(np.sqrt(gradient @ covariance @ gradient)))
+        ok = abs(skew_deg) <= _SKEW_DEG + 3.0 * sigma_deg
+        pair = " and ".join("xyz"[k] if k < 3 else str(k + 1) for k in (i, j))
+        sentence = f"the stage's axes {pair} are {90 - skew_deg:.2f} deg apart"
+        if not ok:
+            sentence += "; they should be at right angles: are readings of two axes mixed up, or is the stage loose?"
+        checks.append(Check(STEP, f"angle of axes {pair} less 90, deg", -skew_deg, sigma_deg, _SKEW_DEG, sentence, ok))
+    return checks
+
+
+def _noise_check(adjustment: Adjustment, name: str) -> Check:
+    """The features' noise against what the detector states."""
+    noise = adjustment.sizes.noise[name]
+    limit = float(np.exp(3.5 * _NOISE_DIFFERS))
+    rms = np.sqrt(
+        np.mean(np.concatenate([v.sigma_px for v in adjustment.state.observations.views if v.camera == name]) ** 2)
+    )
+    ok = noise <= limit
+    sentence = f"features of the {_CAMERAS[name]} scatter by {noise * rms:.2g} px, {noise:.2f} times their stated sigma"
+    if not ok:
+        sentence += (
+            "; focal length, centre or distortion are not this camera's, its kind of lens does not fit it, or the "
+            "board is not the one in the board file"
+        )
+    sigma = noise / float(np.sqrt(2.0 * adjustment.normal.values[name]))
+    return Check(f"photographs by the {_CAMERAS[name]}", "noise over stated sigma", noise, sigma, limit, sentence, ok)
+
+
+def _pull_check(pull: Pull) -> Check:
+    ok = pull.probability >= _UNLIKELY
+    far = significance(pull.chi_square, int(pull.freedom))
+    sentence = f"the {pull.kind} agrees with what is stated (reduced chi-squared {pull.reduced:.2g})"
+    if not ok:
+        sentence = (
+            f"the {pull.kind} contradicts what is stated by {far:.0f} sigma; correct it, or state a larger sigma for it"
+        )
+    return Check(f"{pull.kind}", "reduced chi-squared", pull.reduced, np.sqrt(2.0 / pull.freedom), 1.0, sentence, ok)

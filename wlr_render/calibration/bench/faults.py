@@ -1,0 +1,212 @@
+"""Single faults among the views of a bench: a photograph at another place, a target or camera that moved meanwhile.
+
+Each candidate is a small motion (6,) of the board in some views. By how much it would raise the evidence follows from
+the adjusted bench without a new adjustment. The best one is granted, if chance does not explain it and if it matters:
+its views are given a target or a mounting of their own, and the bench is adjusted again.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from wlr_render.calibration.bench.adjustment import Adjustment, Layout, Normal, layout_of, prior_of
+from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
+from wlr_render.calibration.bench.state import BenchState, Key
+from wlr_render.calibration.poses import motion_between
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import FloatArray
+
+NEGLIGIBLE_M, NEGLIGIBLE_RAD = 3e-5, 0.3 * ARCMIN
+"""A shift that moves a target at half a metre by 0.2 arcminutes; smaller ones are not worth a word."""
+_PLAUSIBLE = {  # radians, metres: standard deviations of what goes wrong on a bench
+    "photograph": np.repeat([3e-3, 1e-2], 3),  # another reading than the one written down
+    "motion": np.repeat([3e-3, 1e-3], 3),
+}
+_SIMILAR = 5.0  # natural logarithm of the odds between explanations that the views cannot tell apart
+_CONVINCING = 9.2  # natural logarithm of the odds, 10,000 to 1, beyond the number of candidates
+_MOST = 4
+_MOST_PAIRED = 40  # photographs of which all pairs are tried
+_SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # of stage errors, logarithms
+APART = 1000
+"""Target poses and mountings after a fault have their number plus a multiple of this."""
+
+
+SINGLE = ("photograph", "exchange")
+"""Kinds of faults whose photographs are rejected; the others leave a target or a mounting of its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """Something that is not as the session says.
+
+    Attributes:
+        kind: "photograph", "exchange", "target in bare", "camera in bare", "target before tracking" or "tracking".
+        names: of the photographs after which and from which on it shows; one for a single photograph.
+        target: number of the target pose; -1 for all.
+        views: names of all views that it touches.
+        motion: (6,) of the board in the camera's frame: rotation (rad), translation (m).
+        log_odds: natural logarithm.
+        alternatives: other faults that explain the views as well.
+    """
+
+    kind: str
+    names: tuple[str, ...]
+    target: int
+    views: tuple[str, ...]
+    motion: FloatArray
+    log_odds: float
+    alternatives: tuple["Fault", ...] = ()
+
+    @property
+    def plausible(self) -> FloatArray:
+        """(6,) standard deviations of its motion before it was measured."""
+        return _PLAUSIBLE.get(self.kind, _PLAUSIBLE["motion"])
+
+    @property
+    def matters(self) -> bool:
+        """Whether the motion is large enough to be worth a word."""
+        turn, shift = np.linalg.norm(self.motion[:3]), np.linalg.norm(self.motion[3:])
+        return bool(turn > NEGLIGIBLE_RAD or shift > NEGLIGIBLE_M)
+
+
+def adjust_without_faults(
+    observations: BenchObservations, adjusted: Callable[[BenchObservations], Adjustment]
+) -> tuple[Adjustment, list[Fault]]:
+    """Adjust a bench, setting apart the views that single faults touch; returns the faults, too."""
+    found: list[Fault] = []
+    adjustment = adjusted(observations)
+    while len(found) < _MOST:
+        fault = worst_fault(adjustment)
+        if fault is None:
+            break
+        found.append(fault)
+        observations = _set_apart(observations, fault, APART * len(found))
+        adjustment = adjusted(observations)
+    return adjustment, found
+
+
+def worst_fault(adjustment: Adjustment) -> Fault | None:
+    """The candidate of greatest evidence; None where chance explains all, or the motion is negligible."""
+    state = adjustment.state
+    candidates = _candidates(state)
+    if not candidates:
+        return None
+    base = layout_of(state)
+    own, free = len(base.size), [each for each in candidates if each.kind != "exchange"]
+    where = dict(base.where) | {("fault", k): slice(own + 6 * k, own + 6 * k + 6) for k in range(len(free))}
+    extra: dict[Key, dict[str, FloatArray]] = {
+        ("fault", k): dict.fromkeys(each.views, np.eye(6)) for k, each in enumerate(free)
+    }
+    size = np.concatenate([base.size, *(each.plausible for each in free)])
+    layout = Layout(where, size, np.concatenate([base.hyper, np.full(6 * len(free), -1)]))
+    rows_of = {each.views: np.arange(6 * k, 6 * k + 6) for k, each in enumerate(free)}
+    normal = Normal(state, layout, adjustment.sizes, extra)
+    prior = prior_of(layout)
+    noise = np.exp(-2.0 * adjustment.hyper[-1])
+    count = len(candidates)
+    odds, motion = np.full(count, -np.inf), np.zeros((count, 6))
+    without = -np.inf
+    for shrink in _SHRINKS:
+        # One fault makes the stage look worse than it is: its errors may be smaller once the fault is granted.
+        hyper = adjustment.hyper + np.array([shrink[0], shrink[1], shrink[0], shrink[1], 0.0])
+        width = layout.size * np.exp(prior.mixed_features @ hyper)
+        gram, moment = noise * width[:, None] * normal.gram * width, noise * width * normal.moment
+        inner = gram[:own, :own] + np.eye(own)
+        follow = np.linalg.solve(inner, np.concatenate([gram[:own, own:], moment[:own, None]], axis=1))
+        rest_gram = gram[own:, own:] - gram[own:, :own] @ follow[:, :-1]
+        rest_moment = moment[own:] - gram[own:, :own] @ follow[:, -1]
+        base_odds = 0.5 * float(moment[:own] @ follow[:, -1] - np.linalg.slogdet(inner)[1]) - prior.surprise(hyper)[0]
+        without = max(without, base_odds)
+        for k, each in enumerate(candidates):
+            if each.kind == "exchange":  # nothing is unknown: the displacement follows from the readings
+                rows = np.concatenate([rows_of[(view,)] for view in each.views])
+                push = np.concatenate([each.motion, -each.motion]) / size[own + rows]
+                drop = push @ rest_gram[np.ix_(rows, rows)] @ push
+                gain, value = base_odds + float(push @ rest_moment[rows] - 0.5 * drop), each.motion
+            else:
+                rows = rows_of[each.views]
+                matrix = rest_gram[np.ix_(rows, rows)] + np.eye(6)
+                value = np.linalg.solve(matrix, rest_moment[rows])
+                gain = base_odds + 0.5 * float(value @ rest_moment[rows] - np.linalg.slogdet(matrix)[1])
+                value = each.plausible * value
+            if gain > odds[k]:
+                odds[k], motion[k] = gain, value
+    granted = [
+        fault
+        for each, gain, moved in zip(candidates, odds - without, motion, strict=True)
+        if gain > _CONVINCING + np.log(count) and (fault := replace(each, motion=moved, log_odds=float(gain))).matters
+    ]
+    best = max(granted, key=lambda fault: fault.log_odds, default=None)
+    if best is None:
+        return None
+    others = (fault for fault in granted if fault is not best and best.log_odds - fault.log_odds < _SIMILAR)
+    return replace(best, alternatives=tuple(sorted(others, key=lambda fault: -fault.log_odds)))
+
+
+def _exchanges(state: BenchState, staged: Sequence[BoardView]) -> list[Fault]:
+    """All pairs of photographs whose readings may have been exchanged."""
+    found = []
+    for one, other in combinations(staged, 2):
+        here, there = (state.observations.places[str(view.place)] for view in (one, other))
+        assert here.reading is not None
+        assert there.reading is not None
+        if here.orientation != there.orientation:
+            continue
+        apart = motion_between(state.stage.nominal(there.reading), state.stage.nominal(here.reading))
+        names = (one.name, other.name)
+        if np.linalg.norm(apart[:3]) > NEGLIGIBLE_RAD or np.linalg.norm(apart[3:]) > NEGLIGIBLE_M:
+            found.append(Fault("exchange", names, int(one.target or 0), names, apart, 0.0))
+    return found
+
+
+def _candidates(state: BenchState) -> list[Fault]:
+    """What could have gone wrong, by the order of taking."""
+    observations = state.observations
+    none = np.zeros(6)
+    bare = [view for view in observations.views if view.camera == EYEBALL and view.target is not None]
+    staged = [view for view in bare if observations.places[str(view.place)].reading is not None]
+    found = [Fault("photograph", (view.name,), int(view.target or 0), (view.name,), none, 0.0) for view in staged]
+    if len(staged) <= _MOST_PAIRED:
+        found += _exchanges(state, staged)
+    found += [
+        Fault("camera in bare", (before.name, view.name), -1, tuple(each.name for each in staged[k + 1 :]), none, 0.0)
+        for k, (before, view) in enumerate(pairwise(staged))
+        if 1 <= k < len(staged) - 2
+    ]
+    tracking = [view for view in observations.views if view.camera == TRACKING and view.target is not None]
+    for target in dict.fromkeys(int(view.target or 0) for view in [*staged, *tracking]):
+        own = [view for view in staged if view.target == target]
+        found += [
+            Fault("target in bare", (before.name, view.name), target, tuple(e.name for e in own[k + 1 :]), none, 0.0)
+            for k, (before, view) in enumerate(pairwise(own))
+            if 1 <= k < len(own) - 2
+        ]
+        tracked = [view for view in tracking if view.target == target]
+        if own and tracked and len({view.target for view in tracking}) > 1:
+            names = (own[-1].name, tracked[0].name)
+            found.append(Fault("target before tracking", names, target, tuple(e.name for e in own), none, 0.0))
+        found += [
+            Fault("tracking", (before.name, view.name), target, tuple(e.name for e in tracked[k + 1 :]), none, 0.0)
+            for k, (before, view) in enumerate(pairwise(tracked))
+        ]
+    return found
+
+
+def _set_apart(observations: BenchObservations, fault: Fault, number: int) -> BenchObservations:
+    """The observations with the views of a fault on a target, or in a mounting, of their own."""
+    if fault.kind in SINGLE:
+        return observations.without(fault.names)
+    touched = [view for view in observations.views if view.name in fault.views]
+    if fault.kind == "camera in bare":
+        places = dict(observations.places)
+        for view in touched:
+            place = places[str(view.place)]
+            places[str(view.place)] = replace(place, orientation=place.orientation + number)
+        return replace(observations, places=places)
+
+    def moved(view: BoardView) -> BoardView:
+        return replace(view, target=int(view.target or 0) + number) if view.name in fault.views else view
+
+    return replace(observations, views=[moved(view) for view in observations.views])

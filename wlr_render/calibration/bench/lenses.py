@@ -1,0 +1,189 @@
+"""Rough lenses and sound views of each camera: without outliers, the kind of lens chosen on held-out views."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from wlr_render.calibration.bench.adjustment import UndeterminedError, adjust
+from wlr_render.calibration.bench.observations import (
+    FEWEST_FEATURES,
+    BenchObservations,
+    BoardView,
+    CameraSetup,
+)
+from wlr_render.calibration.bench.start import board_pose, start_lens, start_state, undetermined
+from wlr_render.calibration.bench.state import BenchState
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens import Lens
+from wlr_render.numerics.arrays import FloatArray
+
+_KINDS = ("brown", "fisheye", "rational")  # by number of terms; thin prisms are tried where rational terms help
+_FEWEST_VIEWS = 3
+_CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
+_ENOUGH = 350  # features of a view, the same of the board in all views: more cost time and tell little
+_OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature is no reading of the board
+_POOR_FIT = 3.0  # times the usual scatter from which a photograph is rejected
+_MISREAD, _LENS_BENDS_PX = 10.0, 2.0  # times as far from a plane's image as usual; and what lenses do to some views
+_BETTER_SIGMAS = 2.0  # by which more terms must predict held-out views better
+
+
+@dataclass(frozen=True, eq=False)
+class SoundViews:
+    """Views of one camera without outliers, and its rough lens.
+
+    Attributes:
+        views: in the order given. lens: found from them, or known.
+        rejected: name -> reason, of photographs that are left out.
+        tried: kind of lens -> rms distance of held-out features, pixels; empty where nothing was chosen.
+    """
+
+    views: Sequence[BoardView]
+    lens: Lens
+    rejected: Mapping[str, str]
+    tried: Mapping[str, float]
+
+
+def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: BenchObservations) -> SoundViews:
+    """Return a camera's views without outliers, and a rough lens.
+
+    Raises:
+        BadInputError: fewer than three photographs can be used, or they do not determine the lens.
+    """
+    rejected = {view.name: reason for view in views if (reason := _too_few(view))}
+    rejected |= _misread([view for view in views if view.name not in rejected])
+    usable = [view for view in views if view.name not in rejected]
+    tried: dict[str, float] = {}
+    lens = setup.known
+    if lens is None:
+        if len(usable) < _FEWEST_VIEWS:
+            why = "".join(f"; {name}: {reason}" for name, reason in rejected.items())
+            raise BadInputError(
+                f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
+                f"{len(usable)} can be used{why}."
+            )
+        lens, tried = _chosen_lens(usable, setup, observations)
+    kept: list[BoardView] = []
+    scales: list[float] = []
+    for view in usable:
+        try:
+            pose, scale = board_pose(lens, view)
+        except BadInputError as error:
+            rejected[view.name] = str(error).removeprefix(f"{view.name}: ").removesuffix(".")
+            continue
+        residual = np.abs(view.pixel - lens.pixel_of_point(transforms.apply(pose, view.point))) / view.sigma_px[:, None]
+        near = residual.max(axis=1) <= _OUTLIER_SIGMAS * max(scale, 1.0)
+        kept.append(view.only(near))
+        scales.append(scale)
+    usual = float(np.median(scales)) if scales else 1.0
+    sound = []
+    for view, scale in zip(kept, scales, strict=True):
+        if len(kept) > 2 and scale > _POOR_FIT * usual:
+            rejected[view.name] = (
+                f"its features miss the best pose of the board {scale / usual:.1f} times as far as those of the other "
+                "photographs; it is blurred, or misread, or the lens was changed"
+            )
+        elif reason := _too_few(view):
+            rejected[view.name] = reason
+        else:
+            sound.append(view)
+    every = max(1, round(float(np.median([len(view) for view in sound])) / _ENOUGH)) if sound else 1
+    sound = [view.only((view.feature @ [1, 2]) % every == 0) for view in sound]
+    return SoundViews(sound, lens, rejected, tried)
+
+
+def _too_few(view: BoardView) -> str:
+    if len(view) >= FEWEST_FEATURES:
+        return ""
+    return f"shows only {len(view)} features of the board, fewer than {FEWEST_FEATURES}"
+
+
+def _misread(views: Sequence[BoardView]) -> dict[str, str]:
+    """Photographs whose features lie nowhere near a plane's image; a lens bends that of all of them alike."""
+    misses = np.array([_plane_residual_px(view) for view in views])
+    limit = _LENS_BENDS_PX + _MISREAD * float(np.median(misses)) if views else 0.0
+    return {
+        view.name: f"its features miss the image of a flat board by {miss:.2g} px; they are misread"
+        for view, miss in zip(views, misses, strict=True)
+        if not miss <= limit
+    }
+
+
+def _plane_residual_px(view: BoardView) -> float:
+    """Rms distance of features from the best image of a plane by a lens without distortion; NaN where there is none."""
+    plane = view.point[:, :2]
+    homography = cv2.findHomography(plane, view.pixel)[0]
+    if homography is None:
+        return np.nan
+    seen = cv2.perspectiveTransform(plane[:, None], homography)[:, 0]
+    return float(np.sqrt(np.mean((seen - view.pixel) ** 2)))
+
+
+def free_views(
+    views: Sequence[BoardView], setup: CameraSetup, kind: str, observations: BenchObservations
+) -> BenchState:
+    """Adjust a lens of one kind, and the boards' shapes, to views of boards held anywhere.
+
+    Raises:
+        BadInputError: the views do not determine it.
+    """
+    free = [replace(view, target=None, place=None) for view in views]
+    camera = free[0].camera
+    alone = BenchObservations(free, {camera: replace(setup, kind=kind)}, {}, (), tolerances=observations.tolerances)
+    try:
+        return adjust(start_state(alone, {camera: start_lens(free, setup.size_px, kind)})).state
+    except UndeterminedError as error:
+        raise undetermined(views) from error
+
+
+def _chosen_lens(
+    views: Sequence[BoardView], setup: CameraSetup, observations: BenchObservations
+) -> tuple[Lens, dict[str, float]]:
+    """The lens of the simplest kind that predicts held-out photographs as well as any; and rms by kind, pixels."""
+    few = [
+        view.only(np.arange(len(view)) % max(1, len(view) // _CHOICE_FEATURES) == 0)
+        for view in views[:: -(-len(views) // _CHOICE_VIEWS)]
+    ]
+    camera = few[0].camera
+    folds = [few[0::2], few[1::2]]
+    if setup.kind != "auto" or min(map(len, folds)) < _FEWEST_VIEWS:
+        kind = "brown" if setup.kind == "auto" else setup.kind
+        return free_views(few, setup, kind, observations).lens[camera], {}
+    missed: dict[str, FloatArray] = {}
+    for kind in (*_KINDS, "thin-prism"):
+        if kind == "thin-prism" and _simplest(missed) != "rational":
+            continue
+        try:
+            fitted = [free_views(fold, setup, kind, observations) for fold in folds]
+        except (BadInputError, np.linalg.LinAlgError):
+            continue
+        held = zip(fitted, folds[::-1], strict=True)
+        missed[kind] = np.concatenate([_missed_px(state, camera, views) for state, views in held])
+    if not missed:
+        raise undetermined(views)
+    rms = {kind: float(np.sqrt(np.mean(each))) for kind, each in missed.items()}
+    return free_views(few, setup, _simplest(missed), observations).lens[camera], rms
+
+
+def _simplest(missed: Mapping[str, FloatArray]) -> str:
+    """The first kind that is not worse than the best by more than chance."""
+    best = min(missed, key=lambda kind: float(np.mean(missed[kind])), default="")
+    for kind, each in missed.items():
+        worse = each - missed[best]
+        if np.mean(worse) <= _BETTER_SIGMAS * np.std(worse) / np.sqrt(len(worse)):
+            return kind
+    return best
+
+
+def _missed_px(state: BenchState, camera: str, views: Sequence[BoardView]) -> FloatArray:
+    """(n,) mean square residual of each view about its best pose, per axis, outliers bounded; pixels squared."""
+    lens, result = state.lens[camera], []
+    for view in views:
+        true = replace(view, point=state.shape[view.board].point_of(view.feature, view.point))
+        pose, scale = board_pose(lens, true)
+        residual = view.pixel - lens.pixel_of_point(transforms.apply(pose, true.point))
+        most = _OUTLIER_SIGMAS * max(scale, 1.0) * view.sigma_px[:, None]
+        result.append(np.mean(np.where(np.isfinite(residual), np.clip(residual, -most, most), most) ** 2))
+    return np.array(result)

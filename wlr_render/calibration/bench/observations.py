@@ -1,0 +1,147 @@
+"""What the joint adjustment takes: views of boards seen directly, and what is known of the bench beforehand.
+
+Frames: device (OpenXR's axes), camera and board (OpenCV's axes); metres, radians. A view through the headset's optics
+is not direct and does not belong here.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from wlr_render.captures.boards.board import BoardTolerances
+from wlr_render.captures.photo_session import StageAxis, StageDescription
+from wlr_render.geometry.lens import Lens
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+EYEBALL, TRACKING = "eyeball", "tracking"
+"""The two cameras: in the place of the eye, and on the headset."""
+
+FEWEST_FEATURES = 8
+"""A pose has 6 unknowns; four features give 8 readings, and twice that shows whether they are right."""
+
+Sigma = tuple[float, float]
+"""Standard deviations per axis of a rotation (rad) and a position (m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoardView:
+    """Features of a board in one photograph, seen directly.
+
+    Attributes:
+        name: of the photograph, as messages should have it.
+        camera: `EYEBALL` or `TRACKING`.
+        feature: (n, 2) column and row on the board.
+        point: (n, 3) where the board's file has them, board frame, metres.
+        pixel: (n, 2) where they are seen, from the outer corner of the top-left pixel.
+        sigma_px: (n,) standard deviation of `pixel` per axis; the adjustment finds a common factor for each camera.
+        target: number of the target pose; None for a board held freely before the camera.
+        place: name of the camera place; None where the camera's place does not matter (free board) or is the headset's.
+        board: which board, by name; targets with a board of their own have another.
+    """
+
+    name: str
+    camera: str
+    feature: IntArray
+    point: FloatArray
+    pixel: FloatArray
+    sigma_px: FloatArray
+    target: int | None = None
+    place: str | None = None
+    board: str = "board"
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+    def only(self, rows: BoolArray) -> "BoardView":
+        """Some of the features, by mask (n,)."""
+        return replace(
+            self,
+            feature=self.feature[rows],
+            point=self.point[rows],
+            pixel=self.pixel[rows],
+            sigma_px=self.sigma_px[rows],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPlace:
+    """A place of the eyeball camera.
+
+    Attributes:
+        reading: (m,) of the stage's axes; None without a stage, when the pose is free.
+        orientation: number of the mounting in which the camera sits on the stage.
+    """
+
+    reading: FloatArray | None
+    orientation: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPose:
+    """A pose given beforehand.
+
+    Attributes:
+        pose: (4, 4).
+        sigma: of its rotation and its position.
+    """
+
+    pose: FloatArray
+    sigma: Sigma = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSetup:
+    """A camera of the bench.
+
+    Attributes:
+        size_px: width and height.
+        kind: of its lens model; "auto" to choose by held-out photographs.
+        known: the lens where it is calibrated already.
+        known_sigma: (values,) standard deviations of its values; zero where they count as exact.
+    """
+
+    size_px: tuple[int, int]
+    kind: str = "auto"
+    known: Lens | None = None
+    known_sigma: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BenchObservations:
+    """All direct views of a bench, in the order of taking, and what is known of it.
+
+    Attributes:
+        views: of all cameras.
+        cameras: by name.
+        places: by name: those of the views, and any others whose pose is wanted.
+        axes: of the stage; empty without one.
+        device_from_tracking: where the tracking camera sits; None without one.
+        targets: poses device_from_target that are given beforehand.
+        device_from_camera: of the eyeball camera in orientation 0 at the middle of the readings, where that defines the
+            device frame.
+        tolerances: of the boards, by name.
+    """
+
+    views: Sequence[BoardView]
+    cameras: Mapping[str, CameraSetup]
+    places: Mapping[str, CameraPlace]
+    axes: Sequence[StageAxis] = StageDescription().axes
+    device_from_tracking: KnownPose | None = None
+    targets: Mapping[int, KnownPose] = field(default_factory=dict)
+    device_from_camera: KnownPose | None = None
+    tolerances: Mapping[str, BoardTolerances] = field(default_factory=dict)
+
+    def without(self, names: Sequence[str]) -> "BenchObservations":
+        """All but the views with these names."""
+        return replace(self, views=[view for view in self.views if view.name not in names])
+
+    @property
+    def travel(self) -> tuple[FloatArray, FloatArray]:
+        """Middle and half range (axes,) of the readings; 1 where an axis stands still."""
+        readings = np.array([place.reading for place in self.places.values() if place.reading is not None])
+        if not len(readings):
+            return np.zeros(len(self.axes)), np.ones(len(self.axes))
+        low, high = readings.min(axis=0), readings.max(axis=0)
+        half = 0.5 * (high - low)
+        return 0.5 * (low + high), np.where(half > 0, half, 1.0)

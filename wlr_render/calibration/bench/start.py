@@ -1,0 +1,252 @@
+"""Starting values of a bench: lenses and board poses by OpenCV, then targets, camera and stage along the chain."""
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from wlr_render.calibration.bench.observations import (
+    EYEBALL,
+    TRACKING,
+    BenchObservations,
+    BoardView,
+)
+from wlr_render.calibration.bench.state import BOARD_SHAPE, BenchState, BoardShape, smooth_orders, stage_motion
+from wlr_render.calibration.poses import cross_matrix, motion_between, small_motion
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.numerics.arrays import FloatArray
+
+_SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them
+_STEPS, _CLOSE = 30, 1e-9
+_MOVED = 1e-3
+"""An axis whose readings vary by less than this part of the largest travel has not moved."""
+
+
+def start_lens(views: Sequence[BoardView], size_px: tuple[int, int], kind: str) -> LensCamera:
+    """Return a rough lens from views of boards (Z. Zhang, PAMI 22 (2000) 1330, by OpenCV).
+
+    Raises:
+        BadInputError: the views do not determine it.
+    """
+    some = [slice(None, None, max(1, len(view) // _SOME)) for view in views]
+    flat = [(view.point[part] * [1.0, 1.0, 0.0]).astype(np.float32) for view, part in zip(views, some, strict=True)]
+    seen = [(view.pixel[part] + OPENCV_PIXEL_SHIFT).astype(np.float32) for view, part in zip(views, some, strict=True)]
+    held = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    try:
+        _, matrix, found, _, _ = cv2.calibrateCamera(flat, seen, size_px, None, None, flags=held)
+    except cv2.error as error:
+        raise undetermined(views) from error
+    brown = LensCamera(
+        size_px, np.diag(matrix)[:2].copy(), matrix[:2, 2] - OPENCV_PIXEL_SHIFT, found.ravel()[:5].copy()
+    )
+    if kind != "fisheye":
+        terms = np.zeros(len(LENS_KINDS[kind]))
+        terms[:5] = brown.distortion
+        return LensCamera(brown.size_px, brown.focal_px, brown.centre_px, terms, kind)
+    # The same radial distortion as a polynomial of the angle.
+    corner = float(np.linalg.norm(0.5 * np.array(size_px) / brown.focal_px))
+    tangent = np.linspace(0.02, 1.0, 40) * min(corner, 2.0)
+    k1, k2 = brown.distortion[:2]
+    radius, angle = tangent * (1.0 + k1 * tangent**2 + k2 * tangent**4), np.arctan(tangent)
+    powers = angle[:, None] ** np.array([3, 5])
+    terms = np.linalg.lstsq(powers, radius - angle, rcond=None)[0]
+    return LensCamera(brown.size_px, brown.focal_px, brown.centre_px, np.array([*terms, 0.0, 0.0]), kind)
+
+
+def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
+    """Return camera_from_board (4, 4) of a flat board by a known lens, and the residuals' robust scale in sigmas."""
+    direction = lens.dir_of_pixel(view.pixel)
+    good = np.isfinite(direction).all(axis=1) & (direction[:, 2] > 0.17)
+    if np.count_nonzero(good) < 4:
+        raise BadInputError(f"{view.name}: shows features where the camera's lens model has no inverse.")
+    tangents = direction[good, :2] / direction[good, 2:]
+    flat = view.point[good] * [1.0, 1.0, 0.0]
+    # T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014) 252, has two solutions.
+    _, rotations, translations, _ = cv2.solvePnPGeneric(flat, tangents, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    tried = [
+        _refined(lens, transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0]), view)
+        for rotation, translation in zip(rotations, translations, strict=True)
+    ]
+    return min(tried, key=lambda each: each[1])
+
+
+def _refined(lens: Lens, pose: FloatArray, view: BoardView) -> tuple[FloatArray, float]:
+    scale = np.inf
+    for _ in range(_STEPS):
+        point = transforms.apply(pose, view.point)
+        seen = lens.project(point)
+        residual = (view.pixel - seen.pixel) / view.sigma_px[:, None]
+        good = np.isfinite(residual).all(axis=1)
+        if np.count_nonzero(good) < 4:
+            return pose, np.inf
+        scale = 1.4826 * float(np.median(np.abs(residual[good])))
+        by_motion = np.concatenate([seen.by_point @ -cross_matrix(point), seen.by_point], axis=-1)[good]
+        size = np.linalg.norm(residual[good], axis=1) / max(scale, 1e-9)
+        weight = np.sqrt(np.minimum(1.0, 4.0 / np.maximum(size, 1e-9))) / view.sigma_px[good]
+        design = (by_motion * weight[:, None, None]).reshape(-1, 6)
+        right = (residual[good] * (weight * view.sigma_px[good])[:, None]).ravel()
+        step = np.linalg.lstsq(design, right, rcond=None)[0]
+        pose = small_motion(step) @ pose
+        if np.abs(step).max() < _CLOSE:
+            break
+    return pose, scale
+
+
+def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> BenchState:
+    """Return starting values for everything, by the lenses.
+
+    Raises:
+        BadInputError: the views do not determine the bench; the sentence says what is missing.
+    """
+    seen = {view.name: board_pose(lens[view.camera], view)[0] for view in observations.views}
+    held = [view for view in observations.views if view.target is None]
+    bound = [view for view in observations.views if view.target is not None]
+    tracking = None if observations.device_from_tracking is None else observations.device_from_tracking.pose
+    twists = _start_twists(observations, [view for view in bound if view.camera == EYEBALL], seen)
+    chain = _Chain(observations, tracking, twists)
+    chain.join(bound, seen)
+    return BenchState(
+        observations,
+        dict(lens),
+        _shapes(observations),
+        {view.target: 0.0 for view in bound if view.camera == EYEBALL and view.target is not None},
+        chain.targets,
+        tracking,
+        chain.base,
+        twists,
+        np.zeros((len(smooth_orders(len(twists))), 6)) if len(twists) else np.zeros((0, 6)),
+        {place: np.zeros(6) for place in chain.visited if observations.places[place].reading is not None},
+        chain.free,
+        {view.name: seen[view.name] for view in held},
+    )
+
+
+def _shapes(observations: BenchObservations) -> dict[str, BoardShape]:
+    shapes = {}
+    for name in dict.fromkeys(view.board for view in observations.views):
+        own = [view for view in observations.views if view.board == name]
+        feature = np.unique(np.concatenate([view.feature for view in own]), axis=0)
+        point = np.concatenate([view.point for view in own])
+        half = np.maximum(np.abs(point[:, :2]).max(axis=0), 1e-6)
+        shapes[name] = BoardShape(half, np.zeros(len(BOARD_SHAPE)), feature, np.zeros((len(feature), 3)))
+    return shapes
+
+
+def _start_twists(
+    observations: BenchObservations, views: Sequence[BoardView], seen: Mapping[str, FloatArray]
+) -> FloatArray:
+    """(m, 6) twists of the axes from relative motions of the camera between views of one target in one mounting."""
+    axes = observations.axes
+    if not axes:
+        return np.zeros((0, 6))
+    middle, half = observations.travel
+    design, motion = [], []
+    groups: dict[tuple[int, int], list[BoardView]] = {}
+    for view in views:
+        place = observations.places[str(view.place)]
+        if place.reading is not None:
+            groups.setdefault((int(view.target or 0), place.orientation), []).append(view)
+    for group in groups.values():
+        reading = np.array([observations.places[str(view.place)].reading for view in group])
+        first = int(np.argmin(np.sum(((reading - middle) / half) ** 2, axis=1)))
+        reference = seen[group[first].name]
+        for view, at in zip(group, reading, strict=True):
+            design.append(at - reading[first])
+            motion.append(motion_between(np.eye(4), reference @ transforms.inverse(seen[view.name])))
+    known = [number for number, axis in enumerate(axes) if axis.direction is not None]
+    matrix = np.array(design).reshape(-1, len(axes))
+    scale = np.linalg.norm(matrix, axis=0)
+    still = scale <= _MOVED * scale.max(initial=1e-12)
+    for number in map(int, np.flatnonzero(still)):
+        if number not in known and observations.travel[1][number] != 1.0:
+            raise BadInputError(
+                f"the stage is read along axis {number + 1}, along which no photograph of the target without the "
+                "headset varies; photograph it without the headset at other readings of that axis too."
+            )
+    twists = np.zeros((len(axes), 6))
+    used = np.flatnonzero(~still)
+    if len(used):
+        twists[used] = np.linalg.lstsq(matrix[:, used], np.array(motion), rcond=None)[0]
+    for number, axis in enumerate(axes):
+        if axis.kind == "linear":
+            twists[number, :3] = 0.0
+        if still[number] and axis.direction is None:
+            twists[number] = 0.0
+    return twists
+
+
+class _Chain:
+    """Poses found so far, from those that are known to those that meet them in a view."""
+
+    def __init__(self, observations: BenchObservations, tracking: FloatArray | None, twists: FloatArray) -> None:
+        self._observations, self._tracking, self._twists = observations, tracking, twists
+        self.targets = {number: known.pose for number, known in observations.targets.items()}
+        self.base: dict[int, FloatArray] = {}
+        if observations.device_from_camera is not None:
+            self.base[0] = observations.device_from_camera.pose
+        self.free: dict[str, FloatArray] = {}
+        self.visited: list[str] = []
+
+    def join(self, views: Sequence[BoardView], seen: Mapping[str, FloatArray]) -> None:
+        """Find the poses of all targets, mountings and free places.
+
+        Raises:
+            BadInputError: some view meets nothing known.
+        """
+        waiting = list(views)
+        middle, half = self._observations.travel
+        # Places near the middle first: they carry the stage's error the least.
+        waiting.sort(key=lambda view: self._distance(view, middle, half))
+        while waiting:
+            left = [view for view in waiting if not self._join(view, seen[view.name])]
+            if len(left) == len(waiting):
+                raise BadInputError(
+                    f"nothing places {left[0].name} in the device frame: its target pose {left[0].target} was seen "
+                    "neither by the tracking camera nor from a camera place that is known; photograph that pose with "
+                    "the tracking camera, or give it as [[target]]."
+                )
+            waiting = left
+        self.visited = list(dict.fromkeys(str(view.place) for view in views if view.camera == EYEBALL))
+
+    def _distance(self, view: BoardView, middle: FloatArray, half: FloatArray) -> float:
+        if view.camera == TRACKING:
+            return -1.0
+        reading = self._observations.places[str(view.place)].reading
+        return 0.0 if reading is None else float(np.sum(((reading - middle) / half) ** 2))
+
+    def _join(self, view: BoardView, camera_from_board: FloatArray) -> bool:
+        target = int(view.target or 0)
+        if view.camera == TRACKING:
+            if self._tracking is None:
+                return False
+            self.targets.setdefault(target, self._tracking @ camera_from_board)
+            return True
+        place = self._observations.places[str(view.place)]
+        stage = (
+            None if place.reading is None else stage_motion(self._twists, place.reading - self._observations.travel[0])
+        )
+        known = self.free.get(str(view.place)) if stage is None else self.base.get(place.orientation)
+        if known is not None:
+            device_from_camera = known if stage is None else known @ stage
+            self.targets.setdefault(target, device_from_camera @ camera_from_board)
+            return True
+        if target not in self.targets:
+            return False
+        device_from_camera = self.targets[target] @ transforms.inverse(camera_from_board)
+        if stage is None:
+            self.free[str(view.place)] = device_from_camera
+        else:
+            self.base[place.orientation] = device_from_camera @ transforms.inverse(stage)
+        return True
+
+
+def undetermined(views: Sequence[BoardView]) -> BadInputError:
+    """The error for views that do not determine a camera."""
+    return BadInputError(
+        f"the {len(views)} photographs {views[0].name} to {views[-1].name} do not determine the camera's focal length "
+        "and centre, because they show the board parallel to the image or always at the same tilt; add photographs of "
+        "it tilted by 20 to 40 degrees to the left, right, top and bottom."
+    )

@@ -1,0 +1,332 @@
+"""Values of all unknowns of a bench, what each view sees by them, and the derivatives.
+
+The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset). `base` is its pose at the
+middle of the readings, one for each mounting of the camera. `stage` carries it along its axes, a product of
+exponentials in the order of the axes (F. C. Park, "Computational aspects of the product-of-exponentials formula",
+IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: smooth in the readings (pitch, yaw, roll
+and straightness, Legendre polynomials), and random in every visit.
+
+The board's shape: bow along both sides, twist, x and y printed to other scales, and every feature off its place.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
+from wlr_render.calibration.poses import adjoint, cross_matrix, motion_between, small_motion
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+BOARD_SHAPE = ("bow x", "bow y", "twist", "scale x", "scale y")
+"""Unknowns of a board's shape: heights in metres, and relative errors of scale."""
+SMOOTH_DEGREE = 3
+AXIS_PARTS = {"linear": slice(3, 6), "rotary": slice(0, 3)}
+"""The part of an axis' twist that points along it."""
+Key = tuple[str, int | str]
+"""Name of a block of unknowns: what it is, and of which camera, board, target, axis, place or view."""
+
+_MOST_ROWS = 100_000
+_TERMS = 12  # of the Jacobian's series: rounding error up to a radian
+
+
+@dataclass(frozen=True, eq=False)
+class BoardShape:
+    """The true shape of a board.
+
+    Attributes:
+        half_m: (2,) half its width and height between the outermost features.
+        low: (5,) the `BOARD_SHAPE`.
+        feature: (f, 2) features whose places are estimated. place: (f, 3) their further errors, metres.
+    """
+
+    half_m: FloatArray
+    low: FloatArray
+    feature: IntArray
+    place: FloatArray
+
+    def point_of(self, feature: IntArray, nominal: FloatArray) -> FloatArray:
+        """True places (n, 3) of features (n, 2) from those in the board's file (n, 3)."""
+        rows = self.rows_of(feature)
+        own = np.where(rows[:, None] >= 0, self.place[rows], 0.0) if len(self.place) else np.zeros_like(nominal)
+        return np.asarray(nominal + self.by_low(nominal) @ self.low + own)
+
+    def rows_of(self, feature: IntArray) -> IntArray:
+        """(n,) which of the estimated features these (n, 2) are; -1 for none."""
+        order = _code(self.feature)
+        at = np.minimum(np.searchsorted(order, _code(feature)), len(order) - 1)
+        return np.where(order[at] == _code(feature), at, -1) if len(order) else np.full(len(feature), -1)
+
+    def by_low(self, nominal: FloatArray) -> FloatArray:
+        """(n, 3, 5) derivative of true places by the `BOARD_SHAPE`."""
+        x, y = (nominal[:, :2] / self.half_m).T
+        result = np.zeros((len(nominal), 3, len(BOARD_SHAPE)))
+        result[:, 2, 0], result[:, 2, 1], result[:, 2, 2] = 1.0 - x**2, 1.0 - y**2, x * y
+        result[:, 0, 3], result[:, 1, 4] = nominal[:, 0], nominal[:, 1]
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class StageModel:
+    """How a stage carries the camera, in the camera's frame.
+
+    Attributes:
+        middle, half_range: (m,) of the readings.
+        twists: (m, 6) rotation and translation per unit of reading, by axis.
+        smooth: (terms, 6) of the smooth error, by `smooth_terms`.
+    """
+
+    middle: FloatArray
+    half_range: FloatArray
+    twists: FloatArray
+    smooth: FloatArray
+
+    def nominal(self, reading: FloatArray) -> FloatArray:
+        """(4, 4) motion to a reading (m,), without the stage's errors."""
+        return stage_motion(self.twists, reading - self.middle)
+
+    def smooth_terms(self, reading: FloatArray) -> FloatArray:
+        """(terms,) Legendre polynomials at a reading (m,); those of the range's edge beyond it."""
+        at = np.clip((reading - self.middle) / self.half_range, -1.0, 1.0)
+        values = legendre.legvander(at, SMOOTH_DEGREE)
+        orders = smooth_orders(len(at)) if len(self.smooth) else []
+        return np.array([np.prod(values[np.arange(len(at)), list(order)]) for order in orders])
+
+    def smooth_error(self, reading: FloatArray) -> FloatArray:
+        """(6,) smooth error at a reading (m,): rotation (rad), then translation (m)."""
+        return self.smooth_terms(reading) @ self.smooth if len(self.smooth) else np.zeros(6)
+
+    def motion(self, reading: FloatArray) -> FloatArray:
+        """(4, 4) expected motion to a reading (m,)."""
+        return np.asarray(self.nominal(reading) @ small_motion(self.smooth_error(reading)))
+
+
+@dataclass(frozen=True, eq=False)
+class BenchState:
+    """Values of all unknowns.
+
+    Attributes:
+        observations: what they explain.
+        lens: by camera.
+        shape: by board.
+        focus: relative change of the eyeball camera's focal length at each target pose: a lens that is focused anew, or
+            warms up, is not quite the same.
+        targets: device_from_target by number.
+        device_from_tracking: (4, 4); None without a tracking camera.
+        base: device_from_camera at the middle of the readings, by orientation.
+        twists: (axes, 6) rotation and translation, camera frame, per unit of reading.
+        smooth: (terms, 6) of the stage's smooth error by `smooth_terms`.
+        offsets: (6,) random error by place, camera frame. free: device_from_camera by place, of places without reading.
+        boards: camera_from_board of each view of a board held freely, by its name.
+    """
+
+    observations: BenchObservations
+    lens: Mapping[str, Lens]
+    shape: Mapping[str, BoardShape]
+    focus: Mapping[int, float]
+    targets: Mapping[int, FloatArray]
+    device_from_tracking: FloatArray | None
+    base: Mapping[int, FloatArray]
+    twists: FloatArray
+    smooth: FloatArray
+    offsets: Mapping[str, FloatArray]
+    free: Mapping[str, FloatArray]
+    boards: Mapping[str, FloatArray]
+
+    @property
+    def stage(self) -> "StageModel":
+        """How the stage carries the camera."""
+        middle, half_range = self.observations.travel
+        return StageModel(middle, half_range, self.twists, self.smooth)
+
+    def device_from_camera(self, place: str) -> FloatArray:
+        """(4, 4) of the eyeball camera at a place; the expected pose where no view measured it."""
+        if place in self.free:
+            return self.free[place]
+        each = self.observations.places[place]
+        assert each.reading is not None
+        stage = self.stage
+        offset = stage.smooth_error(each.reading) + self.offsets.get(place, np.zeros(6))
+        return np.asarray(self.base[each.orientation] @ stage.nominal(each.reading) @ small_motion(offset))
+
+    def device_from_any(self, view: BoardView) -> FloatArray:
+        """(4, 4) of the camera of a view of a target."""
+        if view.camera == TRACKING:
+            assert self.device_from_tracking is not None
+            return self.device_from_tracking
+        assert view.place is not None
+        return self.device_from_camera(view.place)
+
+    def lens_at(self, target: int) -> Lens:
+        """The eyeball camera's lens as it is at a target pose."""
+        lens, change = self.lens[EYEBALL], self.focus.get(target, 0.0)
+        if not change or not isinstance(lens, LensCamera):
+            return lens
+        return lens.with_values(lens.values * np.where(np.arange(len(lens.values)) < 2, 1.0 + change, 1.0))
+
+    def lens_of(self, view: BoardView) -> Lens:
+        """The lens of a view."""
+        return self.lens[view.camera] if view.camera != EYEBALL or view.target is None else self.lens_at(view.target)
+
+    def camera_from_board(self, view: BoardView) -> FloatArray:
+        """(4, 4) of the board in a view."""
+        if view.target is None:
+            return self.boards[view.name]
+        return np.asarray(transforms.inverse(self.device_from_any(view)) @ self.targets[view.target])
+
+    def camera_motion(self, place: str) -> dict[Key, FloatArray]:
+        """(6, k) by block of unknowns: small motion in the camera's own frame of device_from_camera at a place."""
+        if place in self.free:
+            return {("free", place): np.eye(6)}
+        each = self.observations.places[place]
+        assert each.reading is not None
+        stage, travel = self.stage, each.reading - self.observations.travel[0]
+        own = stage.smooth_error(each.reading) + self.offsets.get(place, np.zeros(6))
+        back = adjoint(transforms.inverse(small_motion(own)))
+        carried = adjoint(transforms.inverse(stage.nominal(each.reading)))
+        blocks: dict[Key, FloatArray] = {("base", each.orientation): back @ carried}
+        after = np.eye(6)
+        for axis in range(len(travel) - 1, -1, -1):
+            twist = self.twists[axis] * travel[axis]
+            if travel[axis]:
+                blocks["axis", axis] = travel[axis] * back @ after @ _right_jacobian(twist)
+            after = after @ adjoint(_exponential(-twist))
+        for number, term in enumerate(stage.smooth_terms(each.reading)):
+            blocks["smooth", number] = term * np.eye(6)
+        if place in self.offsets:
+            blocks["offset", place] = np.eye(6)
+        return blocks
+
+    def board_motion(self, view: BoardView) -> dict[Key, FloatArray]:
+        """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board in a view."""
+        if view.target is None:
+            return {("board pose", view.name): np.eye(6)}
+        motion: dict[Key, FloatArray] = {("target", view.target): adjoint(self.camera_from_board(view))}
+        if view.camera == TRACKING:
+            return motion | {("extrinsics", TRACKING): -np.eye(6)}
+        assert view.place is not None
+        return motion | {key: -columns for key, columns in self.camera_motion(view.place).items()}
+
+    def deviation(self, key: Key) -> FloatArray:
+        """(k,) how far a block of unknowns is from the middle of its prior; zero where it has none."""
+        kind, which = key
+        seen = self.observations
+        if kind == "lens":
+            known = seen.cameras[str(which)].known
+            values = self.lens[str(which)].values
+            return np.where(np.arange(len(values)) < 4, 0.0, values) if known is None else values - known.values
+        if kind == "shape":
+            return self.shape[str(which)].low
+        if kind == "features":
+            return self.shape[str(which)].place.ravel()
+        if kind == "target" and (given := seen.targets.get(int(which))) is not None:
+            return _motion_after(given.pose, self.targets[int(which)])
+        if kind == "extrinsics" and seen.device_from_tracking is not None and self.device_from_tracking is not None:
+            return _motion_after(seen.device_from_tracking.pose, self.device_from_tracking)
+        if kind == "base" and which == 0 and seen.device_from_camera is not None:
+            return _motion_after(seen.device_from_camera.pose, self.base[0])
+        if kind == "axis" and (direction := seen.axes[int(which)].direction) is not None:
+            part = AXIS_PARTS[seen.axes[int(which)].kind]
+            away = np.zeros(6)
+            away[part] = self.twists[int(which), part] - self.base[0][:3, :3].T @ direction
+            return away
+        if kind == "focus":
+            return np.array([self.focus[int(which)]])
+        if kind == "smooth":
+            return np.asarray(self.smooth[int(which)])
+        if kind == "offset":
+            return self.offsets[str(which)]
+        return np.zeros(6)
+
+    def moved(self, step: Mapping[Key, FloatArray]) -> "BenchState":
+        """The state after a step of every block of unknowns."""
+        tracking = self.device_from_tracking
+        if tracking is not None:
+            tracking = tracking @ small_motion(step["extrinsics", TRACKING])
+        return replace(
+            self,
+            lens={
+                name: lens.with_values(lens.values + step["lens", name]) if isinstance(lens, LensCamera) else lens
+                for name, lens in self.lens.items()
+            },
+            shape={
+                name: replace(
+                    each,
+                    low=each.low + step["shape", name],
+                    place=each.place + step["features", name].reshape(-1, 3),
+                )
+                for name, each in self.shape.items()
+            },
+            focus={k: float(change + step["focus", k][0]) for k, change in self.focus.items()},
+            targets={k: pose @ small_motion(step["target", k]) for k, pose in self.targets.items()},
+            device_from_tracking=tracking,
+            base={k: pose @ small_motion(step["base", k]) for k, pose in self.base.items()},
+            twists=_each([twist + step["axis", k] for k, twist in enumerate(self.twists)], (6,)),
+            smooth=_each([term + step["smooth", k] for k, term in enumerate(self.smooth)], (6,)),
+            offsets={place: offset + step["offset", place] for place, offset in self.offsets.items()},
+            free={place: pose @ small_motion(step["free", place]) for place, pose in self.free.items()},
+            boards={name: small_motion(step["board pose", name]) @ pose for name, pose in self.boards.items()},
+        )
+
+
+def _each(values: list[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    return np.array(values).reshape(-1, *shape)
+
+
+def _motion_after(nominal: FloatArray, pose: FloatArray) -> FloatArray:
+    """(6,) small motion m with pose = nominal @ small_motion(m)."""
+    return motion_between(np.eye(4), transforms.inverse(nominal) @ pose)
+
+
+def _code(feature: IntArray) -> IntArray:
+    """(n,) one number for each (column, row), in the order of both."""
+    return np.asarray(feature[:, 0] * _MOST_ROWS + feature[:, 1])
+
+
+@cache
+def smooth_orders(axes: int) -> list[tuple[int, ...]]:
+    """Degrees by axis of the terms of a stage's smooth error, 1 to `SMOOTH_DEGREE` in total."""
+    orders = product(range(SMOOTH_DEGREE + 1), repeat=axes)
+    return sorted((order for order in orders if 1 <= sum(order) <= SMOOTH_DEGREE), key=sum)
+
+
+def stage_motion(twists: FloatArray, travel: FloatArray) -> FloatArray:
+    """(4, 4) product of exponentials of `twists` (m, 6) times `travel` (m,)."""
+    pose = np.eye(4)
+    for twist, amount in zip(twists, travel, strict=True):
+        pose = pose @ _exponential(twist * amount)
+    return pose
+
+
+def _exponential(twist: FloatArray) -> FloatArray:
+    """(4, 4) rigid motion of a twist (6,), rotation first, applied for one unit (K. M. Lynch and F. C. Park, "Modern
+    Robotics" (2017), equation 3.88)."""
+    turn, shift = twist[:3], twist[3:]
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-12:
+        return transforms.rigid(np.eye(3), shift)
+    cross = cross_matrix(turn)
+    first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    along = np.eye(3) + first * cross + second * cross @ cross
+    return transforms.rigid(transforms.rotations_of_vectors(turn), along @ shift)
+
+
+def _right_jacobian(twist: FloatArray) -> FloatArray:
+    """(6, 6): exponential(twist + d) = exponential(twist) @ small_motion(J @ d) (T. D. Barfoot, "State Estimation for
+    Robotics" (2017), equation 7.83)."""
+    bracket = np.zeros((6, 6))
+    bracket[:3, :3] = bracket[3:, 3:] = cross_matrix(twist[:3])
+    bracket[3:, :3] = cross_matrix(twist[3:])
+    power, total = np.eye(6), np.eye(6)
+    for k in range(1, _TERMS):
+        power = power @ -bracket / (k + 1)
+        total = total + power
+        if not power.any():
+            break
+    return total
