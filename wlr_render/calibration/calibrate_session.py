@@ -151,7 +151,6 @@ def _sound_captures(
     places = _place_numbers([each for each, _ in through])
     targets = []
     for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
-        seen = seen.only(~session.past_optics(each, seen.pixel))
         pose, conditions = bench.device_from_camera(each), recorded_of(each) | {"visit": number}
         point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
         targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions))

@@ -161,7 +161,7 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
         cameras[TRACKING] = _setup(session.tracking_camera)
         tracking = KnownPose(session.device_from_tracking, session.tracking_sigma or _EXACT)
     views += [
-        _view(session, photo, seen.only(photo.in_regions(seen.pixel)), EYEBALL, place_key(session, photo))
+        _view(session, photo, seen, EYEBALL, place_key(session, photo))
         for photo, seen in chain(reading.seen(session.bare), reading.seen(session.beside))
     ]
     if tracking is not None:
