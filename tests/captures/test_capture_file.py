@@ -5,7 +5,13 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.capture_file import load_captures, load_observations, save_captures
-from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import (
+    CaptureMotionPrior,
+    Conditions,
+    DisplayCaptures,
+    EyeCaptures,
+    SeeThroughCaptures,
+)
 from wlr_render.captures.observation_table import observation_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
@@ -45,6 +51,9 @@ RECORDED = Conditions.recorded(
     stage=RNG.normal(0, 0.01, (20, 2)),
 )
 
+MOTION = CaptureMotionPrior(np.arange(9), RNG.uniform(0, 1e-5, (9, 6)), 0.2)
+WITH_MOTION = EyeCaptures(dataclasses.replace(DISPLAY, motion=MOTION), dataclasses.replace(SEE_THROUGH, motion=MOTION))
+
 
 def assert_same(first, second):
     assert type(first) is type(second)
@@ -66,7 +75,11 @@ def assert_same_captures(read, captures):
             assert_same(dataclasses.replace(found, **bare), dataclasses.replace(expected, **bare))
 
 
-@pytest.mark.parametrize("captures", [EyeCaptures(DISPLAY), EyeCaptures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
+@pytest.mark.parametrize(
+    "captures",
+    [EyeCaptures(DISPLAY), EyeCaptures(DISPLAY, SEE_THROUGH), WITH_MOTION],
+    ids=["display", "both", "with motion"],
+)
 def test_captures_come_back_exactly(tmp_path, captures):
     read = load_captures(save_captures(tmp_path / "eye.npz", captures))
     assert_same_captures(read, captures)
@@ -123,7 +136,7 @@ def test_files_of_version_1_are_read(tmp_path, captures):
 
 def rewritten(tmp_path, header, arrays):
     """A capture file with some header keys or arrays replaced; an array of None is left out."""
-    path = save_captures(tmp_path / "eye.npz", EyeCaptures(DISPLAY, SEE_THROUGH))
+    path = save_captures(tmp_path / "eye.npz", WITH_MOTION)
     with np.load(path) as archive:
         content = dict(archive)
     if "display_pixel" in arrays or "see_through_point" in arrays:
@@ -137,6 +150,9 @@ def rewritten(tmp_path, header, arrays):
 @pytest.mark.parametrize(
     ("header", "arrays", "sentence"),
     [
+        ({}, {"display_motion_capture": None}, "the array 'display_motion_capture' is missing"),
+        ({}, {"see_through_motion_size": -MOTION.size}, "capture motions: 'size' has negative"),
+        ({}, {"display_motion_log_sigma": np.ones(2)}, "'log_sigma' is"),
         ({"format": "other"}, {}, "is not a capture file"),
         ({"version": 9}, {}, "has version 9; this program reads versions 1 and 2"),
         ({"frame": "opencv"}, {}, "must be in frame 'openxr'"),

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.correspondences import (
+    CaptureMotionPrior,
+    Conditions,
     DisplayCaptures,
     EyeCaptures,
     SeeThroughCaptures,
     concatenate,
     select,
+    with_copies,
 )
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox, Panel
@@ -88,3 +91,66 @@ def test_selected_rows_join_to_the_whole():
     joined = concatenate(parts)
     for name in ("viewpoint", "view_dir", "point", "capture", "target_pose", "sigma_arcmin"):
         np.testing.assert_array_equal(getattr(joined, name), getattr(captures, name))
+
+
+SIZES = np.arange(1.0, 13.0).reshape(2, 6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"size": SIZES[:, :3]}, r"'size' must have shape \(2, 6\), not \(2, 3\)"),
+        ({"size": -SIZES}, "'size' has negative standard deviations"),
+        ({"size": SIZES * np.nan}, "'size' has numbers that are not finite"),
+        ({"capture": np.array([1, 1])}, "each only once"),
+        ({"log_sigma": 0.0}, "'log_sigma' is 0.0; it must be a positive number"),
+    ],
+)
+def test_a_bad_prior_of_motions_is_refused(changes, sentence):
+    with pytest.raises(BadInputError, match=f"^capture motions: .*{sentence}"):
+        CaptureMotionPrior(**({"capture": INDEX[1:], "size": SIZES, "log_sigma": 0.1} | changes))
+
+
+def numbered(visit):
+    return Conditions.recorded(3, visit=visit)
+
+
+def test_every_capture_needs_a_motion():
+    motion = CaptureMotionPrior(np.array([0, 2]), SIZES, 0.1)
+    with pytest.raises(BadInputError, match="'motion' has no size for capture 1; give one for every capture"):
+        display(motion=motion)
+    with pytest.raises(BadInputError, match="'motion' has no size for capture 7"):
+        see_through(motion=motion, conditions=numbered(np.array([0, 2, 7])))
+
+
+def test_visits_are_those_that_are_numbered_and_else_one_of_each_position_and_target_pose():
+    assert len(display().visits[0]) == 2
+    assert len(see_through(target_pose=np.array([0, 1, 0])).visits[0]) == 3
+    names, visit = see_through(conditions=numbered(np.array([5, 4, 4]))).visits
+    np.testing.assert_array_equal(names[visit], [5, 4, 4])
+    assert len(names) == 3
+    names, visit = display(conditions=numbered(np.array([5, -1, 4]))).visits
+    np.testing.assert_array_equal(names[visit], INDEX)
+
+
+def test_rows_keep_their_visits_and_motions():
+    motion = CaptureMotionPrior(np.array([7, 3]), SIZES, 0.1)
+    captures = see_through(conditions=numbered(np.array([3, 3, 7])), motion=motion)
+    chosen = concatenate([select(captures, np.array([2])), select(captures, np.array([0]))])
+    assert chosen.motion is motion
+    names, visit = chosen.visits
+    np.testing.assert_array_equal(motion.of(names).size[visit], SIZES)
+
+
+@pytest.mark.parametrize("visit", [None, np.array([4, 4, 9])])
+def test_copies_are_visits_of_their_own_that_move_as_much(visit):
+    names = np.array([0, 1]) if visit is None else np.array([4, 9])
+    conditions = None if visit is None else numbered(visit)
+    captures = see_through(conditions=conditions, motion=CaptureMotionPrior(names, SIZES, 0.1))
+    copied = with_copies(captures, np.array([0, 1, 2, 2]), np.array([0, 0, 0, 1]))
+    np.testing.assert_array_equal(copied.capture, [0, 0, 1, 2, 2, 2, 3])
+    names, visit = copied.visits
+    assert len(names) == 5
+    size = copied.motion.of(names).size[visit]
+    np.testing.assert_array_equal(size[3:5], SIZES[[0, 0]])
+    np.testing.assert_array_equal(size[6], SIZES[1])

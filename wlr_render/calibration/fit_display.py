@@ -112,6 +112,7 @@ def _readings(
 ) -> FitReadings:
     tangents = captures.tangents
     places = place.shape[1]
+    visits, capture = captures.visits
     return FitReadings(
         inputs=np.hstack([captures.pixel, place]),
         is_place=np.array([False, False] + [True] * places),
@@ -119,11 +120,12 @@ def _readings(
         multiplier=np.ones((len(captures), 1)),
         metric=angular_metric(tangents),
         sigma=captures.sigma_arcmin,
-        capture=np.unique(captures.capture, return_inverse=True)[1],
+        capture=capture,
         motion=motion,
         orders=limits.orders(2, places),
         limits=limits,
         trend=trend,
+        motion_prior=captures.motion and captures.motion.of(visits),
     )
 
 
@@ -170,7 +172,7 @@ def _nearest_to_centre(captures: DisplayCaptures) -> DisplayCaptures:
 
 
 def _lacking(captures: DisplayCaptures, kind: str) -> str:
-    places = len(np.unique(captures.viewpoint, axis=0))
+    places = len(np.unique(captures.capture))
     if kind == "point-per-pixel" and places < 2:
         return f"a point in space needs two camera positions at least and there is {places}: add one beside it"
     pixels = len(np.unique(captures.pixel, axis=0))

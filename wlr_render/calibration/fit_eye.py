@@ -231,7 +231,9 @@ def fit_with_trends(
     Raises:
         BadInputError: as `fit_display` and `fit_see_through`.
     """
-    shown, seen = _one_stage(partial(_both, captures, kind, trends, degrees, weights))
+    fit = partial(_both, captures, kind, trends, degrees, weights)
+    is_known = captures.display.motion is not None or _see_through_of(captures).motion is not None
+    shown, seen = fit(None) if is_known else _one_stage(fit)
     mean, covariance = shown.smooth.trend_parameters
     root = np.asarray(np.linalg.cholesky(covariance), np.float64)
     log_evidence = _log_evidence(shown) + _log_evidence(seen)

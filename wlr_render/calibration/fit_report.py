@@ -8,8 +8,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from wlr_render.calibration.readings import FitReadings
-from wlr_render.calibration.smooth_fit import CaptureMotion, SmoothFit
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
+from wlr_render.calibration.smooth_fit import CaptureMotion, MotionAgreement, SmoothFit
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select, with_copies
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import QueryResult
@@ -86,13 +86,14 @@ class FitReport:
         residual_px: of the pixels, predicted from view direction and viewpoint; None for see-through.
         contraction: of the model's solve over the eye box; below 1 the solve has one solution (`models.contraction`).
         noise_arcmin: found, per axis. stated_noise_arcmin: median of the captures' sigma; None for exact data.
-        repeatability_um, wobble_urad: found standard deviations, per axis, of what the readings of a capture share: a
-            shift and a turn of the camera.
+        repeatability_um, wobble_urad: found standard deviations, rms per axis, of what the readings of a capture share:
+            a shift and a turn of the camera.
         moved: captures that stood elsewhere than stated, by far more than the others.
         log_evidence: natural logarithm; of models of the same captures, the one with the largest is most probable.
         predicted_arcmin: rms error that the fit expects of itself over the eye box.
         held_out: rows and columns of camera positions predicted from the others.
         one_more: None where the kind has no places.
+        motion_agreement: what the captures state of these motions; None where they state nothing.
     """
 
     kind: str
@@ -115,6 +116,7 @@ class FitReport:
     predicted_arcmin: float
     held_out: tuple[HeldOut, ...]
     one_more: OneMore | None
+    motion_agreement: MotionAgreement | None = None
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
@@ -185,6 +187,7 @@ class ModelFit(Generic[AnyModel]):
             predicted_arcmin=self.predicted_arcmin(self.mapping),
             held_out=tuple(self._held_out()),
             one_more=self._one_more(),
+            motion_agreement=smooth.motion_agreement,
         )
 
     def predicted_arcmin(self, model: AnyModel) -> float:
@@ -232,7 +235,8 @@ class ModelFit(Generic[AnyModel]):
         """Of a row and a column where the model is least sure, the one that helps more."""
         if not self._has_places:
             return None
-        position = np.unique(self.captures.viewpoint, axis=0)
+        _, first = np.unique(self.captures.capture, return_index=True)
+        position = self.captures.viewpoint[first]
         low, high = position.min(axis=0), position.max(axis=0)
         count = max(3, round(len(position) ** 0.5))
         tried = []
@@ -256,19 +260,18 @@ class ModelFit(Generic[AnyModel]):
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
         """The captures and further ones from viewpoints (m, 3), each of which sees what the nearest camera saw."""
         captures: Any = self.captures  # of either kind, and stays of its kind
-        parts = [captures]
-        last = int(captures.capture.max())
         names, first = np.unique(captures.capture, return_index=True)
-        for number, place in enumerate(viewpoint):
-            nearest = names[np.argmin(np.linalg.norm(captures.viewpoint[first] - place, axis=1))]
-            copy = select(captures, captures.capture == nearest)
-            copy = replace(copy, viewpoint=np.tile(place, (len(copy), 1)))
-            seen = self.seen(copy)
-            known = seen.usable & (seen.value[:, 2] < 0)
-            copy = select(replace(copy, capture=np.full(len(copy), last + 1 + number)), known)
-            parts.append(replace(copy, view_dir=seen.value[known]))
-        whole: DisplayCaptures | SeeThroughCaptures = concatenate(parts)
-        return whole
+        apart = np.linalg.norm(captures.viewpoint[first] - viewpoint[:, None], axis=2)
+        seeing = [np.flatnonzero(captures.capture == name) for name in names[np.argmin(apart, axis=1)]]
+        position = np.repeat(np.arange(len(viewpoint)), [len(rows) for rows in seeing])
+        whole = with_copies(captures, np.concatenate(seeing), position)
+        whole = replace(whole, viewpoint=np.concatenate([captures.viewpoint, viewpoint[position]]))
+        seen = self.seen(select(whole, np.arange(len(captures), len(whole))))
+        known = seen.usable & (seen.value[:, 2] < 0)
+        view_dir = np.where(known[:, None], seen.value, whole.view_dir[len(captures) :])
+        whole = replace(whole, view_dir=np.concatenate([captures.view_dir, view_dir]))
+        further: DisplayCaptures | SeeThroughCaptures = select(whole, np.append(np.ones(len(captures), bool), known))
+        return further
 
 
 def _bands(coordinate: FloatArray, capture: IntArray) -> IntArray:

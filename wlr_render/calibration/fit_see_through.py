@@ -111,7 +111,7 @@ def _readings(
 ) -> FitReadings:
     """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
     places = place.shape[1]
-    visit = np.stack([captures.capture, captures.target_pose], axis=1)  # the stage is driven anew for each target
+    visits, capture = captures.visits
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),
@@ -119,11 +119,12 @@ def _readings(
         multiplier=np.hstack([np.ones_like(depth), 1.0 / depth]),
         metric=angular_metric(captures.tangents),
         sigma=captures.sigma_arcmin,
-        capture=np.unique(visit, axis=0, return_inverse=True)[1].reshape(-1),
+        capture=capture,
         motion=motion,
         orders=limits.orders(2, places)[:, np.roll(np.arange(2 + places), places)],
         limits=limits,
         trend=trend,
+        motion_prior=captures.motion and captures.motion.of(visits),
     )
 
 

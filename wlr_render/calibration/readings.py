@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from wlr_render.captures.correspondences import CaptureMotionPrior
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -113,7 +114,8 @@ class FitReadings:
         motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): by how much `observed` less the model
             changes with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
         orders: (terms, variables) of the fit. limits: that they keep.
-        trend: what is known before; None for nothing.
+        trend: what is known of the model before the fit; None for nothing.
+        motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
     """
 
     inputs: FloatArray
@@ -127,6 +129,7 @@ class FitReadings:
     orders: IntArray
     limits: Limits
     trend: Trend | None = None
+    motion_prior: CaptureMotionPrior | None = None
 
     def __len__(self) -> int:
         return len(self.inputs)

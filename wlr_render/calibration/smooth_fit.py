@@ -1,8 +1,8 @@
 """Fits of smooth polynomials to captures by maximum evidence: one mechanism for all kinds of models.
 
 The readings decide how smooth the optics are (`smooth_prior.py`). What the readings of one capture share, a small shift
-and turn of the camera, is unknown, too; its size is the repeatability of the stage. Orders are limits only, and no
-design is refused: where camera positions are few, the posterior is wide.
+and turn of the camera, is unknown, too; its size is the repeatability of the stage, which the captures state or the
+readings tell. Orders are limits only, and no design is refused: where camera positions are few, the posterior is wide.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +26,8 @@ from wlr_render.calibration.smooth_prior import (
     SHIFT,
     TURN,
     Stage,
+    motion_scale,
+    motion_sizes,
     motion_start,
     noise_floor,
     search_starts,
@@ -76,6 +78,25 @@ class CaptureMotion:
 
 
 @dataclass(frozen=True)
+class MotionAgreement:
+    """Motions of the camera as the captures state them, beside those that a fit found.
+
+    Attributes:
+        shift_m, turn_rad: stated, rms per axis over all captures.
+        shift_factor, turn_factor: found over stated.
+        shift_sigmas, turn_sigmas: how many standard deviations of their logarithms the factors are from 1, by what the
+            captures state of them and by what the readings alone say.
+    """
+
+    shift_m: float
+    turn_rad: float
+    shift_factor: float
+    turn_factor: float
+    shift_sigmas: float
+    turn_sigmas: float
+
+
+@dataclass(frozen=True)
 class SmoothFit:
     """A fitted polynomial with its posterior covariance, and what the fit found of the bench.
 
@@ -95,6 +116,7 @@ class SmoothFit:
     _prior: Prior
     _columns: FloatArray | None
     _start: Polynomial
+    _motion_curvature: FloatArray | None = None
 
     @property
     def noise(self) -> float:
@@ -103,13 +125,39 @@ class SmoothFit:
 
     @property
     def shift_m(self) -> float:
-        """Repeatability of the captures' positions per axis; 0 where no motion was modelled."""
-        return float(np.exp(self.posterior.hyper["shift"])) if "shift" in self.posterior.hyper else 0.0
+        """Repeatability of the captures' positions, rms per axis; 0 where no motion was modelled."""
+        return float(self._motion_factors[0] * motion_scale(self.readings)[0])
 
     @property
     def turn_rad(self) -> float:
-        """Wobble of the captures' orientations per axis; 0 where no motion was modelled."""
-        return float(np.exp(self.posterior.hyper["turn"])) if "turn" in self.posterior.hyper else 0.0
+        """Wobble of the captures' orientations, rms per axis; 0 where no motion was modelled."""
+        return float(self._motion_factors[1] * motion_scale(self.readings)[1])
+
+    @property
+    def motion_agreement(self) -> MotionAgreement | None:
+        """Whether the readings agree with the motions that the captures state; None where they state none."""
+        known = self.readings.motion_prior
+        if known is None or self._motion_curvature is None:
+            return None
+        shift_m, turn_rad = motion_scale(self.readings)
+        # The prior pulls the logarithms of the factors to 0, the readings to where they alone would have them.
+        off = np.log(self._motion_factors)
+        variance = known.log_sigma**2 + 1.0 / np.maximum(self._motion_curvature, 1e-9)
+        sigmas = np.abs(off) * np.sqrt(variance) / known.log_sigma**2
+        return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
+
+    @property
+    def _motion_factors(self) -> FloatArray:
+        """(2,) of shift and turn: the sizes found over those known before."""
+        hyper = self.posterior.hyper
+        return np.exp([hyper.get("shift", -np.inf), hyper.get("turn", -np.inf)])
+
+    @property
+    def _motion_sizes(self) -> FloatArray:
+        """(captures, 6) prior sizes of the shifts and turns, as found; (captures, 0) where no motion was modelled."""
+        groups = self.posterior.own_mean.shape[0]
+        size = np.exp(self._prior.own_offset + self._prior.own_features @ self._hyper)
+        return np.broadcast_to(size, (groups, len(self._prior.own_features)))
 
     def require_agreement(self, what: str, sigma_arcmin: FloatArray) -> None:
         """Refuse readings that contradict each other beyond any noise.
@@ -141,11 +189,8 @@ class SmoothFit:
     @property
     def determined(self) -> tuple[float, int]:
         """How many coefficients and parameters of the trend the readings determine, and of how many."""
-        size = np.exp(self._prior.own_features @ self._hyper)
-        variance = np.diag(self.posterior.side_covariance)[self.posterior.mixed_mean.size :].reshape(
-            -1, max(len(size), 1)
-        )
-        motions = float(np.sum(1.0 - variance / size**2)) if len(size) else 0.0
+        variance = np.diag(self.posterior.side_covariance)[self.posterior.mixed_mean.size :]
+        motions = float(np.sum(1.0 - variance / self._motion_sizes.ravel() ** 2))
         return self.posterior.determined - motions, self.posterior.mean.size + self.posterior.mixed_mean.size
 
     @property
@@ -187,18 +232,20 @@ class SmoothFit:
             variance = np.einsum("nb,nbc,nc->n", chosen.multiplier, by_block, chosen.multiplier)
         variance = variance * chosen.metric**2 + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
         if self._columns is not None:
-            own = np.exp(self._prior.own_features @ self._hyper)
-            own = np.broadcast_to(own, (self.posterior.own_mean.shape[0], 6))[chosen.capture]
+            own = self._motion_sizes[chosen.capture]
             columns = self._columns[rows & (self.kept > 0)]
             variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
     def spread_with(self, readings: FitReadings) -> Covariance:
         """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
-        columns = None if self._columns is None else motion_columns(readings, self.polynomial)
+        columns, prior = None, self._prior
+        if self._columns is not None:
+            columns = motion_columns(readings, self.polynomial)
+            prior = replace(prior, own_offset=np.log(motion_sizes(readings)))
         kept = np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))])
         sums = sums_of(readings, None, columns, kept)
-        return spread_of(readings, posterior(sums, self._prior, self._hyper))
+        return spread_of(readings, posterior(sums, prior, self._hyper))
 
 
 def fit_within(
@@ -322,26 +369,29 @@ class _Search:
             return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
         prior = smoothness_prior(readings, moving=True)
         if self.stage is not None:
-            prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION))[:, None]
+            prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION) / motion_scale(readings))[:, None]
         rough, hyper = _rough(readings, kept), dict(found.hyper)
+        of_rough, curvature = replace(prior, own_offset=0.0), np.zeros(2)
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
             columns = motion_columns(readings, polynomial)
             sums = sums_of(readings, start, columns, kept)
             if round_ == 0:
-                hyper = motion_start(sums.combined(rough), prior, hyper)
+                hyper = motion_start(sums.combined(rough), of_rough, hyper)
             else:
-                hyper = dict(maximise(sums.combined(rough), prior, [hyper]).hyper)
+                found = maximise(sums.combined(rough), of_rough, [hyper])
+                hyper, curvature = dict(found.hyper), found.curvature[-2:]
             found = posterior(sums, prior, np.array(list(hyper.values())))
             polynomial = polynomial_of(readings, start, found)
-        return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
+        return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, curvature)
 
 
 def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
-    """Orthonormal combinations (captures, k) of the captures' motions without those that vary smoothly with the place.
+    """Combinations (6, captures, k) of the captures' motions without those that vary smoothly with the place.
 
     Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
-    for motions of the camera, of any size.
+    for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit, up to
+    the factors.
     """
     captures = int(readings.capture.max()) + 1
     used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
@@ -350,12 +400,15 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     middle = np.stack([np.bincount(readings.capture, axis, captures) / count for axis in place.T], axis=-1)[used]
     orders = [total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER + 1)]
     smooth = [order for order in orders if 2 * len(order) <= len(used)]
-    rough = np.zeros((captures, 0))
-    if smooth:
-        left, size, _ = np.linalg.svd(basis(middle, smooth[-1], Box.around(middle)))
-        rank = int(np.sum(size > 1e-6 * size[0]))
-        rough = np.zeros((captures, len(used) - rank))
-        rough[used] = left[:, rank:]
+    if not smooth:
+        return np.zeros((6, captures, 0))
+    values, extent, _ = np.linalg.svd(basis(middle, smooth[-1], Box.around(middle)), full_matrices=False)
+    values = values[:, extent > 1e-6 * extent[0]]
+    rough = np.zeros((6, captures, len(used) - values.shape[1]))
+    for axis, own in enumerate(motion_sizes(readings)[used].T):
+        # In units of the prior sizes motions are independent, and so are their parts along and across smooth ones.
+        across = np.linalg.qr(values / own[:, None], mode="complete")[0][:, values.shape[1] :]
+        rough[axis, used] = own[:, None] * across
     return rough
 
 
@@ -363,7 +416,7 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int
     """Captures that stand out by their motion, and those left out before, measured by the rest; by their indices."""
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
     kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
-    offset = np.zeros((int(readings.capture.max()) + 1, 6))
+    offset = np.log(motion_sizes(readings))
     hyper = smooth.posterior.hyper
     offset[out, SHIFT], offset[out, TURN] = (np.log(_ANY_MOTION) - hyper[name] for name in ("shift", "turn"))
     columns = motion_columns(readings, smooth.polynomial)
@@ -378,10 +431,12 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int
     alone = 1.0 / np.maximum(1.0 / variance - 1.0 / size**2, 1e-9 / size**2)
     motion = found.own_mean * alone / variance
     times, score = np.zeros(len(motion)), np.zeros(len(motion))
-    for part, least, name in ((SHIFT, _ORDINARY_SHIFT_M, "shift"), (TURN, _ORDINARY_TURN_RAD, "turn")):
-        usual = max(float(np.exp(hyper[name])), least)
+    stage = ((SHIFT, _ORDINARY_SHIFT_M, smooth.shift_m), (TURN, _ORDINARY_TURN_RAD, smooth.turn_rad))
+    for part, least, typical in stage:
+        usual = np.maximum(smooth._motion_sizes[:, part], least)
         this_score = np.linalg.norm(motion[:, part] / np.sqrt(alone[:, part] + usual**2), axis=1)
-        length = np.linalg.norm(found.own_mean[:, part], axis=1)
+        # A capture that may move by more must move by more to stand out.
+        length = np.linalg.norm(found.own_mean[:, part] * max(typical, least) / usual, axis=1)
         this_times = length / max(float(np.median(length)), least)
         larger = this_score > score
         score, times = np.where(larger, this_score, score), np.where(larger, this_times, times)
@@ -400,7 +455,9 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int
     }
     before = {name: found_of.pop(name) for name in out}
     # No stage is so bad: where all seem to have moved, a few have.
-    bad_stage = smooth.shift_m > _BAD_STAGE_M or smooth.turn_rad > _BAD_STAGE_RAD
+    bad_stage = bool(
+        np.any(smooth.stage > np.maximum(_LARGER * motion_scale(readings), (_BAD_STAGE_M, _BAD_STAGE_RAD)))
+    )
     larger = {name: each for name, each in found_of.items() if bad_stage or each.times > _LARGER}
     worst = max((each.score for each in larger.values()), default=0.0)
     enough = max(_SUSPICIOUS / (2.0 if bad_stage else 1.0), _NEAR_WORST * worst)

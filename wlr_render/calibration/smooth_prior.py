@@ -22,11 +22,13 @@ BEST_CAMERA_ARCMIN = 0.02
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 """Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
 USUAL_SHIFT_M, USUAL_TURN_RAD = 2e-6, 1e-5
-"""Repeatability of good motorised stages; where positions are many, the readings overrule it."""
+"""Repeatability of good motorised stages, for captures that state none; where positions are many, the readings overrule
+it."""
 _STAGES_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 SHIFT, TURN = slice(0, 3), slice(3, 6)
 LEAST_MOTION = 1e-9  # metres, radians
-_SHIFTS_M, _TURNS_RAD = (1e-6, 8e-6, 6e-5), (3e-6, 2.5e-5, 2e-4)  # where the search for motions starts
+_MOST_TIMES = 10.0  # the sizes known before may be wrong by
+_SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # where the search for motions starts: sigmas of the logarithms
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
 _USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings that tell little; give or take one
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
@@ -52,19 +54,36 @@ def smoothness_prior(readings: FitReadings, moving: bool) -> Prior:
     parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
     shared, mixed = (none, flat) if readings.mixed else (flat, parameters)
     own = np.zeros((6 if moving else 0, len(names)))
+    offset: FloatArray | float = 0.0
     if moving:
         own[SHIFT, -2] = own[TURN, -1] = 1.0
+        offset = np.log(motion_sizes(readings))
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes)
     bounds += [(np.log(noise_floor(readings, moving)), 12.0)]
     if moving:
-        bounds += [(np.log(LEAST_MOTION), np.log(most)) for most in (LARGEST_SHIFT_M, LARGEST_TURN_RAD)]
+        usual = motion_scale(readings)
+        most = np.maximum((LARGEST_SHIFT_M, LARGEST_TURN_RAD), _MOST_TIMES * usual)
+        bounds += [(low, high) for low, high in np.log([LEAST_MOTION / usual, most / usual]).T]
     expected = np.tile([0.0, np.inf], (len(names), 1))
     by_place = np.array([readings.is_place[axis] for axis in axes])
     expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_USUAL_SLOPES)
     expected[blocks : blocks + len(slopes), 1] = 1.0
     if moving:
-        expected[-2:] = [[np.log(usual), _STAGES_DIFFER] for usual in (USUAL_SHIFT_M, USUAL_TURN_RAD)]
-    return Prior(names, np.array(bounds), expected, shared, mixed, own)
+        expected[-2:, 1] = _STAGES_DIFFER if readings.motion_prior is None else readings.motion_prior.log_sigma
+    return Prior(names, np.array(bounds), expected, shared, mixed, own, offset)
+
+
+def motion_sizes(readings: FitReadings) -> FloatArray:
+    """Prior sizes (captures, 6) of the camera's shift (metres) and turn (radians), up to a common factor of each."""
+    if readings.motion_prior is None:
+        usual = np.repeat([USUAL_SHIFT_M, USUAL_TURN_RAD], 3)
+        return np.tile(usual, (int(readings.capture.max()) + 1, 1))
+    return np.maximum(np.roll(readings.motion_prior.size, 3, axis=1), LEAST_MOTION)
+
+
+def motion_scale(readings: FitReadings) -> FloatArray:
+    """Root mean square (2,) of `motion_sizes`: shift in metres, turn in radians, per axis."""
+    return np.asarray(np.sqrt(np.mean(motion_sizes(readings).reshape(-1, 2, 3) ** 2, axis=(0, 2))))
 
 
 def _smooth_as(readings: FitReadings) -> list[int]:
@@ -110,8 +129,9 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
 
 def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
     """The best of a few sizes of the motion: the evidence may have several maxima."""
-    starts = [still | {"shift": np.log(shift), "turn": np.log(turn)} for shift, turn in product(_SHIFTS_M, _TURNS_RAD)]
-    starts.append(still | {"shift": np.log(LEAST_MOTION), "turn": np.log(LEAST_MOTION)})
+    sigmas = prior.expected[-2:, 1]
+    starts = [still | dict(zip(("shift", "turn"), at * sigmas, strict=True)) for at in product(_SHIFTS, _TURNS)]
+    starts.append(still | dict(zip(("shift", "turn"), prior.bounds[-2:, 0], strict=True)))
 
     def evidence(start: dict[str, float]) -> float:
         try:

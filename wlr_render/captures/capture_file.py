@@ -6,6 +6,8 @@ The archive holds `header`, a JSON text with
     device, eye, panel {width_px, height_px}, eye_box {centre_m, size_m}, see_through_eye_box or null
 
 and one array for each column of the table and of its conditions. Conditions that no row has recorded are omitted.
+Priors of the camera's motion are optional: `display_motion_capture`, `display_motion_size`, `display_motion_log_sigma`,
+and the same of `see_through_motion`, see `CaptureMotionPrior`.
 Version 1, which is still read, has one array per attribute of `captures.correspondences`, named `display_viewpoint`,
 ..., `see_through_point`, ..., and no conditions.
 """
@@ -20,8 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
-from wlr_render.captures.observation_table import COLUMNS, ObservationTable, observation_table
+from wlr_render.captures.correspondences import (
+    CaptureMotionPrior,
+    Conditions,
+    DisplayCaptures,
+    EyeCaptures,
+    SeeThroughCaptures,
+)
+from wlr_render.captures.observation_table import COLUMNS, MOTIONS, ObservationTable, observation_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_arrays
 from wlr_render.mappings import EyeBox, Panel
@@ -31,6 +39,7 @@ FORMAT = "wlr-captures"
 VERSION = 2
 _UNITS = {"length": "m", "sigma": "arcmin", "pixel": "px"}
 _CONDITIONS = tuple(each.name for each in fields(Conditions))
+_MOTION = tuple(each.name for each in fields(CaptureMotionPrior))
 
 
 def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) -> Path:
@@ -55,7 +64,13 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
     conditions = {name: getattr(table.conditions, name) for name in _CONDITIONS}
     recorded = {name: values for name, values in conditions.items() if _is_recorded(values)}
     columns = {name: getattr(table, name) for name in COLUMNS}
-    return write_arrays(path, {"header": np.array(json.dumps(header))} | columns | recorded)
+    motions = {
+        f"{name}_{part}": np.asarray(getattr(motion, part))
+        for name in MOTIONS
+        if (motion := getattr(table, name)) is not None
+        for part in _MOTION
+    }
+    return write_arrays(path, {"header": np.array(json.dumps(header))} | columns | recorded | motions)
 
 
 def load_captures(path: str | Path) -> EyeCaptures:
@@ -93,6 +108,10 @@ def load_observations(path: str | Path) -> ObservationTable:
         recorded: dict[str, Any] = {name: arrays[name] for name in _CONDITIONS if name in arrays}
         columns: dict[str, Any] = {name: _array(arrays, name, path) for name in COLUMNS}
         conditions = Conditions.recorded(count, **recorded)
+        for name in MOTIONS:
+            if f"{name}_size" in arrays:
+                motion: dict[str, Any] = {part: _array(arrays, f"{name}_{part}", path) for part in _MOTION}
+                columns[name] = CaptureMotionPrior(**motion)
         return ObservationTable(**common, see_through_eye_box=box, conditions=conditions, **columns)
     except BadInputError as error:
         raise _named(path, error) from error

@@ -65,17 +65,83 @@ class Conditions:
         return cls(**filled)
 
 
+@dataclass(frozen=True)
+class CaptureMotionPrior:
+    """How far the camera may have stood from where captures state it, known before the fit of a model.
+
+    A small motion of the camera about its own entrance pupil, in axes of the device frame.
+
+    Attributes:
+        capture: (k,) index of the camera position; of the visit, where the conditions number all visits.
+        size: (k, 6) standard deviations: rotation about x, y and z in radians, then shift along x, y and z in metres.
+        log_sigma: standard deviation of the natural logarithm of a factor that all sizes may be wrong by. 0.1 is 10 %.
+
+    Raises:
+        BadInputError: a shape does not fit, an index occurs twice, or a number is not finite or negative.
+    """
+
+    capture: IntArray
+    size: FloatArray
+    log_sigma: float
+
+    def __post_init__(self) -> None:
+        count = np.size(self.capture)
+        _set_indices(self, "capture", count, "capture motions")
+        _set_rows(self, "size", (count, 6), what="capture motions")
+        if count == 0 or len(np.unique(self.capture)) < count:
+            raise BadInputError("capture motions: 'capture' must name one capture or more, and each only once.")
+        if np.any(self.size < 0):
+            raise BadInputError("capture motions: 'size' has negative standard deviations; give zero or more.")
+        if not (np.ndim(self.log_sigma) == 0 and np.isfinite(self.log_sigma) and self.log_sigma > 0):
+            raise BadInputError(f"capture motions: 'log_sigma' is {self.log_sigma}; it must be a positive number.")
+        object.__setattr__(self, "log_sigma", float(self.log_sigma))
+
+    def of(self, capture: IntArray) -> "CaptureMotionPrior":
+        """Return the prior of captures (m,), some of which may be the same, numbered 0..m - 1.
+
+        Raises:
+            BadInputError: there is none for one of them.
+        """
+        order = np.argsort(self.capture)
+        at = order[np.minimum(np.searchsorted(self.capture[order], capture), len(order) - 1)]
+        missing = np.setdiff1d(capture, self.capture)
+        if missing.size:
+            raise BadInputError(f"captures: 'motion' has no size for capture {missing[0]}; give one for every capture.")
+        return CaptureMotionPrior(np.arange(len(capture)), self.size[at], self.log_sigma)
+
+
 class _Rows:
     """What both kinds of captures derive from their rows."""
 
     viewpoint: FloatArray
     view_dir: FloatArray
+    capture: IntArray
     conditions: Conditions | None
+    motion: CaptureMotionPrior | None
 
     @cached_property
     def tangents(self) -> FloatArray:
         """(n, 2) tangents of `view_dir`."""
         return tangents_of_dir(self.view_dir)
+
+    @property
+    def has_visits(self) -> bool:
+        """Whether the conditions number the visit of every row."""
+        return self.conditions is not None and bool(np.all(self.conditions.visit >= 0))
+
+    @cached_property
+    def visits(self) -> tuple[IntArray, IntArray]:
+        """Visits of camera positions, during each of which the camera stood still.
+
+        The stage is driven anew for each target pose. Visits that are not numbered are one of each position and pose.
+
+        Returns:
+            What `motion` calls each visit (visits,), and the index (n,) of each row's visit.
+        """
+        pose = getattr(self, "target_pose", np.zeros_like(self.capture))
+        number = self.conditions.visit if self.conditions is not None and self.has_visits else np.zeros_like(pose)
+        visits, row = np.unique(np.stack([self.capture, pose, number], axis=1), axis=0, return_inverse=True)
+        return visits[:, 2 if self.has_visits else 0], row.reshape(-1)
 
     def __len__(self) -> int:
         return len(self.viewpoint)
@@ -97,9 +163,11 @@ class DisplayCaptures(_Rows):
         sigma_arcmin: (n,), or one number for all: standard deviation of `view_dir` about each of its two transverse
             axes. All zero where the data are exact.
         conditions: time, stage reading, camera rotation and so on of each row; None where nothing is recorded.
+        motion: prior of the camera's motion at each visit of a position; None where nothing is known of the stage.
 
     Raises:
-        BadInputError: a shape does not fit, a number is not finite, a direction is not a unit vector looking forward.
+        BadInputError: a shape does not fit, a number is not finite, a direction is not a unit vector looking forward,
+            or `motion` leaves out a capture.
     """
 
     device: str
@@ -112,10 +180,13 @@ class DisplayCaptures(_Rows):
     capture: IntArray
     sigma_arcmin: FloatArray
     conditions: Conditions | None = None
+    motion: CaptureMotionPrior | None = None
 
     def __post_init__(self) -> None:
         _check_rows(self)
         _set_rows(self, "pixel", (len(self), 2))
+        if self.motion is not None:
+            self.motion.of(self.visits[0])
 
 
 @dataclass(frozen=True)
@@ -123,7 +194,7 @@ class SeeThroughCaptures(_Rows):
     """Real points as seen through the optics from camera positions.
 
     Attributes:
-        device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin, conditions: as in `DisplayCaptures`.
+        device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin, conditions, motion: as in `DisplayCaptures`.
         point: (n, 3) the real point.
         target_pose: (n,) index of the target's pose; at least two depths are needed for a fit.
         target_point: (n, 3) the point in the frame of its target, NaN where unknown; None where no target is known.
@@ -143,6 +214,7 @@ class SeeThroughCaptures(_Rows):
     sigma_arcmin: FloatArray
     conditions: Conditions | None = None
     target_point: FloatArray | None = None
+    motion: CaptureMotionPrior | None = None
 
     def __post_init__(self) -> None:
         _check_rows(self)
@@ -152,6 +224,8 @@ class SeeThroughCaptures(_Rows):
         _set_indices(self, "target_pose", len(self))
         if np.any(self.point[:, 2] >= self.viewpoint[:, 2]):
             raise BadInputError("captures: 'point' has rows that are not in front of their viewpoint (smaller z).")
+        if self.motion is not None:
+            self.motion.of(self.visits[0])
 
 
 @dataclass(frozen=True)
@@ -192,7 +266,11 @@ def select(captures: _AnyRows, rows: IntArray | NDArray[np.bool_]) -> _AnyRows:
 
 
 def concatenate(parts: Sequence[_AnyRows]) -> _AnyRows:
-    """Concatenate captures of one eye; `capture` indices keep their values. There must be at least one part."""
+    """Concatenate captures of one eye; `capture` indices keep their values. There must be at least one part.
+
+    Raises:
+        BadInputError: the motion of the first part, which that of all becomes, leaves out a capture.
+    """
     per_row: dict[str, Any] = {}
     for name in _per_row(parts[0]):
         values = [getattr(part, name) for part in parts]
@@ -214,6 +292,28 @@ def _per_row(captures: DisplayCaptures | SeeThroughCaptures | Conditions) -> lis
     return [f.name for f in fields(captures) if isinstance(getattr(captures, f.name), np.ndarray | Conditions)]
 
 
+def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> AnyCaptures:
+    """Return captures, then copies of rows (m,), as if of further camera positions, numbered `position` (m,) from 0.
+
+    Each copied visit is a visit of its own, during which the camera moves as much as during the original.
+    """
+    names, visit = captures.visits
+    copied, row = np.unique(np.stack([position, visit[rows]], axis=1), axis=0, return_inverse=True)
+    whole = select(captures, np.append(np.arange(len(captures)), rows))
+    last = int(captures.capture.max())
+    new = last + 1 + copied[:, 0]
+    changes: dict[str, Any] = {"capture": np.append(captures.capture, last + 1 + position)}
+    if captures.conditions is not None and whole.conditions is not None and captures.has_visits:
+        number = captures.conditions.visit
+        new = int(number.max()) + 1 + np.arange(len(copied))
+        changes["conditions"] = replace(whole.conditions, visit=np.append(number, new[row.reshape(-1)]))
+    if (known := captures.motion) is not None:
+        new, first = np.unique(new, return_index=True)
+        size = np.concatenate([known.size, known.of(names[copied[first, 1]]).size])
+        changes["motion"] = CaptureMotionPrior(np.append(known.capture, new), size, known.log_sigma)
+    return replace(whole, **changes)
+
+
 def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
     if captures.eye not in ("left", "right"):
         raise BadInputError(f"captures: 'eye' is '{captures.eye}'; it must be 'left' or 'right'.")
@@ -231,20 +331,22 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
         raise BadInputError(f"captures: the conditions have {len(captures.conditions.visit)} rows, not {count}.")
 
 
-def _set_rows(captures: object, name: str, shape: tuple[int, ...], *, finite: bool = True) -> None:
+def _set_rows(
+    captures: object, name: str, shape: tuple[int, ...], *, finite: bool = True, what: str = "captures"
+) -> None:
     value = np.asarray(getattr(captures, name), dtype=np.float64)
     if value.shape != shape:
-        raise BadInputError(f"captures: '{name}' must have shape {shape}, not {value.shape}.")
+        raise BadInputError(f"{what}: '{name}' must have shape {shape}, not {value.shape}.")
     if finite and not np.isfinite(value).all():
-        raise BadInputError(f"captures: '{name}' has numbers that are not finite; leave out the rows without a value.")
+        raise BadInputError(f"{what}: '{name}' has numbers that are not finite; leave out the rows without a value.")
     object.__setattr__(captures, name, value)
 
 
-def _set_indices(captures: object, name: str, count: int) -> None:
+def _set_indices(captures: object, name: str, count: int, what: str = "captures") -> None:
     value = np.asarray(getattr(captures, name))
     if value.shape != (count,) or not np.issubdtype(value.dtype, np.integer):
         raise BadInputError(
-            f"captures: '{name}' must be {count} whole numbers, not {value.dtype} of shape {value.shape}."
+            f"{what}: '{name}' must be {count} whole numbers, not {value.dtype} of shape {value.shape}."
         )
     object.__setattr__(captures, name, value.astype(np.int64))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import (
+    CaptureMotionPrior,
     Conditions,
     DisplayCaptures,
     EyeCaptures,
@@ -45,6 +46,7 @@ class ObservationTable:
         view_dir: (n, 3) unit direction in which the feature was seen.
         sigma_arcmin: (n,) standard deviation of `view_dir` about each transverse axis.
         conditions: of each row.
+        display_motion, see_through_motion: priors of the camera's motion at each capture or visit; None where unknown.
 
     Raises:
         BadInputError: a column does not fit the others, or holds what captures may not hold.
@@ -64,6 +66,8 @@ class ObservationTable:
     view_dir: FloatArray
     sigma_arcmin: FloatArray
     conditions: Conditions
+    display_motion: CaptureMotionPrior | None = None
+    see_through_motion: CaptureMotionPrior | None = None
 
     def __post_init__(self) -> None:
         lengths = {name: len(np.atleast_1d(getattr(self, name))) for name in COLUMNS}
@@ -91,7 +95,11 @@ class ObservationTable:
         if not rows.any():
             return None
         return DisplayCaptures(
-            **self._common(rows), eye_box=self.eye_box, panel=self.panel, pixel=self.feature[rows, :2]
+            **self._common(rows),
+            eye_box=self.eye_box,
+            panel=self.panel,
+            pixel=self.feature[rows, :2],
+            motion=self.display_motion,
         )
 
     def see_through(self) -> SeeThroughCaptures | None:
@@ -105,6 +113,7 @@ class ObservationTable:
             point=self.feature[rows],
             target_pose=self.target_pose[rows],
             target_point=self.target_point[rows],
+            motion=self.see_through_motion,
         )
 
     def captures(self) -> EyeCaptures:
@@ -126,7 +135,9 @@ class ObservationTable:
         return columns | {"device": self.device, "eye": self.eye, "conditions": select(self.conditions, rows)}
 
 
-_HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions")
+MOTIONS = ("display_motion", "see_through_motion")
+"""Names of the priors of motions in a table."""
+_HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions", *MOTIONS)
 COLUMNS = tuple(each.name for each in fields(ObservationTable) if each.name not in _HEADER)
 """Names of the arrays of a table, besides those of its conditions."""
 
@@ -153,6 +164,8 @@ def observation_table(
         eye_box=first.eye_box,
         see_through_eye_box=None if see_through is None else see_through.eye_box,
         conditions=concatenate([each.pop("conditions") for each in columns]),
+        display_motion=None if display is None else display.motion,
+        see_through_motion=None if see_through is None else see_through.motion,
         **{name: np.concatenate([each[name] for each in columns]) for name in COLUMNS},
     )
 

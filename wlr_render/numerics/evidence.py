@@ -109,14 +109,14 @@ class Sums:
             cross[which] += columns[:, output].T @ design
 
     def combined(self, groups: FloatArray) -> "Sums":
-        """Sums for unknowns of other groups (groups, k): b_g = sum over k of `groups`[g, k] times their unknowns."""
-        reduced = Sums(len(self.gram), len(self.moment), self.mixed, groups.shape[1], self.own)
+        """Sums for unknowns c of k other groups, by `groups` (own, groups, k): b_go = sum over k of groups_ogk c_ko."""
+        reduced = Sums(len(self.gram), len(self.moment), self.mixed, groups.shape[2], self.own)
         reduced.count, reduced.square, reduced.log_weight = self.count, self.square, self.log_weight
         reduced.gram, reduced.moment = self.gram, self.moment
-        own = np.kron(groups, np.eye(self.own))
+        own = np.einsum("ogk,op->gokp", groups, np.eye(self.own))
         to = np.zeros((len(self.side_moment), len(reduced.side_moment)))
         to[: self.mixed, : self.mixed] = np.eye(self.mixed)
-        to[self.mixed :, self.mixed :] = own
+        to[self.mixed :, self.mixed :] = own.reshape(self.groups * self.own, -1)
         reduced.side_gram = to.T @ self.side_gram @ to
         reduced.side_moment = to.T @ self.side_moment
         reduced.side_cross = np.stack([to.T @ cross for cross in self.side_cross])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from browser import needs_browser, open_page
 
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import KindComparison, fit_eye
 from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
-from wlr_render.calibration.smooth_fit import CaptureMotion
+from wlr_render.calibration.smooth_fit import CaptureMotion, MotionAgreement
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
@@ -18,7 +18,7 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.transforms import rigid
 from wlr_render.jobs.calibrate.captures import CalibrateCapturesOptions, calibrate_captures
 from wlr_render.jobs.calibrate.fit import FitOptions
-from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_sentence, fit_warnings, held_out_verdict
+from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentence, fit_warnings, held_out_verdict
 from wlr_render.jobs.calibrate.simulate import (
     CalibrateSimulateOptions,
     TruthTests,
@@ -274,6 +274,19 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     assert "display 0.12' predicted rms (noise 0.250' found, 0.25' stated; the stage repeats exactly);" in (
         fit_sentence(still)
     )
+    stated = with_report(linear, motion_agreement=MotionAgreement(5.1e-6, 9e-6, 0.92, 1.1, 0.3, 0.5))
+    assert (
+        "0.25' stated; stage repeatability 5.1 um, 9.0 urad from the bench, the readings agree: factors 0.92 and 1.1);"
+        in fit_sentence(stated)
+    )
+    assert fit_warnings(stated) == []
+    captures = EyeCaptures(stated.display.captures, stated.see_through.captures)
+    (table,) = (
+        block
+        for block in fit_blocks(KindComparison({"planar": stated}, "planar"), captures)
+        if block.title == "Motion of the camera"
+    )
+    assert table.rows[0] == ["display", "shift (um)", pytest.approx(5.1), 9.0, 0.92, 0.3]
     exact = with_report(linear, stated_noise_arcmin=None, repeatability_um=0.0, wobble_urad=0.0)
     assert "display 0.12' predicted rms (noise 0.250' found);" in fit_sentence(exact)
 
@@ -304,6 +317,16 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
             {"wobble_urad": 2999.0},
             "Display: the wobble found is at its bound, 3000 microradians, which no stage has: check viewpoints, units "
             "and axes of the captures.",
+        ),
+        (
+            {"motion_agreement": MotionAgreement(5e-6, 9e-6, 2.4, 1.0, 4.2, 0.1)},
+            "Display: the camera shifted 2.4 times as much between captures as the bench states (4.2 sigma): look for "
+            "what moved after the stage was judged.",
+        ),
+        (
+            {"motion_agreement": MotionAgreement(5e-6, 9e-6, 1.0, 0.3, 0.1, 3.5)},
+            "Display: the camera turned 0.30 times as much between captures as the bench states (3.5 sigma): predicted "
+            "errors are too large.",
         ),
         (
             {"one_more": OneMore("a row of 3 camera positions at y = +4.0 mm", 0.06)},

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.fit_report import FitReport, ModelFit
+from wlr_render.calibration.smooth_fit import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
@@ -22,6 +23,8 @@ AS_STATED = 1.5
 """Noise found over the stated one, or the reverse, from which a report warns."""
 WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
 """Parts of the predicted error that one more row of positions takes away: to be advised, and to be warned of."""
+MOTIONS_DIFFER = 3.0
+"""Standard deviations between the motions found and those of the bench, from which a report warns."""
 _NEAR_BOUND = 0.9
 _NO_MOTION = 0.05  # um, microradians
 _CELLS = 48  # of a map, across the panel
@@ -51,13 +54,23 @@ def fit_sentence(fit: EyeFit) -> str:
         found = [f"noise {_digits(report.noise_arcmin, 3)}' found"]
         if report.stated_noise_arcmin is not None:
             found[0] += f", {report.stated_noise_arcmin:.3g}' stated"
-        if max(report.repeatability_um, report.wobble_urad) > _NO_MOTION:
+        if report.motion_agreement is not None:
+            found.append(_agreement(report.motion_agreement))
+        elif max(report.repeatability_um, report.wobble_urad) > _NO_MOTION:
             shift, turn = _digits(report.repeatability_um), _digits(report.wobble_urad)
             found.append(f"repeatability {shift} um, wobble {turn} urad")
         elif report.repeatability_um > 0:
             found.append("the stage repeats exactly")
         parts.append(f"{name} {_digits(report.predicted_arcmin)}' predicted rms ({'; '.join(found)})")
     return f"{fit.mappings.eye.capitalize()} eye: {'; '.join(parts)}."
+
+
+def _agreement(motions: MotionAgreement) -> str:
+    """What the bench states of the camera's motions, and whether the readings agree."""
+    stated = f"stage repeatability {_digits(1e6 * motions.shift_m)} um, {_digits(1e6 * motions.turn_rad)} urad"
+    factors = f"factors {_digits(motions.shift_factor)} and {_digits(motions.turn_factor)}"
+    agree = max(motions.shift_sigmas, motions.turn_sigmas) <= MOTIONS_DIFFER
+    return f"{stated} from the bench, the readings {'agree' if agree else 'disagree'}: {factors}"
 
 
 def fit_warnings(fit: EyeFit, display_names: Sequence[str] = ()) -> list[str]:
@@ -98,11 +111,24 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str]) -> list[s
         (report.repeatability_um, 1e6 * LARGEST_SHIFT_M, "repeatability of positions", "um"),
         (report.wobble_urad, 1e6 * LARGEST_TURN_RAD, "wobble", "microradians"),
     ):
-        if value > _NEAR_BOUND * most:
+        if value > _NEAR_BOUND * most and report.motion_agreement is None:
             found.append(
                 f"{title}: the {quantity} found is at its bound, {most:g} {unit}, which no stage has: check "
                 "viewpoints, units and axes of the captures."
             )
+    if (motions := report.motion_agreement) is not None:
+        for moved, factor, sigmas in (
+            ("shifted", motions.shift_factor, motions.shift_sigmas),
+            ("turned", motions.turn_factor, motions.turn_sigmas),
+        ):
+            if sigmas > MOTIONS_DIFFER:
+                why = (
+                    "predicted errors are too large" if factor < 1 else "look for what moved after the stage was judged"
+                )
+                found.append(
+                    f"{title}: the camera {moved} {_digits(factor)} times as much between captures as the bench states "
+                    f"({sigmas:.1f} sigma): {why}."
+                )
     if (gain := _gain(report)) > FEW_POSITIONS:
         found.append(
             f"{title}: the number of camera positions limits the predicted error; one more row or column of them would "
@@ -143,7 +169,7 @@ def fit_blocks(comparison: KindComparison, captures: EyeCaptures, display_names:
         display_names: names of the display's camera positions; empty to number them.
     """
     fit = comparison.chosen
-    tables = [_fit_table(fit), _size_table(fit), _held_out_table(fit), _one_more_table(fit)]
+    tables = [_fit_table(fit), _motion_table(fit), _size_table(fit), _held_out_table(fit), _one_more_table(fit)]
     if len(comparison.fits) > 1:
         tables.insert(0, _kinds_table(comparison))
     maps = _predicted_maps(fit.display.mapping)
@@ -164,6 +190,21 @@ def _fit_table(fit: EyeFit) -> ReportTable:
         "Noise, repeatability of the camera's positions and wobble of its turns are standard deviations per axis.",
     )
     return ReportTable("Fit", columns, rows, notes)
+
+
+def _motion_table(fit: EyeFit) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for name, report in _reports(fit):
+        if (motions := report.motion_agreement) is not None:
+            shift = [1e6 * motions.shift_m, report.repeatability_um, motions.shift_factor, motions.shift_sigmas]
+            turn = [1e6 * motions.turn_rad, report.wobble_urad, motions.turn_factor, motions.turn_sigmas]
+            rows += [[name, "shift (um)", *shift], [name, "turn (urad)", *turn]]
+    columns = ["mapping", "motion", "from the bench", "found", "factor", "sigmas"]
+    notes = (
+        "Motion of the camera between captures, rms per axis: as the calibration of the bench states it, and as the "
+        "readings of the model have it. Sigmas: how far the factor is from 1.",
+    )
+    return ReportTable("Motion of the camera", columns, rows, notes)
 
 
 def _size_table(fit: EyeFit) -> ReportTable:
