@@ -38,7 +38,7 @@ def run(options: DecodersOptions, *, progress: ProgressArgument = SILENT) -> Rep
         BadInputError: the photographs cannot be read, or OpenCV cannot decode them.
     """
     codes = code_photographs(options)
-    if not isinstance(codes.pattern, GrayCode) or read_photograph(codes.photographs[0]).dtype != np.uint8:
+    if not isinstance(codes.pattern, GrayCode) or read_photograph(codes.files.paths[0]).dtype != np.uint8:
         raise BadInputError(f"{options.folder}: OpenCV decodes plain Gray code in photographs of 8 bits only.")
     if not has_opencv_decoder():
         raise BadInputError(MISSING)
@@ -50,7 +50,7 @@ def run(options: DecodersOptions, *, progress: ProgressArgument = SILENT) -> Rep
     place = np.random.default_rng(0).choice(height * width, min(_COMPARED, height * width), replace=False)
     pixel = np.stack([place % width, place // width], axis=-1)
     progress.say("decoding with OpenCV")
-    theirs = opencv_codes(read_each(codes.photographs), codes.pattern.panel, pixel)
+    theirs = opencv_codes(read_each(codes.files.paths), codes.pattern.panel, pixel)
     table = comparison_table(decoded, theirs, place, survey, lenses)
     report = Report(f"Decoders: {codes.name}", blocks=[table], inputs=[options.folder], record=options)
     return save_report(report, folder, "decoders")

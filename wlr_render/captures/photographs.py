@@ -14,7 +14,10 @@ from wlr_render.files import write_image
 
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""
+CodeImage = Photograph | NDArray[np.float32]
+"""A photograph of a code, or several exposures of one picture merged."""
 
+_EXIF, _EXPOSURE_TIME = 0x8769, 0x829A  # tags
 _BLACK = 0.01  # of full scale: where the brightest twentieth of a picture is darker, it is black
 _BRIGHTEST = 99.5  # percentile of grey values that becomes white where a detector needs 8 bits
 _WELL_EXPOSED = 128.0  # pictures of 8 bits with such values stay as they are
@@ -86,6 +89,23 @@ def _raw_file(path: Path) -> Photograph:
         raise BadPhotographError(f"{path}: cannot be read as a raw file ({error}); take it again.") from error
 
 
+def exposure_of(path: Path) -> float | None:
+    """Exposure time in seconds that a JPEG or TIFF file states; None if it states none."""
+    if path.suffix.lower() not in (".jpg", ".jpeg", ".tif", ".tiff"):
+        return None
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            tags = image.getexif()
+            time = tags.get_ifd(0x8769).get(
+                0x829A, tags.get(0x829A)
+            )  # ExposureTime in the Exif directory, or beside it
+            return None if time is None or not float(time) > 0 else float(time)
+    except (OSError, ValueError, ZeroDivisionError):
+        return None  # reading the picture will say what is wrong with the file
+
+
 def check_photograph(image: Photograph, size_px: tuple[int, int], kind: PhotographFormat, name: str) -> None:
     """Refuse a photograph of another size than its camera's, or that is black or blown out.
 
@@ -151,7 +171,7 @@ def read_each(paths: Sequence[Path], kind: PhotographFormat | None = None) -> It
         yield image
 
 
-def describe_pixels(image: Photograph) -> str:
+def describe_pixels(image: CodeImage) -> str:
     """Size and depth, e.g. "1280 x 1024 pixels of 8 bits"."""
     return f"{' x '.join(map(str, image.shape[::-1]))} pixels of {8 * image.itemsize} bits"
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.boards.board_file import board_table
+from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
@@ -23,8 +24,6 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import (
     BadPhotographError,
     check_photograph,
-    photographs_in,
-    read_each,
     read_photograph,
 )
 from wlr_render.errors import BadInputError
@@ -32,7 +31,7 @@ from wlr_render.files import write_arrays
 from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 2  # of the way of reading: results of another one are read again
+_VERSION = 3  # of the way of reading: results of another one are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
 _MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
 
@@ -62,12 +61,14 @@ class PanelReading:
         counts: (number of reasons,) how many camera pixels have which `Rejection`.
         fates: (h, w) uint8 `Rejection` of a thinned-out picture.
         extent: (2, 2) lowest and highest panel position accepted.
+        missing: names of the pictures of which there is no photograph; the others replace them.
     """
 
     samples: DecodedSamples
     counts: NDArray[np.int64]
     fates: NDArray[np.uint8]
     extent: NDArray[np.float64]
+    missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,15 @@ class Reading:
     panels: dict[Path, PanelReading] = field(default_factory=dict)
     excluded: tuple[Excluded, ...] = ()
     kept: int = 0
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences about sets that were decoded without some of their photographs."""
+        return [
+            f"{folder.name}: decoded without the missing photographs of {', '.join(panel.missing)}."
+            for folder, panel in self.panels.items()
+            if panel.missing
+        ]
 
     def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
         """Those of some photographs that could be read, with their observations in the regions of their entries."""
@@ -123,15 +133,11 @@ def read_session(
 
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
-    if session.code_order != "as shown" or session.code_manifest is not None:
-        raise BadInputError(
-            f"{session.folder}: [code] 'order' and 'manifest' cannot be read yet; number the photographs in the order "
-            "of `wlr-render pattern`, and remove the key."
-        )
     for each in session.display:
         camera, pattern = session.eyeball_camera, session.panels[each.eye].pattern
         name = session.name_of(each.folder)
-        yield _PanelTask(name, each.folder, pattern, session.decoding, camera.size_px, camera.format)
+        order, manifest = session.code_order, session.code_manifest
+        yield _PanelTask(name, each.folder, order, manifest, pattern, session.decoding, camera.size_px, camera.format)
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
@@ -179,6 +185,8 @@ class _PanelTask:
 
     name: str
     folder: Path
+    order: str
+    manifest: Path | None
     pattern: Pattern
     decoding: DecodeOptions
     size_px: tuple[int, int]
@@ -189,29 +197,30 @@ class _PanelTask:
         return self.folder
 
     def fingerprint(self) -> str:
-        return _fingerprint(
-            photographs_in(self.folder), [self.pattern, self.decoding, self.size_px, self.kind.fingerprint]
-        )
+        files = self._files()
+        roles = [[path.name for path in paths] for paths in files.pictures]
+        how = [roles, files.exposures_s, self.pattern, self.decoding, self.size_px, self.kind.fingerprint]
+        return _fingerprint(files.paths, how)
+
+    def _files(self) -> CodeFiles:
+        return find_code_files(self.folder, self.pattern.names(), self.order, self.manifest)
 
     def read(self) -> dict[str, NDArray[Any]]:
-        paths = photographs_in(self.folder)
-        if len(paths) != (wanted := len(self.pattern.names())):
-            raise BadInputError(
-                f"holds {len(paths)} photographs, but the code has {wanted} pictures; give one photograph a picture."
-            )
-        first = read_photograph(paths[0], self.kind)
+        files = self._files()
+        path = files.paths[0]
         # The first picture shows the panel white: what is wrong with it is wrong with all.
-        check_photograph(first, self.size_px, self.kind, f"{self.name}/{paths[0].name}")
-        options = replace(self.decoding, full_scale=self.kind.full_scale, end_of_scale=self.kind.end_of_scale)
-        decoded = self.pattern.decode(read_each(paths, self.kind), options)
+        check_photograph(read_photograph(path, self.kind), self.size_px, self.kind, f"{self.name}/{path.name}")
+        options = replace(self.decoding, full_scale=self.kind.full_scale, end_of_scale=files.end_of_scale(self.kind))
+        decoded = self.pattern.decode(files.read(self.kind), options)
         samples = sample(decoded)
         if len(samples) == 0:
             raise BadInputError(_why_nothing(decoded))
-        return _arrays(decoded, samples)
+        return _arrays(decoded, samples) | {"missing": np.array(files.missing, dtype=np.int64)}
 
     def result(self, kept: dict[str, NDArray[Any]]) -> PanelReading:
         samples = DecodedSamples(kept["camera_pixel"], kept["panel_pixel"], kept["sigma_px"], kept["scale"])
-        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"])
+        missing = tuple(self.pattern.names()[number] for number in kept["missing"])
+        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"], missing)
 
 
 _Task = _BoardTask | _PanelTask

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
 from wlr_render.captures.importers.procam_graycode import read_procam_graycode
 from wlr_render.captures.patterns.catalogue import make_pattern
@@ -15,7 +16,7 @@ from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_streng
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
-from wlr_render.captures.photographs import photographs_in, read_each, read_photograph
+from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.code_quality import (
     TOLERANCE_PX,
@@ -31,6 +32,7 @@ from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.toml_files import read_toml
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,6 +58,16 @@ class DecodeVerbOptions(Options):
     ] = None
     pattern: Annotated[Code, described("Code that was shown."), _OWN] = "gray-fringes"
     bits: Annotated[int, described("Bits of the camera."), Range(8, 16), _OWN] = 8
+    camera: Annotated[
+        Path | None,
+        described("TOML file with the format of the camera's files (docs/photo-session.md), in place of --bits."),
+        _OWN,
+    ] = None
+    order: Annotated[
+        Literal["as shown", "opencv"],
+        described("Order of the photographs: white and black first, or last as in OpenCV's Gray code."),
+        _OWN,
+    ] = "as shown"
     source: Annotated[
         Literal["own", "procam-graycode"],
         described(
@@ -67,18 +79,22 @@ class DecodeVerbOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class CodePhotographs:
-    """Photographs of one pattern, in the order of showing, how to decode them, and the lenses that are known."""
+    """Photographs of one pattern, how to decode them, and the lenses that are known."""
 
     name: str
-    photographs: tuple[Path, ...]
+    files: CodeFiles
     pattern: Pattern
-    options: DecodeOptions
     kind: PhotographFormat
     lenses: Lenses = field(default_factory=Lenses)
 
+    @property
+    def options(self) -> DecodeOptions:
+        """Limits of the camera."""
+        return DecodeOptions(self.kind.full_scale, end_of_scale=self.files.end_of_scale(self.kind))
+
     def decoded(self) -> Decoded:
         """Panel positions of the camera's pixels."""
-        return self.pattern.decode(read_each(self.photographs, self.kind), self.options)
+        return self.pattern.decode(self.files.read(self.kind), self.options)
 
 
 def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -> Report:
@@ -98,7 +114,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     label = find_planes(decoded, camera_only)
     surveys = {_lens_names(lenses): fit_planes(decoded, label, lenses) for lenses in _variants(codes.lenses)}
     survey = surveys[_lens_names(camera_only)]
-    strengths = bit_strengths(read_each(codes.photographs, codes.kind), codes.pattern, codes.options)
+    strengths = bit_strengths(codes.files.read(codes.kind), codes.pattern, codes.options)
     heading = f"Residual of flat surfaces, distortion corrected: {_lens_names(camera_only)}"
     pictures = [
         Picture("Decoded positions", _draw_positions(folder / "positions.png", decoded), "Panel position u and v."),
@@ -112,10 +128,13 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
         *pictures,
     ]
     weak = [bit.name for bit in strengths if bit.weak]
+    warnings = [f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else []
+    if missing := [codes.pattern.names()[number] for number in codes.files.missing]:
+        warnings.append(f"Decoded without the missing photographs of {', '.join(missing)}.")
     report = Report(
         f"Decoded photographs of {codes.name}",
         verdict=f"{np.mean(decoded.accepted):.1%} of the camera's pixels show a panel position.",
-        warnings=[f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else (),
+        warnings=warnings,
         blocks=blocks,
         inputs=[options.folder],
         files=[arrays, *(picture.path for picture in pictures)],
@@ -135,25 +154,22 @@ def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
         capture = read_procam_graycode(folder)
         kind = PhotographFormat(bits=8 * read_photograph(capture.photographs[0]).itemsize)
         lenses = Lenses(capture.camera, capture.projector)
-        pattern = GrayCode(capture.panel)
-        return CodePhotographs(
-            folder.name,
-            capture.photographs,
-            pattern,
-            _decode_options(kind),
-            kind,
-            lenses,
-        )
+        files = CodeFiles(tuple((path,) for path in capture.photographs))
+        return CodePhotographs(folder.name, files, GrayCode(capture.panel), kind, lenses)
     if options.panel is None:
         raise BadInputError("--panel is missing: how many pixels has the panel, e.g. 1920x1080?")
-    pattern_shown = make_pattern(options.pattern, Panel(*options.panel))
-    photographs = tuple(photographs_in(folder))
-    kind = PhotographFormat(bits=options.bits)
-    return CodePhotographs(folder.name, photographs, pattern_shown, _decode_options(kind), kind)
+    pattern = make_pattern(options.pattern, Panel(*options.panel))
+    files = find_code_files(folder, pattern.names(), options.order)
+    return CodePhotographs(folder.name, files, pattern, _camera_format(options))
 
 
-def _decode_options(kind: PhotographFormat) -> DecodeOptions:
-    return DecodeOptions(kind.full_scale, end_of_scale=kind.end_of_scale)
+def _camera_format(options: DecodeVerbOptions) -> PhotographFormat:
+    if options.camera is None:
+        return PhotographFormat(bits=options.bits)
+    table = read_toml(options.camera)
+    form = PhotographFormat.from_table(table, options.camera.parent)
+    table.finish()
+    return form
 
 
 def _variants(known: Lenses) -> list[Lenses]:

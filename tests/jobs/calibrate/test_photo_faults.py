@@ -117,8 +117,7 @@ def swapped(first, second):
 
 
 SET_FAULTS = {
-    "one missing": (lambda s: paths(s)[5].unlink(), "holds 35 photographs, but the code has 36 pictures"),
-    "last missing": (lambda s: paths(s)[-1].unlink(), "holds 35 photographs, but the code has 36 pictures"),
+    "both of a bit missing": (lambda s: [path.unlink() for path in paths(s)[4:6]], "one of the two is needed to read"),
     "one too many": (one_too_many, "holds 37 photographs, but the code has 36 pictures"),
     "all missing": (no_picture_left, "holds no photographs"),
     "folder missing": (lambda s: shutil.rmtree(s.folder / SET), "there is no such folder"),
@@ -138,6 +137,16 @@ SET_FAULTS = {
     "one cut short": (lambda s: s.cut_short(f"{SET}/003_u_bit_5_inverse.png"), "003_u_bit_5_inverse.png: cannot be"),
     "one black": (lambda s: s.repaint(f"{SET}/000_white.png", BLACK), "000_white.png: is black"),
 }
+
+
+@pytest.mark.parametrize("place", [0, 5, -1])
+def test_a_panel_set_is_read_without_one_of_its_photographs(photo_session, place):
+    missing = paths(photo_session)[place]
+    missing.unlink()
+    found = photo_session.read()
+    assert not found.excluded
+    (note,) = found.notes
+    assert missing.stem[4:].replace("_", " ").split(" px")[0] in note
 
 
 @pytest.mark.parametrize("fault", SET_FAULTS)

@@ -27,7 +27,7 @@ from wlr_render.captures.patterns.photometry import (
     read_light,
 )
 from wlr_render.captures.patterns.pixel_rejection import BORDER_WIDTH, neighbour_slices
-from wlr_render.captures.photographs import Photograph
+from wlr_render.captures.photographs import CodeImage
 from wlr_render.errors import BadInputError
 
 _UNMIXED = 0.8  # a stripe that fills the pixel this much adds up with its inverse to white + black at any gamma
@@ -344,7 +344,7 @@ class BitStrength:
 
 
 def bit_strengths(
-    photographs: Iterable[Photograph | None], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
+    photographs: Iterable[CodeImage | None], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
 ) -> tuple[BitStrength, ...]:
     """Measure the contrast of each bit that is followed by its inverse; photographs as `pattern.decode` takes them.
 

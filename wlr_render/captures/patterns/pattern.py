@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, Decoded, DecodeOptions
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader, read_light
 from wlr_render.captures.patterns.pixel_rejection import AxisReading, combine_axes
-from wlr_render.captures.photographs import Photograph
+from wlr_render.captures.photographs import CodeImage
 from wlr_render.mappings import Panel
 
 
@@ -61,7 +61,7 @@ class Pattern(ABC):
         line = self._u.line(index - 2) if index - 2 < of_u else self._v.line(index - 2 - of_u)[:, None]
         return np.array(np.broadcast_to(line, size))
 
-    def decode(self, photographs: Iterable[Photograph | None], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
+    def decode(self, photographs: Iterable[CodeImage | None], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
         """Panel positions from one photograph per picture, in the order of showing.
 
         Photographs are taken one at a time and not kept, so that the iterable may read them from disk. None stands for

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.photographs import Photograph, describe_pixels
+from wlr_render.captures.photographs import CodeImage, describe_pixels
 from wlr_render.errors import BadInputError
 
 Grey = NDArray[np.float32]
@@ -28,15 +28,15 @@ class PhotographReader:
     They are numbered from 0, as `Pattern.image` and the files of `show_page` are.
     """
 
-    def __init__(self, photographs: Iterable[Photograph | None], names: Sequence[str]) -> None:
+    def __init__(self, photographs: Iterable[CodeImage | None], names: Sequence[str]) -> None:
         self._source = iter(photographs)
-        self._waiting: list[Photograph | None] = []
+        self._waiting: list[CodeImage | None] = []
         self._names = names
-        self._peak: Photograph | None = None
+        self._peak: CodeImage | None = None
         self.taken = 0
 
     @property
-    def peak(self) -> Photograph:
+    def peak(self) -> CodeImage:
         """(h, w) maximum of all photographs so far."""
         if self._peak is None:
             raise ValueError("no photograph was taken yet")
@@ -90,7 +90,7 @@ class PhotographReader:
         found = np.add(pair[0], pair[1], dtype=np.float32) - given
         return (found, given) if missing == 0 else (given, found)
 
-    def _next(self, label: str) -> Photograph | None:
+    def _next(self, label: str) -> CodeImage | None:
         if self._waiting:
             return self._waiting.pop(0)
         try:
@@ -124,7 +124,7 @@ class PhotographReader:
             )
 
 
-def _grey_values(image: Photograph, label: str) -> Photograph:
+def _grey_values(image: CodeImage, label: str) -> CodeImage:
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16, np.float32):
         raise BadInputError(
             f"{label} must be a grey picture of 8 or 16 bits, not {image.dtype} of shape {image.shape}."

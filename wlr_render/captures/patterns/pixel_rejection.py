@@ -17,7 +17,7 @@ from wlr_render.captures.decoded import (
     mean_of_cell_errors,
 )
 from wlr_render.captures.patterns.photometry import Grey, PanelLight
-from wlr_render.captures.photographs import Photograph
+from wlr_render.captures.photographs import CodeImage
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -132,7 +132,7 @@ class AxisReading:
 def combine_axes(
     readings: Sequence[AxisReading],
     light: PanelLight,
-    peak: Photograph,
+    peak: CodeImage,
     noise_variance: Grey,
     options: DecodeOptions,
     panel: Panel,
@@ -179,7 +179,7 @@ def combine_axes(
 def _rejected_alone(
     readings: Sequence[AxisReading],
     light: PanelLight,
-    peak: Photograph,
+    peak: CodeImage,
     noise: Grey,
     options: DecodeOptions,
     panel: Panel,

@@ -75,7 +75,7 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye",
         verdict=headline(found),
         advice=advice(found),
-        warnings=[*warnings, *notes],
+        warnings=[*warnings, *found.reading.notes, *notes],
         blocks=session_blocks(found, folder),
         inputs=[options.session, *options.fit.inputs],
         files=[model, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in _RESULTS)],

@@ -1,0 +1,274 @@
+"""Files of a set of code photographs: which picture each shows, and its exposures."""
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.captures.photo_session import CODE_ORDERS
+from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
+from wlr_render.errors import BadInputError
+from wlr_render.toml_files import read_toml
+
+MANIFESTS = ("manifest.toml", "manifest.csv")
+_AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
+_SAME_EXPOSURE = 1.02
+_SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+@dataclass(frozen=True)
+class CodeFiles:
+    """Files of one set, in the order in which its pictures are shown.
+
+    Attributes:
+        pictures: files of each picture, one an exposure; none if the picture is missing.
+        exposures_s: exposure time of each; empty for a single exposure.
+    """
+
+    pictures: tuple[tuple[Path, ...], ...]
+    exposures_s: tuple[float, ...] = ()
+
+    @property
+    def paths(self) -> list[Path]:
+        """All files."""
+        return [path for files in self.pictures for path in files]
+
+    @property
+    def missing(self) -> list[int]:
+        """Numbers of the pictures of which there is no photograph."""
+        return [number for number, files in enumerate(self.pictures) if not files]
+
+    def end_of_scale(self, kind: PhotographFormat) -> float:
+        """Value from which a pixel of `read` is saturated."""
+        return kind.end_of_scale * (max(self.exposures_s) / min(self.exposures_s) if self.exposures_s else 1.0)
+
+    def read(self, kind: PhotographFormat) -> Iterator[CodeImage | None]:
+        """Read the pictures one at a time; None for a missing one.
+
+        Several exposures are merged to float32 values on the scale of the longest. Of each pixel those exposures count
+        that do not saturate it in the first picture, white, weighted by their time; as they are the same in the whole
+        set, a black level has no effect on differences of pictures.
+
+        Raises:
+            BadInputError: as `read_photograph`; or white is missing from a set of several exposures.
+        """
+        if not self.exposures_s:
+            each = read_each(self.paths, kind)
+            for files in self.pictures:
+                yield next(each) if files else None
+            return
+        if not self.pictures[0]:
+            raise BadInputError("The first picture, white, is missing; several exposures cannot be merged without it.")
+        weights: NDArray[np.float32] | None = None
+        time = np.array(self.exposures_s, dtype=np.float32)
+        for files in self.pictures:
+            if not files:
+                yield None
+                continue
+            images = [read_photograph(path, kind) for path in files]
+            if len({(image.shape, image.dtype) for image in images}) > 1:
+                raise BadInputError(f"{files[0]}: the exposures of this picture differ in size or depth.")
+            if weights is None:
+                sound = np.array([image < kind.end_of_scale for image in images])
+                weights = sound * time[:, None, None]
+                weights /= np.maximum(weights.sum(axis=0), time.min())
+            light = np.zeros(images[0].shape, dtype=np.float32)
+            over = ~weights.any(axis=0)
+            for image, weight, seconds in zip(images, weights, time, strict=True):
+                light += weight * image * (time.max() / seconds)
+                over |= (weight > 0) & (image >= kind.end_of_scale)
+            light[over] = np.float32(self.end_of_scale(kind))
+            yield light
+
+
+def find_code_files(
+    folder: Path, names: Sequence[str], order: str = CODE_ORDERS[0], manifest: Path | None = None
+) -> CodeFiles:
+    """Find out which picture each photograph of a folder shows.
+
+    By a manifest; else by names as `wlr-render pattern` gives them (000_white.png); else by the numbers in the names,
+    in which one gap may be; else by their order, without a gap. Folders below it hold one exposure each.
+
+    Args:
+        folder: of the set.
+        names: of the pattern's pictures in the order of showing.
+        order: one of `CODE_ORDERS`, for files whose roles are not named: white and black first, or last as in OpenCV's
+            `GrayCodePattern`.
+        manifest: file that names the roles; None: manifest.toml or manifest.csv in the folder, if there is one.
+
+    Raises:
+        BadInputError: photographs are missing or left over, a role is unknown or given twice, or an exposure time is
+            unknown; the sentence names the file and what to do.
+    """
+    manifest = manifest or next((folder / name for name in MANIFESTS if (folder / name).is_file()), None)
+    stated: dict[str, float] = {}
+    roles: dict[str, str] = {}
+    if manifest is not None:
+        order, roles, stated = _read_manifest(manifest, order)
+    if roles:
+        return _by_manifest(manifest or folder, folder, roles, stated, names)
+    below = _exposure_folders(folder)
+    if below:
+        times = [_exposure_time(each, stated) for each in below]
+        sets = [_by_name(photographs_in(each), names, order, each) for each in below]
+        return CodeFiles(
+            tuple(tuple(path for (path,) in files) if all(files) else () for files in zip(*sets, strict=True)),
+            tuple(times),
+        )
+    paths = photographs_in(folder)
+    _check_one_exposure(paths)
+    return CodeFiles(_by_name(paths, names, order, folder))
+
+
+def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[str, float]]:
+    """Order of showing, role by file name, and exposure time in seconds by file or folder name."""
+    if path.suffix == ".toml":
+        table = read_toml(path)
+        order = table.text("order", order, choices=CODE_ORDERS)
+        roles, times = table.free("files"), table.free("exposures_s")
+        table.finish()
+        if not all(isinstance(role, str) for role in roles.values()):
+            raise table.fail('[files] must give each file name a role, such as "0.png" = "u bit 10".')
+        if not all(isinstance(time, int | float) and time > 0 for time in times.values()):
+            raise table.fail("[exposures_s] must give each file or folder a time in seconds above 0.")
+        return order, roles, {name: float(time) for name, time in times.items()}
+    roles, times = {}, {}
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream, skipinitialspace=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInputError(f"{path}: cannot be read as CSV ({error}).") from error
+    for number, row in enumerate(rows, start=2):
+        if not row.get("file") or not row.get("role"):
+            raise BadInputError(f"{path}: line {number} has no 'file' or no 'role'; the columns are file, role, axis.")
+        if row["file"] in roles:
+            raise BadInputError(f"{path}: line {number} names {row['file']} again; give each file one line.")
+        roles[row["file"]] = f"{row.get('axis') or ''} {row['role']}".strip()
+        try:
+            if row.get("exposure_s"):
+                times[row["file"]] = float(row["exposure_s"])
+        except ValueError as error:
+            raise BadInputError(f"{path}: line {number}: exposure_s is {row['exposure_s']!r}, not a number.") from error
+    return order, roles, times
+
+
+def _by_manifest(
+    manifest: Path, folder: Path, roles: dict[str, str], stated: dict[str, float], names: Sequence[str]
+) -> CodeFiles:
+    found: list[list[Path]] = [[] for _ in names]
+    for file, role in roles.items():
+        path = folder / file
+        if role.strip().lower() == "unused":
+            continue
+        number = _number_of_role(role, names)
+        if number is None:
+            raise BadInputError(
+                f"{manifest}: {file} has the role '{role}'; the code has {', '.join(names[:3])}, ..., {names[-1]}, and "
+                "'unused' is for other files."
+            )
+        if not path.is_file():
+            raise BadInputError(f"{manifest}: there is no {path}; correct its name, or remove it from the manifest.")
+        found[number].append(path)
+    counts = {len(files) for files in found if files}
+    if len(counts) != 1:
+        twice = next((n for n, files in enumerate(found) if len(files) > 1), 0)
+        raise BadInputError(
+            f"{manifest}: {len(found[twice])} files have the role '{names[twice]}', but others have another number; "
+            "give each picture one file, or one of each exposure."
+        )
+    if counts == {1}:
+        _check_one_exposure([path for files in found for path in files])
+        return CodeFiles(tuple(map(tuple, found)))
+    timed = [
+        sorted((_exposure_time(path, stated, str(path.relative_to(folder))), path) for path in files) for files in found
+    ]
+    times = {tuple(time for time, _ in files) for files in timed if files}
+    if len(times) != 1:
+        raise BadInputError(f"{manifest}: the pictures differ in their exposure times; give each the same ones.")
+    return CodeFiles(tuple(tuple(path for _, path in files) for files in timed), times.pop())
+
+
+def _number_of_role(role: str, names: Sequence[str]) -> int | None:
+    words = role.lower().replace("_", " ").split()
+    if words and words[0] in _AXES:
+        words[0] = _AXES[words[0]]
+    plain = " ".join(words)
+    return names.index(plain) if plain in names else None
+
+
+def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Path) -> tuple[tuple[Path, ...], ...]:
+    """Files of each picture, from their names alone."""
+    found: list[tuple[Path, ...]] = [()] * len(names)
+    roles = [_number_of_role(re.sub(r"^\d+[_ -]", "", path.stem), names) for path in paths]
+    if None not in roles:
+        for path, role in zip(paths, roles, strict=True):
+            if role is None or found[role]:
+                raise BadInputError(f"{path}: a second photograph shows '{names[role or 0]}'; remove one of them.")
+            found[role] = (path,)
+        return tuple(found)
+    shown = [*range(2, len(names)), 0, 1] if order == "opencv" else range(len(names))
+    places = range(len(paths)) if len(paths) == len(names) else _numbered_places(paths, len(names))
+    if not places:
+        raise BadInputError(
+            f"{folder}: holds {len(paths)} photographs, but the code has {len(names)} pictures; give one photograph a "
+            f"picture, or name their pictures in {MANIFESTS[0]}."
+        )
+    for path, place in zip(paths, places, strict=True):
+        found[shown[place]] = (path,)
+    return tuple(found)
+
+
+def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
+    """Places in the set by the last numbers in the names; empty unless the first and the last of `count` are there."""
+    numbers = [re.findall(r"\d+", path.stem) for path in paths]
+    if not all(numbers):
+        return []
+    places = [int(each[-1]) - int(numbers[0][-1]) for each in numbers]
+    return places if places[-1] == count - 1 and len(set(places)) == len(places) else []
+
+
+def _exposure_folders(folder: Path) -> list[Path]:
+    """Folders below one that holds no photographs itself, from the shortest name to the longest number."""
+    if not folder.is_dir() or any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
+        return []
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_dir() and any(each.suffix.lower() in SUFFIXES for each in path.iterdir())
+    )
+
+
+def _exposure_time(path: Path, stated: dict[str, float], name: str = "") -> float:
+    """Seconds: as stated, as in the files, or as in the name of a folder."""
+    if (name or path.name) in stated:
+        return stated[name or path.name]
+    in_file = exposure_of(path if path.is_file() else photographs_in(path)[0])
+    if in_file is not None:
+        return in_file
+    match = re.fullmatch(r"(\d+\.?\d*) *(us|ms|s)", path.name)
+    if match:
+        return float(match[1]) * _SECONDS[match[2]]
+    raise BadInputError(
+        f"{path}: its exposure time is unknown; state it in {MANIFESTS[0]} under [exposures_s], or name the folder "
+        "after it, such as 4ms."
+    )
+
+
+def _check_one_exposure(paths: Sequence[Path]) -> None:
+    """Refuse a set whose files state different exposure times.
+
+    Raises:
+        BadInputError: two of them do.
+    """
+    times = [(time, path) for path in paths if (time := exposure_of(path)) is not None]
+    if times and max(times)[0] > _SAME_EXPOSURE * min(times)[0]:
+        (short, one), (long, other) = min(times), max(times)
+        raise BadInputError(
+            f"{one}: was exposed {short:g} s, {other.name} {long:g} s; all photographs of a set need one exposure: "
+            "switch automatic exposure off."
+        )
