@@ -118,6 +118,16 @@ def test_captures_that_are_known_to_be_worse_are_not_named():
     assert fit_display(stated(captures, size, 0.2), "planar", 4).smooth.moved == ()
 
 
+def test_a_good_capture_that_moved_as_much_as_bad_ones_may_is_named():
+    rng = np.random.default_rng(1)
+    size = np.tile(SIZE, (PLACES, 1))
+    size[[1, 3, 7, 9, 11, 15, 19, 21]] *= 40.0
+    motion = uniform(rng, size)
+    motion[12, 3:5] += 7e-4
+    found = fit_display(stated(moved(display(), motion, rng), size, 0.2), "planar", 4)
+    assert [each.capture for each in found.smooth.moved] == [12]
+
+
 @pytest.mark.parametrize("log_sigma", [0.1, 0.5])
 def test_captures_far_beyond_their_prior_are_left_out_and_named(log_sigma):
     for seed in range(2):
