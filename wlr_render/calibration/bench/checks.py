@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
 from wlr_render.calibration.bench.adjustment import USUAL_DIFFER, USUAL_SIZES, Adjustment
@@ -72,10 +73,11 @@ class Pull:
 
 def significance(chi_square: float, freedom: int) -> float:
     """Standard deviations of one normal variable that are as improbable as this chi-squared."""
-    log_probability = float(chi2.logsf(chi_square, freedom))
-    if log_probability < -700.0:
-        return float(np.sqrt(-2.0 * log_probability))
-    return float(max(norm.isf(0.5 * np.exp(log_probability)), 0.0))
+    probability = float(chi2.sf(chi_square, freedom))
+    if probability > 1e-300:
+        return float(max(norm.isf(0.5 * probability), 0.0))
+    half, x = 0.5 * freedom, 0.5 * chi_square  # the tail of the incomplete gamma function
+    return float(np.sqrt(2.0 * (x - (half - 1.0) * np.log(x) + gammaln(half))))
 
 
 def refuse_contradictions(checks: Iterable[Check]) -> None:

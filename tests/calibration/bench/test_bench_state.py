@@ -1,0 +1,119 @@
+"""The state of a bench: its derivatives against finite differences, and the motions of stages against closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from imperfect_bench import Imperfections, TrueBench, turned
+
+from wlr_render.calibration.bench.adjustment import layout_of, residuals_of
+from wlr_render.calibration.bench.observations import EYEBALL
+from wlr_render.calibration.bench.start import start_lens, start_state
+from wlr_render.calibration.bench.state import StageModel, smooth_orders
+from wlr_render.calibration.poses import motion_between, small_motion
+from wlr_render.captures.photo_session import StageAxis
+from wlr_render.geometry import transforms
+
+
+@pytest.fixture(scope="module")
+def state():
+    bench = TrueBench(1)
+    observations = bench.observations(lens_photographs=5)
+    rotary = (StageAxis(), StageAxis("rotary"), StageAxis())
+    observations = replace(observations, axes=rotary)
+    lens = {}
+    for name, setup in observations.cameras.items():
+        views = [view for view in observations.views if view.camera == name and view.target is None]
+        lens[name] = start_lens(views, setup.size_px, setup.kind)
+    found = start_state(replace(observations, axes=(StageAxis(),) * 3), lens)
+    rng = np.random.default_rng(2)
+    twists = found.twists + np.concatenate([0.3 * rng.normal(size=(3, 3)), np.zeros((3, 3))], axis=1)
+    return replace(
+        found,
+        observations=observations,
+        twists=twists,
+        smooth=1e-3 * rng.normal(size=found.smooth.shape),
+        offsets={place: 1e-3 * rng.normal(size=6) for place in found.offsets},
+        focus={target: 1e-3 * rng.normal() for target in found.focus},
+    )
+
+
+def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
+    layout = layout_of(state)
+    rng = np.random.default_rng(3)
+    views = [
+        next(view for view in state.observations.views if view.name.startswith(kind))
+        for kind in ("lens/eyeball", "bare/pose1_03", "tracking/pose0")
+    ]
+    for view in views:
+        part = residuals_of(state, view)
+        blocks = state.board_motion(view)
+        columns = {key: part.by_motion @ motion for key, motion in blocks.items()}
+        columns["lens", view.camera], columns["shape", view.board] = part.by_lens, part.by_shape
+        if view.camera == EYEBALL and view.target is not None:
+            columns["focus", view.target] = part.by_lens[..., :2] @ state.lens[EYEBALL].focal_px[:, None]
+        for key, derivative in columns.items():
+            width = layout.where[key].stop - layout.where[key].start
+            direction = rng.normal(size=width)
+            if key[0] == "lens":
+                direction[:4] *= 100.0
+
+            def residual(amount, key=key, direction=direction, view=view):
+                still = layout.steps(np.zeros(len(layout.size)))
+                still |= {("features", name): np.zeros(shape.place.size) for name, shape in state.shape.items()}
+                return residuals_of(state.moved(still | {key: amount * direction}), view).residual
+
+            step = 1e-6
+            expected = -(residual(step) - residual(-step)) / (2 * step)
+            size = np.abs(expected).max()
+            assert size > 0, key
+            # The stage's errors are taken as motions in the camera's frame, to first order in their own size; readings
+            # are small, and so is what an axis does to pixels of a thousand.
+            tolerance = {"smooth": 5e-3, "offset": 5e-3, "axis": 5e-4}.get(key[0], 2e-5)
+            np.testing.assert_allclose(derivative @ direction, expected, atol=tolerance * size, err_msg=str(key))
+
+
+def test_a_linear_axis_translates_and_a_rotary_one_turns_about_its_pivot():
+    middle, half = np.zeros(2), np.ones(2)
+    pivot = np.array([0.0, 0.0, -0.01])
+    about_y = np.array([0.0, 1.0, 0.0])
+    twists = np.array([[0, 0, 0, 1.0, 0.01, 0], [*about_y, *-np.cross(about_y, pivot)]])
+    stage = StageModel(middle, half, twists, np.zeros((0, 6)))
+    np.testing.assert_allclose(stage.motion(np.array([0.02, 0.0]))[:3, 3], [0.02, 2e-4, 0.0], atol=1e-15)
+    angle = 0.4
+    turned_about_pivot = stage.motion(np.array([0.0, angle]))
+    np.testing.assert_allclose(turned_about_pivot[:3, :3], transforms.rotation_about("y", angle), atol=1e-14)
+    np.testing.assert_allclose(transforms.apply(turned_about_pivot, pivot), pivot, atol=1e-15)
+
+
+def test_smooth_errors_vanish_in_no_direction_of_travel_and_have_all_orders():
+    orders = smooth_orders(3)
+    assert len(orders) == 19
+    assert {sum(order) for order in orders} == {1, 2, 3}
+    assert len(set(orders)) == 19
+
+
+def test_the_camera_at_a_place_is_base_stage_and_errors(state):
+    place = next(name for name in state.offsets if name.endswith("_03.png"))
+    reading = state.observations.places[place].reading
+    offset = state.stage.smooth_error(reading) + state.offsets[place]
+    expected = state.base[0] @ state.stage.nominal(reading) @ small_motion(offset)
+    assert np.abs(motion_between(expected, state.device_from_camera(place))).max() < 1e-12
+
+
+def test_a_bent_board_is_where_its_shape_says():
+    bench = TrueBench(0, Imperfections())
+    observations = bench.observations(lens_photographs=3)
+    lens = dict(bench.lens)
+    shape = start_state(observations, lens).shape["board"]
+    bent = replace(shape, low=np.array([1e-4, 2e-4, 3e-5, 1e-3, -1e-3]))
+    corner, middle = bench.nominal[:1], np.zeros((1, 3))
+    x, y = corner[0, :2]
+    np.testing.assert_allclose(
+        bent.point_of(bench.feature[:1], corner), [[x * 1.001, y * 0.999, 3e-5 * np.sign(x * y)]], atol=2e-7
+    )
+    np.testing.assert_allclose(bent.point_of(np.array([[-5, -5]]), middle), [[0, 0, 3e-4]], atol=1e-12)
+
+
+def test_turned_is_a_rotation():
+    assert transforms.is_rotation(turned(3, 4, 5))
