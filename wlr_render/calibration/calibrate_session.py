@@ -1,7 +1,7 @@
 """Calibrate the eyes of a headset from the photographs of a session: bench, captures in the device frame, models."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +21,14 @@ from wlr_render.calibration.photograph_captures import (
     within_field,
 )
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures, select
-from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession
+from wlr_render.captures.correspondences import CaptureMotionPrior, EyeCaptures, SeeThroughCaptures, select
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NAMED = 3  # excluded photographs that an error message names
+_MOTION_LOG_SIGMA = 0.7  # of the factor on the poses' sigmas: fits see little of the smooth part of their errors
 _BESIDE_EYE_BOX_M = 0.015  # the middle of all camera positions lies this close to it, whatever their design
 
 
@@ -141,6 +142,7 @@ def _sound_captures(
     sets = reading.decoded(session.display)
     panels = [PanelView(bench.device_from_camera(each), found.samples, recorded_of(each)) for each, found in sets]
     display = display_captures(headset, session.pattern.panel, bench.eyeball, panels)
+    display = replace(display, motion=_motion_prior(bench, [each for each, _ in sets]))
     _refuse_far_places(session, display.viewpoint)
     moved = display_outliers(display)
     excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
@@ -155,11 +157,17 @@ def _sound_captures(
         point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
         targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions))
     see_through = within_field(see_through_captures(headset, bench.eyeball, targets), display)
+    see_through = replace(see_through, motion=_motion_prior(bench, [each for each, _ in through]))
     see_through = select(see_through, dot_inliers(see_through, _visits(see_through)))
     gone = see_through_outliers(see_through, _visits(see_through))
     excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
     see_through = select(see_through, ~np.isin(_visits(see_through), [each.group for each in gone]))
     return EyeCaptures(display, see_through), tuple(excluded)
+
+
+def _motion_prior(bench: CalibratedBench, entries: Sequence[BoardPhotograph | CodeSet]) -> CaptureMotionPrior:
+    """How well the bench knows the camera's pose in each photograph, about the mean of all."""
+    return CaptureMotionPrior(np.arange(len(entries)), bench.motion_sizes(entries), _MOTION_LOG_SIGMA)
 
 
 def _visits(captures: SeeThroughCaptures) -> IntArray:
