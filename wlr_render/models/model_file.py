@@ -146,6 +146,18 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
     return tuple(model.mappings.eye for model in kept)
 
 
+def remove_eye_models(path: str | Path, eyes: Sequence[str]) -> None:
+    """Remove the models of some eyes from a file, and the file if no other is in it, or if it cannot be used."""
+    try:
+        kept = [model for eye, model in load_eye_models(path).items() if eye not in eyes]
+    except BadInputError:
+        kept = []
+    if kept:
+        save_eye_models(path, kept)
+    else:
+        Path(path).unlink(missing_ok=True)
+
+
 def load_eye_model(path: str | Path, eye: str | None = None) -> EyeModel:
     """Read one eye of a model file: the requested eye, or the only one.
 

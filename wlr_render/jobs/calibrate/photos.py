@@ -13,6 +13,7 @@ from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, MODEL_FILE, FitOptions, O
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks, set_names
 from wlr_render.jobs.options import Options, ProgressArgument, Workers, described
+from wlr_render.models.model_file import remove_eye_models
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
@@ -57,8 +58,10 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
     """Results of an earlier run must not stand beside those of one that is refused."""
-    for name in (MODEL_FILE, *(f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in _RESULTS)):
-        (folder / name).unlink(missing_ok=True)
+    remove_eye_models(folder / MODEL_FILE, eyes)
+    for eye in eyes:
+        for kind, suffix in _RESULTS:
+            (folder / f"{kind}-{eye}{suffix}").unlink(missing_ok=True)
 
 
 def _record(found: SessionCalibration) -> dict[str, Any]:
