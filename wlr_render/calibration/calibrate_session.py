@@ -28,7 +28,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NAMED = 3  # excluded photographs that an error message names
-_MOTION_LOG_SIGMA = 0.7  # of the factor on the poses' sigmas: fits see little of the smooth part of their errors
+_MOTION_LOG_SIGMA = 0.3  # of the factor on the poses' sigmas, from some twenty photographs
 _BESIDE_EYE_BOX_M = 0.015  # the middle of all camera positions lies this close to it, whatever their design
 
 
