@@ -185,11 +185,84 @@ Extra = Mapping[Key, Mapping[str, FloatArray]]
 """Further unknowns: by the name of a view, (6, k) motion of the board in its camera's frame."""
 
 
+@dataclass(frozen=True, eq=False)
+class _ViewEquations:
+    """Weighted equations of one view in its local unknowns: its lens, its board's shape, the motion of its board.
+
+    Attributes:
+        design: (n, 2, local). by_place: (n, 2, 3), by the places of the view's features. value: (n, 2), linearised
+            readings, zero where all unknowns are at the middle of their priors.
+        rows: (n,) of the features on the board.
+        carry: (local, unknowns) from all unknowns to the local ones.
+        chi_square: sum of squares. loss: Huber's. values: number of values seen. log_weight: sum over them.
+    """
+
+    design: FloatArray
+    by_place: FloatArray
+    value: FloatArray
+    rows: IntArray
+    carry: FloatArray
+    chi_square: float
+    loss: float
+    values: int
+    log_weight: float
+
+    @classmethod
+    def of(
+        cls, state: BenchState, layout: Layout, sizes: Sizes, extra: Extra, before: FloatArray, view: BoardView
+    ) -> "_ViewEquations":
+        """Linearise a view; `before` (unknowns,) is how far they are from the middle of their priors."""
+        part, shape = residuals_of(state, view), state.shape[view.board]
+        sigma = view.sigma_px * sizes.noise[view.camera]
+        seen = np.asarray(np.isfinite(part.residual).all(axis=1))
+        residual = np.where(seen[:, None], part.residual, 0.0)
+        length = np.sqrt(0.5 * np.sum(residual**2, axis=1)) / sigma
+        weight = seen * np.sqrt(_HUBER / np.maximum(length, _HUBER)) / sigma
+        near = np.minimum(length, _HUBER)
+        local = np.concatenate([part.by_lens, part.by_shape, part.by_motion], axis=-1)
+        design = np.where(seen[:, None, None], local, 0.0) * weight[:, None, None]
+        by_place = np.where(seen[:, None, None], part.by_place, 0.0) * weight[:, None, None]
+        rows = shape.rows_of(view.feature)
+        carry = _carried(state, layout, extra, view, part)
+        weighted = residual * weight[:, None]
+        value = weighted + design @ (carry @ before) + np.einsum("nij,nj->ni", by_place, shape.place[rows])
+        return cls(
+            design,
+            by_place,
+            value,
+            rows,
+            carry,
+            float(np.sum(weighted**2)),
+            2.0 * float(np.sum(near * (2.0 * length - near))),
+            2 * int(np.count_nonzero(seen)),
+            2.0 * float(np.log(weight[seen]).sum()),
+        )
+
+
+def _carried(state: BenchState, layout: Layout, extra: Extra, view: BoardView, part: ViewResiduals) -> FloatArray:
+    """(local, unknowns) local unknowns of a view by all unknowns."""
+    blocks = state.board_motion(view)
+    blocks |= {key: columns[view.name] for key, columns in extra.items() if view.name in columns}
+    lens, low = part.by_lens.shape[-1], part.by_shape.shape[-1]
+    carry = np.zeros((lens + low + 6, len(layout.size)))
+    carry[:lens, layout.where["lens", view.camera]] = np.eye(lens)
+    carry[lens : lens + low, layout.where["shape", view.board]] = np.eye(low)
+    if view.camera == EYEBALL and view.target is not None and lens:
+        carry[:2, layout.where["focus", view.target]] = state.lens[EYEBALL].focal_px[:, None]
+    for key, columns in blocks.items():
+        carry[-6:, layout.where[key]] = columns
+    return carry
+
+
 class Normal:
     """Normal equations of all unknowns, with the features' errors integrated out at given sizes.
 
-    Each view has local unknowns: its lens, the shape of its board and the motion of the board in the camera's frame.
-    They are summed first, and carried to the unknowns of the layout at once.
+    Attributes:
+        gram: (unknowns, unknowns). moment: (unknowns,). square, count, log_weight: as of `evidence.Sums`.
+        loss: Huber's, sigmas squared.
+        chi_square, values: sum of squares and number of values, by camera.
+        features: by board, inverse (f, 3, 3), mean (f, 3) where all unknowns are zero, and how it follows them
+            (unknowns, 3 f).
     """
 
     def __init__(self, state: BenchState, layout: Layout, sizes: Sizes, extra: Extra) -> None:
@@ -201,63 +274,37 @@ class Normal:
             sizes: noise by camera and error of features by board.
             extra: further blocks of `layout`.
         """
-        self.square, self.loss, self.count, self.log_weight = 0.0, 0.0, 0, 0.0
+        self.square, self.loss, self.log_weight = 0.0, 0.0, 0.0
         self.chi_square = {name: 0.0 for name in state.lens}
         self.values = {name: 0 for name in state.lens}
-        self.residual: dict[str, FloatArray] = {}
         before = np.concatenate([state.deviation(key) for key in layout.where if key not in extra])
         before = np.concatenate([before, np.zeros(len(layout.size) - len(before))])
         own = {name: np.zeros((len(each.feature), 3, 3)) for name, each in state.shape.items()}
         pull = {name: np.zeros((len(each.feature), 3)) for name, each in state.shape.items()}
-        carries, carried, moments, crosses = [], [], [], []
+        crosses: dict[str, list[FloatArray]] = {name: [] for name in state.shape}
+        carries: dict[str, list[FloatArray]] = {name: [] for name in state.shape}
+        carried, moments = [], []
         for view in state.observations.views:
-            part, shape = residuals_of(state, view), state.shape[view.board]
-            sigma = view.sigma_px * sizes.noise[view.camera]
-            scaled = part.residual / sigma[:, None]
-            seen = np.asarray(np.isfinite(scaled).all(axis=1))
-            length = np.sqrt(0.5 * np.sum(np.where(seen[:, None], scaled, 0.0) ** 2, axis=1))
-            weight = seen * np.sqrt(_HUBER / np.maximum(length, _HUBER)) / sigma
-            self.residual[view.name] = scaled
-            residual = np.where(seen[:, None], part.residual, 0.0) * weight[:, None]
-            self.chi_square[view.camera] += float(np.sum(residual**2))
-            near = np.minimum(length[seen], _HUBER)
-            self.loss += 2.0 * float(np.sum(near * (2.0 * length[seen] - near)))
-            self.values[view.camera] += 2 * int(np.count_nonzero(seen))
-            self.log_weight += 2.0 * float(np.log(weight[seen]).sum())
-            blocks = state.board_motion(view)
-            blocks |= {key: columns[view.name] for key, columns in extra.items() if view.name in columns}
-            lens, low = part.by_lens.shape[-1], part.by_shape.shape[-1]
-            carry = np.zeros((lens + low + 6, len(layout.size)))
-            carry[:lens, layout.where["lens", view.camera]] = np.eye(lens)
-            carry[lens : lens + low, layout.where["shape", view.board]] = np.eye(low)
-            if view.camera == EYEBALL and view.target is not None and lens:
-                carry[:2, layout.where["focus", view.target]] = state.lens[EYEBALL].focal_px[:, None]
-            for key, columns in blocks.items():
-                carry[-6:, layout.where[key]] = columns
-            local = np.concatenate([part.by_lens, part.by_shape, part.by_motion], axis=-1)
-            local = np.where(seen[:, None, None], local, 0.0) * weight[:, None, None]
-            by_place = np.where(seen[:, None, None], part.by_place, 0.0) * weight[:, None, None]
-            rows = shape.rows_of(view.feature)
-            value = residual + local @ (carry @ before) + np.einsum("nij,nj->ni", by_place, shape.place[rows])
-            flat = local.reshape(-1, local.shape[-1])
-            carries.append(carry)
-            carried.append((flat.T @ flat) @ carry)
-            moments.append(flat.T @ value.ravel())
-            self.square += float(np.sum(value**2))
-            cross = np.zeros((local.shape[-1], len(shape.feature), 3))
-            cross[:, rows] = np.einsum("nik,nij->knj", local, by_place)
-            crosses.append((view.board, cross.reshape(local.shape[-1], -1)))
-            own[view.board][rows] += np.einsum("nik,nij->nkj", by_place, by_place)
-            pull[view.board][rows] += np.einsum("nik,ni->nk", by_place, value)
-        carry = np.concatenate(carries)
+            each = _ViewEquations.of(state, layout, sizes, extra, before, view)
+            self.chi_square[view.camera] += each.chi_square
+            self.values[view.camera] += each.values
+            self.loss += each.loss
+            self.log_weight += each.log_weight
+            self.square += float(np.sum(each.value**2))
+            flat = each.design.reshape(-1, each.design.shape[-1])
+            carries[view.board].append(each.carry)
+            carried.append((each.carry, (flat.T @ flat) @ each.carry))
+            moments.append(flat.T @ each.value.ravel())
+            cross = np.zeros((flat.shape[1], len(own[view.board]), 3))
+            cross[:, each.rows] = np.einsum("nik,nij->knj", each.design, each.by_place)
+            crosses[view.board].append(cross.reshape(flat.shape[1], -1))
+            own[view.board][each.rows] += np.einsum("nik,nij->nkj", each.by_place, each.by_place)
+            pull[view.board][each.rows] += np.einsum("nik,ni->nk", each.by_place, each.value)
         self.count = sum(self.values.values())
-        self.gram = carry.T @ np.concatenate(carried)
+        carry = np.concatenate([each for each, _ in carried])
+        self.gram = carry.T @ np.concatenate([each for _, each in carried])
         self.moment = carry.T @ np.concatenate(moments)
-        cross_of = {
-            name: np.concatenate([each for each, (board, _) in zip(carries, crosses, strict=True) if board == name]).T
-            @ np.concatenate([each for board, each in crosses if board == name])
-            for name in own
-        }
+        cross_of = {name: np.concatenate(carries[name]).T @ np.concatenate(each) for name, each in crosses.items()}
         self._eliminate(sizes, cross_of, own, pull)
 
     def _eliminate(
