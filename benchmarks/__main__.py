@@ -13,6 +13,7 @@ BENCHMARKS = {
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "photographs": "Readings of simulated photographs, compared with exact traces.",
     "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
+    "boards": "Detectors of boards on published photographs, beside OpenCV's.",
     "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",
     "paper": "Planar against volumetric sampling: equal degree, depth, eye box and field, in simulation.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",

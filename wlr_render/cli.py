@@ -91,7 +91,7 @@ VERBS = (
         "Show a panel code picture by picture and photograph each with your camera's command.",
     ),
     Verb("decode", DATA, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
-    Verb("board", DATA, "targets:board", "Design a two-size dot board and write it for printing and for calibration."),
+    Verb("board", DATA, "targets:board", "Design a calibration board and write it for printing and for calibration."),
     Verb("pattern", DATA, "targets:pattern", "Write the pictures of a panel code, and a page that shows them."),
 )
 FOLDERS_OF_VERBS = {

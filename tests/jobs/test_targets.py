@@ -24,6 +24,31 @@ def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path):
     assert np.linalg.norm(step) == pytest.approx(20 / 25.4 * 100, abs=0.5)
 
 
+@pytest.mark.parametrize(
+    ("kind", "columns", "rows", "features"),
+    [
+        ("charuco", 9, 7, 8 * 6),
+        ("april-grid", 4, 3, 8 * 6),
+        ("chessboard", 9, 6, 8 * 5),
+        ("circles", 9, 7, 63),
+        ("asymmetric-circles", 4, 11, 44),
+    ],
+)
+def test_boards_of_every_kind_are_written_and_found(tmp_path, kind, columns, rows, features):
+    report = board(BoardOptions(kind=kind, columns=columns, rows=rows, pitch_mm=40, dpi=150, out=tmp_path))
+    _, png, record = report.files
+    read = load_board(record)
+    assert read.title in report.verdict
+    assert len(read.indices()) == features
+    assert len(read.find(read_photograph(png))) >= 0.95 * features
+
+
+def test_a_board_that_would_look_the_same_turned_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match=r"chessboard of 8 x 8: .* looks the same turned by 90 degrees"):
+        board(BoardOptions(kind="chessboard", columns=8, rows=8, out=tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path):
     report = pattern(PatternOptions(panel=(64, 40), pattern="gray", out=tmp_path))
     (page,) = report.files

@@ -1,12 +1,13 @@
-"""Write dot boards and pictures of panel codes for printing and showing."""
+"""Write calibration boards and pictures of panel codes for printing and showing."""
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
-from wlr_render.captures.boards.board_file import save_board
+from wlr_render.captures.boards.board_file import board_of_table, save_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
 from wlr_render.files import output_folder
@@ -14,7 +15,9 @@ from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, desc
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+from wlr_render.toml_files import Table
 
+Kind = Literal["dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles"]
 Code = Literal["gray", "fringes", "gray-fringes"]
 Primary = Annotated[
     Literal["red", "green", "blue"] | None, described("Primary to show the code in (default: white, all of them).")
@@ -26,9 +29,14 @@ class BoardOptions(Options):
     """Options of `board`."""
 
     _: KW_ONLY
-    columns: Annotated[int, described("Columns of dots."), Range(at_least=1)] = 36
-    rows: Annotated[int, described("Rows of dots."), Range(at_least=1)] = 24
-    pitch_mm: Annotated[float, described("Distance of neighbouring dots in mm."), Range(at_least=0)] = 20.0
+    kind: Annotated[Kind, described("Kind of board.")] = "dots"
+    columns: Annotated[int, described("Columns of dots, squares, tags or circles."), Range(at_least=1)] = 36
+    rows: Annotated[int, described("Rows of dots, squares, tags or circles."), Range(at_least=1)] = 24
+    pitch_mm: Annotated[
+        float, described("Distance of neighbouring dots, squares, tags or rows of circles in mm."), Range(at_least=0)
+    ] = 20.0
+    dictionary: Annotated[str, described("OpenCV's dictionary of the markers of a ChArUco board.")] = "DICT_5X5_1000"
+    legacy: Annotated[bool, described("ChArUco pattern of OpenCV before 4.6.")] = False
     dpi: Annotated[int, described("Resolution of the PNG in dots per inch."), Range(at_least=1)] = 200
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/board")
@@ -40,12 +48,37 @@ def board(options: BoardOptions = BoardOptions(), *, progress: ProgressArgument 
     Raises:
         BadInputError: no such board can be made.
     """
-    designed = design_board(options.columns, options.rows, 1e-3 * options.pitch_mm, seed=options.seed)
+    designed = _designed(options)
     folder = output_folder(options.out)
     picture = write_board_png(designed, folder / "board.png", options.dpi)  # first, as it alone may be refused
     files = [write_board_svg(designed, folder / "board.svg"), picture, save_board(designed, folder / "board.toml")]
     advice = ["Print board.svg at its true size, and put board.toml into the session's folder."]
-    return Report("Board", f"A board of {options.columns} x {options.rows} dots.", advice, files=files)
+    return Report("Board", f"A {designed.title}.", advice, files=files)
+
+
+def _designed(options: BoardOptions) -> Board:
+    """The board with the usual proportions of its kind."""
+    columns, rows, pitch = options.columns, options.rows, options.pitch_mm
+    if options.kind == "dots":
+        return design_board(columns, rows, 1e-3 * pitch, seed=options.seed)
+    keys: dict[str, Any] = {"kind": options.kind, "margin_mm": 0.5 * pitch}
+    if options.kind == "charuco":
+        keys |= {"square_columns": columns, "square_rows": rows, "square_mm": pitch, "marker_mm": 0.75 * pitch}
+        keys |= {"dictionary": options.dictionary, "legacy": options.legacy}
+    elif options.kind == "april-grid":
+        keys |= {
+            "tag_columns": columns,
+            "tag_rows": rows,
+            "tag_mm": pitch / 1.3,
+            "spacing": 0.3,
+            "margin_mm": 0.1 * pitch,
+        }
+    elif options.kind == "chessboard":
+        keys |= {"corner_columns": columns - 1, "corner_rows": rows - 1, "square_mm": pitch}
+    else:
+        diameter = (0.8 if options.kind == "asymmetric-circles" else 0.5) * pitch
+        keys |= {"columns": columns, "rows": rows, "pitch_mm": pitch, "diameter_mm": diameter, "margin_mm": pitch}
+    return board_of_table(Table(keys, f"{options.kind} of {columns} x {rows}"))
 
 
 @dataclass(frozen=True)

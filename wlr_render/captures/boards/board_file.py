@@ -107,7 +107,15 @@ def load_board(path: str | Path) -> Board:
         BadInputError: the file is missing or not as `save_board` writes it, or its features cannot be distinguished;
             the sentence has the key.
     """
-    table = read_toml(path)
+    return board_of_table(read_toml(path))
+
+
+def board_of_table(table: Table) -> Board:
+    """Return the board that the keys of a table describe; see `load_board`.
+
+    Raises:
+        BadInputError: as `load_board`.
+    """
     kind = table.text("kind", "dots", choices=KINDS)
     lengths = _Lengths.of(table)
     tolerances = _tolerances(table)

@@ -1,0 +1,1 @@
+"""Detectors of boards on published photographs."""

@@ -1,0 +1,117 @@
+"""Our detectors of boards beside OpenCV's on published photographs: what is found, and how well a camera fits it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+
+from benchmarks.boards.sets import SETS, PhotographSet
+from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.charuco import CharucoBoard
+from wlr_render.captures.boards.markers import dictionary_of
+from wlr_render.captures.photographs import Photograph, as_bytes, read_photograph
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Cell, Report, ReportTable
+from wlr_render.report.save import save_report
+
+_FLAGS = {"brown": 0, "rational": cv2.CALIB_RATIONAL_MODEL}
+_SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+# OpenCV's 30 steps do not reach the minimum of the rational model.
+_CONVERGED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 500, 1e-12)
+_LEAST_CORNERS = 6  # of a photograph that takes part in a calibration
+
+Corners = tuple[IntArray, FloatArray]
+"""Index (n, 2) and pixel (n, 2) in one photograph."""
+
+
+@dataclass(frozen=True)
+class BoardsOptions(Options):
+    """Options of `boards`."""
+
+    folder: Annotated[Path, described("Folder that holds the sets; missing ones are left out.")]
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/boards")
+
+
+def run(options: BoardsOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Find the boards in all photographs with our detectors and OpenCV's, and calibrate with the corners of each.
+
+    Raises:
+        BadInputError: the folder has none of the sets.
+    """
+    present = [each for each in SETS if (options.folder / each.name).is_dir()]
+    if not present:
+        raise BadInputError(f"{options.folder}: holds none of {', '.join(each.name for each in SETS)}.")
+    rows = [_row(each, options.folder) for each in present]
+    cells = [list(row.values()) for row in rows]
+    notes = ("rms: of cv2.calibrateCamera with the corners of each detector, per corner over both axes.",)
+    table = ReportTable("Boards found, and calibration", list(rows[0]), cells, notes)
+    pictures, found = (sum(int(row[key] or 0) for row in rows) for key in ("pictures", "found, ours"))
+    report = Report("Boards", f"{found} of {pictures} boards were found.", blocks=[table], inputs=[options.folder])
+    return save_report(report, output_folder(options.out), "boards")
+
+
+def _row(of: PhotographSet, root: Path) -> dict[str, Cell]:
+    paths = of.photographs(root)
+    ours: list[Corners] = []
+    theirs: list[Corners] = []
+    size = (0, 0)
+    for path in paths:
+        image = read_photograph(path)
+        size = image.shape[1], image.shape[0]
+        try:
+            seen = of.board.find(image, path.name)
+            ours.append((seen.index, seen.pixel))
+        except BoardNotFoundError:
+            pass
+        corners = _opencv_corners(of, image)
+        if corners is not None:
+            theirs.append(corners)
+    row: dict[str, Cell] = {"set": of.title, "pictures": len(paths)}
+    for name, seen_corners in (("ours", ours), ("OpenCV", theirs)):
+        row[f"found, {name}"] = len(seen_corners)
+        row[f"corners, {name}"] = sum(len(index) for index, _ in seen_corners)
+    for name, seen_corners in (("ours", ours), ("OpenCV", theirs)):
+        rms, focal = _calibrated(of, seen_corners, size) if of.lens else (None, None)
+        row[f"rms, {name} (px)"], row[f"fx, {name} (px)"] = rms, None if focal is None else f"{focal:.2f}"
+    row["fx, published (px)"] = None if of.published_fx is None else f"{of.published_fx:.2f}"
+    return row
+
+
+def _opencv_corners(of: PhotographSet, image: Photograph) -> Corners | None:
+    """What OpenCV's own detectors find: ChArUco's, or chessboards by sectors and, where that fails, by quads."""
+    board, grey = of.board, as_bytes(image)
+    if isinstance(board, CharucoBoard):
+        made = cv2.aruco.CharucoBoard(
+            (board.square_columns, board.square_rows), board.square_m, board.marker_m, dictionary_of(board.dictionary)
+        )
+        made.setLegacyPattern(board.legacy)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(made).detectBoard(grey)
+        if ids is None or not len(ids):
+            return None
+        row, column = np.divmod(np.asarray(ids, np.int64).ravel(), board.square_columns - 1)
+        pixel = np.asarray(corners, np.float64).reshape(-1, 2) - OPENCV_PIXEL_SHIFT
+        return np.stack([column, row], axis=-1), pixel
+    shape = (board.columns, board.rows)
+    found, corners = cv2.findChessboardCornersSB(grey, shape, flags=_SECTORS)
+    if not found:
+        found, corners = cv2.findChessboardCorners(grey, shape)
+        if found:
+            stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+            corners = cv2.cornerSubPix(grey, corners, (5, 5), (-1, -1), stop)
+    return (board.indices(), np.asarray(corners, np.float64).reshape(-1, 2) - OPENCV_PIXEL_SHIFT) if found else None
+
+
+def _calibrated(of: PhotographSet, seen: list[Corners], size: tuple[int, int]) -> tuple[float, float]:
+    """Rms per corner over both axes and fx, pixels."""
+    used = [each for each in seen if len(each[0]) >= _LEAST_CORNERS]
+    points = [of.board.point_of(index).astype(np.float32) for index, _ in used]
+    pixels = [(pixel + OPENCV_PIXEL_SHIFT).astype(np.float32) for _, pixel in used]
+    rms, matrix, *_ = cv2.calibrateCamera(points, pixels, size, None, None, flags=_FLAGS[of.lens], criteria=_CONVERGED)
+    return float(rms), float(matrix[0, 0])
