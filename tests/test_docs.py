@@ -34,6 +34,8 @@ THEIRS = {
     "bench.toml",
     "board.toml",
     "device.toml",
+    "manifest.toml",
+    "manifest.csv",
     "report.md",
 }
 PLACES = [

@@ -36,7 +36,7 @@ def motion(rng, length_px):
     return kernel
 
 
-def photographs(pattern, position, rng, noise, blur_px=0.4, motion_px=0.5, gamma=1.05):
+def photographs(pattern, position, rng, noise, black=12, blur_px=0.4, motion_px=0.5, gamma=1.05):
     """8-bit photographs; noise of photons and reading, blur of the lens, vibration, 5 % error of gamma."""
     grid = [(np.arange((size + 2 * RIM) * FINE) + 0.5) / FINE - RIM for size in (WIDTH, HEIGHT)]
     x, y = (place + rng.uniform(-0.5, 0.5, place.shape) / FINE for place in np.meshgrid(*grid))
@@ -46,19 +46,28 @@ def photographs(pattern, position, rng, noise, blur_px=0.4, motion_px=0.5, gamma
         light = cv2.GaussianBlur(cv2.filter2D(light, -1, motion(rng, motion_px)), (0, 0), blur_px * FINE)
         inner = light[RIM * FINE : -RIM * FINE, RIM * FINE : -RIM * FINE]
         grey = np.maximum(cv2.resize(inner, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA), 0) ** (1 / gamma)
-        grey = 12 + 190 * grey + rng.normal(0, noise, grey.shape) * np.sqrt(0.3 + 0.7 * grey)
+        grey = black + 190 * grey + rng.normal(0, noise, grey.shape) * np.sqrt(0.3 + 0.7 * grey)
         yield np.clip(np.round(grey), 0, 255).astype(np.uint8)
+
+
+def stated_over_actual(name, noise, black=12):
+    """Ratio of rms sigma and rms error of samples at three places of the camera."""
+    pattern, errors, stated = make_pattern(name, PANEL), [], []
+    for seed, scale in enumerate((0.8, 0.95, 1.1)):
+        rng = np.random.default_rng(seed)
+        position = mapping(rng, scale)
+        samples = sample(pattern.decode(photographs(pattern, position, rng, noise, black)), 300)
+        errors.append(samples.panel_pixel - np.stack(position(*samples.camera_pixel.T), axis=-1))
+        stated.append(samples.sigma_px)
+    return np.sqrt(np.mean(np.concatenate(stated) ** 2) / np.mean(np.concatenate(errors) ** 2))
 
 
 @pytest.mark.parametrize("name", ["gray-fringes", "gray"])
 @pytest.mark.parametrize("noise", [2.0, 4.0])
 def test_stated_sigmas_are_the_actual_errors(name, noise):
-    pattern, errors, stated = make_pattern(name, PANEL), [], []
-    for seed, scale in enumerate((0.8, 0.95, 1.1)):
-        rng = np.random.default_rng(seed)
-        position = mapping(rng, scale)
-        samples = sample(pattern.decode(photographs(pattern, position, rng, noise)), 300)
-        errors.append(samples.panel_pixel - np.stack(position(*samples.camera_pixel.T), axis=-1))
-        stated.append(samples.sigma_px)
-    ratio = np.sqrt(np.mean(np.concatenate(stated) ** 2) / np.mean(np.concatenate(errors) ** 2))
-    assert 0.8 < ratio < 1.25
+    assert 0.8 < stated_over_actual(name, noise) < 1.25
+
+
+@pytest.mark.parametrize("name", ["gray-fringes", "gray"])
+def test_black_that_is_clipped_makes_no_sigma_too_small(name):
+    assert 0.8 < stated_over_actual(name, 2.0, black=-15) < 2

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.captures.photograph_format import PhotographFormat, is_left_justified
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_image
 
@@ -44,6 +44,16 @@ def read_photograph(path: str | Path, kind: PhotographFormat | None = None) -> P
     """
     stored = _stored_values(Path(path))
     return (kind or PhotographFormat(bits=8 * stored.itemsize)).convert(stored, str(path))
+
+
+def file_note(path: Path, kind: PhotographFormat) -> str:
+    """Sentence about what was found out about a camera's files and not stated; empty if nothing was."""
+    if kind.left_justified is None and kind.bits < 16 and is_left_justified(_stored_values(path), kind.bits):
+        return (
+            f"{path.name}: values of {kind.bits} bits fill the upper bits of 16 and were shifted down; state "
+            "left_justified = true in the camera's table if all files are so."
+        )
+    return ""
 
 
 def _stored_values(path: Path) -> Photograph:

@@ -24,6 +24,7 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import (
     BadPhotographError,
     check_photograph,
+    file_note,
     read_photograph,
 )
 from wlr_render.errors import BadInputError
@@ -31,7 +32,7 @@ from wlr_render.files import write_arrays
 from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 3  # of the way of reading: results of another one are read again
+_VERSION = 4  # of the way of reading: results of another one are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
 _MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
 
@@ -62,6 +63,7 @@ class PanelReading:
         fates: (h, w) uint8 `Rejection` of a thinned-out picture.
         extent: (2, 2) lowest and highest panel position accepted.
         missing: names of the pictures of which there is no photograph; the others replace them.
+        file_note: sentence about the format of the files, if it was found out and not stated.
     """
 
     samples: DecodedSamples
@@ -69,6 +71,7 @@ class PanelReading:
     fates: NDArray[np.uint8]
     extent: NDArray[np.float64]
     missing: tuple[str, ...] = ()
+    file_note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +92,9 @@ class Reading:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about sets that were decoded without some of their photographs."""
-        return [
+        """Sentences about the format of files, and about sets that were decoded without some of their photographs."""
+        about_files = dict.fromkeys(panel.file_note for panel in self.panels.values() if panel.file_note)
+        return list(about_files)[:1] + [
             f"{folder.name}: decoded without the missing photographs of {', '.join(panel.missing)}."
             for folder, panel in self.panels.items()
             if panel.missing
@@ -215,12 +219,15 @@ class _PanelTask:
         samples = sample(decoded)
         if len(samples) == 0:
             raise BadInputError(_why_nothing(decoded))
-        return _arrays(decoded, samples) | {"missing": np.array(files.missing, dtype=np.int64)}
+        return _arrays(decoded, samples) | {
+            "missing": np.array(files.missing, dtype=np.int64),
+            "file_note": np.array(file_note(path, self.kind)),
+        }
 
     def result(self, kept: dict[str, NDArray[Any]]) -> PanelReading:
         samples = DecodedSamples(kept["camera_pixel"], kept["panel_pixel"], kept["sigma_px"], kept["scale"])
         missing = tuple(self.pattern.names()[number] for number in kept["missing"])
-        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"], missing)
+        return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"], missing, str(kept["file_note"]))
 
 
 _Task = _BoardTask | _PanelTask

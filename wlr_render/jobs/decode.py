@@ -16,7 +16,7 @@ from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_streng
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
-from wlr_render.captures.photographs import read_photograph
+from wlr_render.captures.photographs import file_note, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.code_quality import (
     TOLERANCE_PX,
@@ -107,7 +107,7 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     progress.say("decoding")
     decoded = codes.decoded()
     folder = output_folder(options.out)
-    names = ("pixel", "sigma_px", "confidence", "rejection")
+    names = ("pixel", "sigma_px", "confidence", "rejection", "noise_px", "cell_px")
     arrays = write_arrays(folder / "decoded.npz", {name: getattr(decoded, name) for name in names})
     progress.say("fitting flat surfaces")
     camera_only = Lenses(codes.lenses.camera)
@@ -131,6 +131,8 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     warnings = [f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else []
     if missing := [codes.pattern.names()[number] for number in codes.files.missing]:
         warnings.append(f"Decoded without the missing photographs of {', '.join(missing)}.")
+    if note := file_note(codes.files.paths[0], codes.kind):
+        warnings.append(note)
     report = Report(
         f"Decoded photographs of {codes.name}",
         verdict=f"{np.mean(decoded.accepted):.1%} of the camera's pixels show a panel position.",

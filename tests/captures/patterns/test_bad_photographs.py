@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
+from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions, Rejection
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
@@ -187,3 +187,23 @@ def test_a_gray_code_without_its_finest_bits_gives_coarse_positions(sets, toy_ca
     assert (decoded.cell_px[inner] == 4).all()
     z = (decoded.pixel - camera.truth())[inner] / decoded.sigma_px[inner][:, None]
     assert 0.1 < np.sqrt(np.mean(z**2)) < 1
+
+
+@pytest.mark.parametrize("name", ["gray", "gray-fringes"])
+@pytest.mark.parametrize("gain", [3.0, 8.0])
+def test_an_over_exposed_panel_in_front_of_clipped_black_is_refused(toy_camera, name, gain):
+    """Pictures of two values, 0 and 255, are not taken for pictures that no camera took."""
+    pattern = make_pattern(name, PANEL)
+    camera = toy_camera(PANEL, size_px=(150, 120), black=0.0, white=255.0 * gain, noise=0.1)
+    assert "over-exposed" in refusal(pattern, camera.photographs(pattern))
+
+
+@pytest.mark.parametrize("name", ["gray", "gray-fringes"])
+def test_where_half_of_the_panel_is_over_exposed_the_other_half_is_read(toy_camera, errors_of, name):
+    pattern = make_pattern(name, PANEL)
+    white = np.linspace(150, 350, 150) * np.ones((120, 1))
+    camera = toy_camera(PANEL, size_px=(150, 120), black=0.0, white=white, noise=1.0)
+    decoded = pattern.decode(camera.photographs(pattern))
+    assert np.mean(decoded.rejection[camera.whole() & (white > 262)] == Rejection.SATURATED) > 0.9
+    errors, _ = errors_of(camera, decoded)
+    assert errors.max() < 0.5
