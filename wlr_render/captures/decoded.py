@@ -215,10 +215,11 @@ def left_of_wave(frequency: FloatArray, width: int) -> FloatArray:
 
     Args:
         frequency: (2, ...) periods per camera pixel in x and y.
-        width: camera pixels.
+        width: camera pixels, an odd number.
     """
-    alias = frequency - np.rint(frequency)  # a wave with a whole number of periods a pixel looks constant
-    return np.asarray(np.prod((np.sinc(width * alias) / np.sinc(alias)) ** 2, axis=0))
+    turn = 2 * np.pi * (frequency - np.rint(frequency))
+    mean = (1 + 2 * sum(np.cos(step * turn) for step in range(1, width // 2 + 1))) / width
+    return np.asarray(np.prod(mean**2, axis=0))
 
 
 def _planes(

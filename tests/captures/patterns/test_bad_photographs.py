@@ -167,6 +167,16 @@ def test_one_missing_photograph_is_replaced_by_the_others(sets, toy_camera, erro
         assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3, pattern.names()[missing]
 
 
+def test_a_missing_inverse_of_the_finest_bit_makes_positions_noisier(sets):
+    """2 (positive - middle) has three times the variance of positive - inverse; half of it counts, on one axis."""
+    pattern, shown = sets["gray"]
+    place = pattern.names().index("u bit 0 inverse")
+    whole, without = pattern.decode(shown), pattern.decode([*shown[:place], None, *shown[place + 1 :]])
+    both = whole.accepted & without.accepted
+    ratio = without.noise_px[both] ** 2 / whole.noise_px[both] ** 2
+    assert np.median(ratio) == pytest.approx(1.5, abs=0.15)
+
+
 def test_what_cannot_be_replaced_is_named(sets):
     pattern, shown = sets["gray-fringes"]
     both = [*shown[:2], None, None, *shown[4:]]

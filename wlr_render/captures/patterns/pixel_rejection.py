@@ -221,10 +221,11 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
         slope: (2, h, w) panel pixels per camera pixel along x and y.
         reading: of the axis.
     """
-    cell = reading.cell_px.astype(np.float64)
+    cell = reading.cell_px.astype(np.float32)
+    slope = slope.astype(np.float32)
     per_pixel = slope / cell
     blur = np.maximum(reading.blur_px**2, np.sum(slope**2, axis=0) / 12) / cell**2
-    variance = np.zeros(cell.shape)
+    variance = np.zeros(cell.shape, dtype=np.float32)
     for n in _PIXEL_HARMONICS:
         variance += (
             0.5 * (np.exp(-2 * (np.pi * n) ** 2 * blur) / (np.pi * n)) ** 2 * left_of_wave(n * per_pixel, WINDOW)
