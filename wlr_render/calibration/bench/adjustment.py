@@ -30,6 +30,7 @@ _HUBER = 3.0  # sigmas
 _ROUNDS, _HALVINGS = 15, 6
 _ROUGH, _SETTLED = 1.0, 0.05  # sigmas of the worst unknown: when sizes are worth finding, and when all is found
 _SAME = 0.01  # relative change of sizes
+_FEATURES_CHANGE = 3.0  # factor by which their size may change in one round
 _ROUNDING = 1e-7  # of the sum of squares
 _NOISE_DIFFERS = 0.3
 
@@ -261,8 +262,8 @@ class Normal:
         gram: (unknowns, unknowns). moment: (unknowns,). square, count, log_weight: as of `evidence.Sums`.
         loss: Huber's, sigmas squared.
         chi_square, values: sum of squares and number of values, by camera.
-        features: by board, inverse (f, 3, 3), mean (f, 3) where all unknowns are zero, and how it follows them
-            (unknowns, 3 f).
+        features: by board, covariance (f, 3, 3) where the other unknowns are known, mean (f, 3) where they are zero,
+            and their mixed sums (unknowns, 3 f).
     """
 
     def __init__(self, state: BenchState, layout: Layout, sizes: Sizes, extra: Extra) -> None:
@@ -321,13 +322,13 @@ class Normal:
                 continue
             size = sizes.feature_m[name]
             inverse = np.linalg.inv(each + np.eye(3) / size**2)
-            follow: FloatArray = np.einsum("uni,nij->unj", cross[name].reshape(len(cross[name]), -1, 3), inverse)
-            flat = follow.reshape(len(follow), -1)
-            self.gram -= flat @ cross[name].T
-            self.moment -= flat @ pull[name].ravel()
-            self.square -= float(np.einsum("ni,nij,nj->", pull[name], inverse, pull[name]))
             mean: FloatArray = np.einsum("nij,nj->ni", inverse, pull[name])
-            self.features[name] = np.asarray(inverse), mean, flat
+            by_feature = cross[name].reshape(len(cross[name]), -1, 3).transpose(1, 0, 2)
+            half = (by_feature @ np.linalg.cholesky(inverse)).transpose(1, 0, 2).reshape(len(cross[name]), -1)
+            self.gram -= half @ half.T  # BLAS calculates one triangle of such a product
+            self.moment -= cross[name] @ mean.ravel()
+            self.square -= float(np.sum(pull[name] * mean))
+            self.features[name] = np.asarray(inverse), mean, cross[name]
 
     def sums(self, layout: Layout) -> Sums:
         """For the evidence, in units of the prior sizes that have no hyperparameter."""
@@ -339,7 +340,15 @@ class Normal:
 
     def features_at(self, vector: FloatArray) -> dict[str, FloatArray]:
         """(f, 3) errors of each board's features, where the other unknowns are `vector`."""
-        return {name: mean - (vector @ flat).reshape(-1, 3) for name, (_, mean, flat) in self.features.items()}
+        return {
+            name: mean - np.einsum("nij,nj->ni", inverse, (vector @ cross).reshape(-1, 3))
+            for name, (inverse, mean, cross) in self.features.items()
+        }
+
+    def determined_features(self, name: str, size: float) -> float:
+        """How many of the coordinates of a board's features the views determine, at their prior size."""
+        inverse = self.features[name][0]
+        return 3.0 * len(inverse) - float(np.trace(inverse, axis1=1, axis2=2).sum()) / size**2
 
 
 def prior_of(layout: Layout) -> Prior:
@@ -508,7 +517,7 @@ def _cost(state: BenchState, layout: Layout, width: FloatArray, sizes: Sizes, no
 
 def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
     """Factor on the stated sigmas, by camera."""
-    known = found.determined + sum(flat.shape[1] for _, _, flat in normal.features.values())
+    known = found.determined + sum(normal.determined_features(name, sizes.feature_m[name]) for name in normal.features)
     free = max(1.0 - known / max(normal.count, 1), 0.1)
     return {
         name: float(
@@ -519,12 +528,13 @@ def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
 
 
 def _feature_size(state: BenchState, name: str, normal: Normal, sizes: Sizes) -> float:
-    """The next standard deviation of the features' errors (expectation maximisation)."""
+    """The next standard deviation of the features' errors (MacKay's fixed point, see `numerics.evidence`)."""
+    size = sizes.feature_m[name]
     if name not in normal.features:
-        return sizes.feature_m[name]
-    inverse = normal.features[name][0]
-    variance = np.mean(state.shape[name].place ** 2) + np.mean(np.diagonal(inverse, axis1=1, axis2=2))
-    return float(np.clip(np.sqrt(variance), 1e-7, 1e-3))
+        return size
+    determined = max(normal.determined_features(name, size), 1.0)
+    found = np.sqrt(float(np.sum(state.shape[name].place ** 2)) / determined)
+    return float(np.clip(found, max(size / _FEATURES_CHANGE, 1e-7), min(size * _FEATURES_CHANGE, 1e-3)))
 
 
 def _best_hyper(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray, everywhere: bool) -> FloatArray:

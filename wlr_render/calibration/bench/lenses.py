@@ -23,7 +23,7 @@ from wlr_render.numerics.arrays import FloatArray
 _KINDS = ("brown", "fisheye", "rational")  # by number of terms; thin prisms are tried where rational terms help
 _FEWEST_VIEWS = 3
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
-_ENOUGH = 350  # features of a view, the same of the board in all views: more cost time and tell little
+_ENOUGH = 350  # features of a view: more cost time and tell little
 _OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature is no reading of the board
 _POOR_FIT = 3.0  # times the usual scatter from which a photograph is rejected
 _MISREAD, _LENS_BENDS_PX = 10.0, 2.0  # times as far from a plane's image as usual; and what lenses do to some views
@@ -89,9 +89,13 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
             rejected[view.name] = reason
         else:
             sound.append(view)
-    every = max(1, round(float(np.median([len(view) for view in sound])) / _ENOUGH)) if sound else 1
-    sound = [view.only((view.feature @ [1, 2]) % every == 0) for view in sound]
-    return SoundViews(sound, lens, rejected, tried)
+    return SoundViews(_thinned(sound, _ENOUGH), lens, rejected, tried)
+
+
+def _thinned(views: Sequence[BoardView], features: int) -> list[BoardView]:
+    """About so many features of each view, the same of the board in all: their errors show in several views then."""
+    every = max(1, round(float(np.median([len(view) for view in views])) / features)) if views else 1
+    return [view.only((view.feature @ [1, 2]) % every == 0) for view in views]
 
 
 def _too_few(view: BoardView) -> str:
@@ -142,10 +146,7 @@ def _chosen_lens(
     views: Sequence[BoardView], setup: CameraSetup, observations: BenchObservations
 ) -> tuple[Lens, dict[str, float]]:
     """The lens of the simplest kind that predicts held-out photographs as well as any; and rms by kind, pixels."""
-    few = [
-        view.only(np.arange(len(view)) % max(1, len(view) // _CHOICE_FEATURES) == 0)
-        for view in views[:: -(-len(views) // _CHOICE_VIEWS)]
-    ]
+    few = _thinned(views[:: -(-len(views) // _CHOICE_VIEWS)], _CHOICE_FEATURES)
     camera = few[0].camera
     folds = [few[0::2], few[1::2]]
     if setup.kind != "auto" or min(map(len, folds)) < _FEWEST_VIEWS:

@@ -66,11 +66,12 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     flat = view.point[good] * [1.0, 1.0, 0.0]
     # T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014) 252, has two solutions.
     _, rotations, translations, _ = cv2.solvePnPGeneric(flat, tangents, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    few = view.only(np.arange(len(view)) % max(1, len(view) // _SOME) == 0)
     tried = [
-        _refined(lens, transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0]), view)
+        _refined(lens, transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0]), few)
         for rotation, translation in zip(rotations, translations, strict=True)
     ]
-    return min(tried, key=lambda each: each[1])
+    return _refined(lens, min(tried, key=lambda each: each[1])[0], view)
 
 
 def _refined(lens: Lens, pose: FloatArray, view: BoardView) -> tuple[FloatArray, float]:
