@@ -21,6 +21,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 _SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them
 _STEPS, _CLOSE = 30, 1e-9
+_UNCLEAR = 5.0  # ratio of the residuals of the two poses of a plane below which both are refined
 _MOVED = 1e-3
 """An axis whose readings vary by less than this part of the largest travel has not moved."""
 
@@ -67,16 +68,21 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     # T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014) 252, has two solutions.
     _, rotations, translations, _ = cv2.solvePnPGeneric(flat, tangents, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     few = view.only(np.arange(len(view)) % max(1, len(view) // _SOME) == 0)
-    tried = [
-        _refined(lens, transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0]), few)
+    poses = [
+        transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
         for rotation, translation in zip(rotations, translations, strict=True)
     ]
-    return _refined(lens, min(tried, key=lambda each: each[1])[0], view)
+    misses = [_refined(lens, pose, few, steps=0)[1] for pose in poses]
+    near = [pose for pose, miss in zip(poses, misses, strict=True) if miss <= _UNCLEAR * min(misses)]
+    if len(near) > 1:
+        near = [min((_refined(lens, pose, few) for pose in near), key=lambda each: each[1])[0]]
+    return _refined(lens, near[0] if near else poses[0], view)
 
 
-def _refined(lens: Lens, pose: FloatArray, view: BoardView) -> tuple[FloatArray, float]:
+def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS) -> tuple[FloatArray, float]:
+    """The pose after some steps, and the scale of the residuals before the last one."""
     scale = np.inf
-    for _ in range(_STEPS):
+    for number in range(steps + 1):
         point = transforms.apply(pose, view.point)
         seen = lens.project(point)
         residual = (view.pixel - seen.pixel) / view.sigma_px[:, None]
@@ -84,6 +90,8 @@ def _refined(lens: Lens, pose: FloatArray, view: BoardView) -> tuple[FloatArray,
         if np.count_nonzero(good) < 4:
             return pose, np.inf
         scale = 1.4826 * float(np.median(np.abs(residual[good])))
+        if number == steps:
+            break
         by_motion = np.concatenate([seen.by_point @ -cross_matrix(point), seen.by_point], axis=-1)[good]
         size = np.linalg.norm(residual[good], axis=1) / max(scale, 1e-9)
         weight = np.sqrt(np.minimum(1.0, 4.0 / np.maximum(size, 1e-9))) / view.sigma_px[good]
