@@ -124,16 +124,16 @@ def _calibrated(
     eyes = {}
     for eye in session.eyes:
         own = session.for_eye(eye)
-        captures, excluded = _sound_captures(own, reading, bench)
+        captures, excluded = sound_captures(own, reading, bench)
         save_captures(folder / f"captures-{eye}.npz", captures)
         eyes[eye] = EyeCalibration(own, captures, fit(captures), excluded)
     return SessionCalibration(session, reading, bench, eyes)
 
 
-def _sound_captures(
+def sound_captures(
     session: PhotoSession, reading: Reading, bench: CalibratedBench
 ) -> tuple[EyeCaptures, tuple[Excluded, ...]]:
-    """Captures of one eye, without those that were not taken where they are said to be, and which those are.
+    """Return captures of one eye without those that were not taken where they are said to be, and which those are.
 
     Raises:
         BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
@@ -155,7 +155,8 @@ def _sound_captures(
     for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
         pose, conditions = bench.device_from_camera(each), recorded_of(each) | {"visit": number}
         point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
-        targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions))
+        lens = bench.adjustment.state.lens_at(each.target_pose)
+        targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions, lens))
     see_through = within_field(see_through_captures(headset, bench.eyeball, targets), display)
     see_through = replace(see_through, motion=_motion_prior(bench, [each for each, _ in through]))
     see_through = select(see_through, dot_inliers(see_through, _visits(see_through)))

@@ -64,6 +64,7 @@ class TargetView:
         observation: the features found.
         target_point: (n, 3) their true places, target's frame.
         conditions: as of a `PanelView`.
+        camera: the lens as it is at this target's distance; None where it is that of all views.
     """
 
     device_from_camera: FloatArray
@@ -73,6 +74,7 @@ class TargetView:
     observation: BoardObservation
     target_point: FloatArray
     conditions: Mapping[str, ArrayLike] = field(default_factory=dict)
+    camera: Lens | None = None
 
 
 def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequence[PanelView]) -> DisplayCaptures:
@@ -117,7 +119,8 @@ def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetV
         )
     parts = []
     for view in views:
-        direction, sound = _directions(camera, view.device_from_camera, view.observation.pixel)
+        lens = view.camera or camera
+        direction, sound = _directions(lens, view.device_from_camera, view.observation.pixel)
         count = int(sound.sum())
         on_target = view.target_point[sound]
         parts.append(
@@ -130,7 +133,7 @@ def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetV
                 point=transforms.apply(view.device_from_target, on_target),
                 capture=np.full(count, view.capture),
                 target_pose=np.full(count, view.target_pose),
-                sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(camera))[sound],
+                sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(lens))[sound],
                 conditions=_conditions(view, count),
                 target_point=on_target,
             )

@@ -1,0 +1,101 @@
+"""Errors of models from a calibrated bench, beside models from the same readings with exact poses, lenses and board."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
+from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.photograph_captures import (
+    Headset,
+    PanelView,
+    TargetView,
+    display_captures,
+    see_through_captures,
+    within_field,
+)
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.geometry import transforms
+from wlr_render.jobs.calibrate.simulate import TruthTests
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.simulate_readings import SimulatedReadings
+
+CALIBRATED, EXACT, NOMINAL = "calibrated", "exact", "exact, stage's random motion unknown"
+"""Sources of the captures that models are fitted to."""
+
+
+def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int) -> dict[str, dict[str, float]]:
+    """Rms errors against the traced headset, by source of the captures and name of the error.
+
+    Captures of all sources have the same readings. Exact ones have the true lenses, board and target poses; and the
+    true camera poses, or those of the stage without its random errors. The calibrated model is compared in the frame
+    of the tracking camera: an error of the stated extrinsics moves display, world and eye alike.
+    """
+    truth = traced_eye(simulated.truth.bench.device, simulated.truth.bench.eye)
+    tests = TruthTests.of(truth, seed)
+    stated, true = simulated.truth.stated_device_from_tracking, simulated.truth.device_from_tracking
+    captures, _ = sound_captures(simulated.session, simulated.reading, bench)
+    sources = {
+        CALIBRATED: (captures, _moved(tests, stated @ transforms.inverse(true))),
+        EXACT: (_exact(simulated, simulated.truth.display, simulated.truth.see_through), tests),
+        NOMINAL: (_exact(simulated, *_nominal(simulated)), tests),
+    }
+    return {
+        name: {error: each.rms for error, each in own.errors(fit_eye(captures, "planar").mappings).items()}
+        for name, (captures, own) in sources.items()
+    }
+
+
+def _nominal(simulated: SimulatedReadings) -> tuple[FloatArray, FloatArray]:
+    """Camera poses of display and see-through photographs by readings and smooth errors of the stage alone."""
+    camera_at = simulated.truth.bench.camera_at
+    session = simulated.session
+    shown = [camera_at(np.asarray(each.stage)) for each in session.display]
+    return np.array(shown), np.array([camera_at(np.asarray(each.stage)) for each in session.see_through])
+
+
+def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: FloatArray) -> EyeCaptures:
+    """Captures by true lenses, board and targets, and the camera poses (n, 4, 4) given."""
+    session, truth, reading = simulated.session, simulated.truth, simulated.reading
+    headset = Headset(session.device, session.eye, session.eye_box)
+    panels = [
+        PanelView(pose, reading.panels[each.folder].samples)
+        for each, pose in zip(session.display, display, strict=True)
+        if each.folder in reading.panels
+    ]
+    index = {tuple(each): k for k, each in enumerate(session.board.indices())}
+    places: dict[str, int] = {}
+    targets = []
+    for number, (each, pose) in enumerate(zip(session.see_through, see_through, strict=True)):
+        if (seen := reading.boards.get(each.path)) is not None:
+            point = truth.board_points[[index[tuple(one)] for one in seen.index]]
+            place = places.setdefault(each.place, len(places))
+            lens, target = truth.eyeball_at_target[each.target_pose], truth.see_through_targets[number]
+            view = TargetView(pose, target, each.target_pose, place, seen, point, {"visit": len(targets)}, lens)
+            targets.append(view)
+    shown = display_captures(headset, session.pattern.panel, truth.eyeball, panels)
+    return EyeCaptures(shown, within_field(see_through_captures(headset, truth.eyeball, targets), shown))
+
+
+def _moved(tests: TruthTests, motion: FloatArray) -> TruthTests:
+    """The same observations in another device frame: `motion` (4, 4) leads there from the true one."""
+    shown, seen = tests.display, tests.see_through
+    ray = np.concatenate(
+        [transforms.apply(motion, seen.real_ray[:, :3]), transforms.rotate(motion, seen.real_ray[:, 3:])], axis=1
+    )
+    return TruthTests(
+        replace(
+            shown,
+            viewpoint=transforms.apply(motion, shown.viewpoint),
+            view_dir=transforms.rotate(motion, shown.view_dir),
+        ),
+        replace(
+            seen,
+            viewpoint=transforms.apply(motion, seen.viewpoint),
+            view_dir=transforms.rotate(motion, seen.view_dir),
+            real_ray=ray,
+            point=transforms.apply(motion, seen.point),
+        ),
+    )
