@@ -5,7 +5,7 @@ Pixels have (0, 0) at the outer corner of the top-left pixel. OpenCV counts from
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -162,7 +162,7 @@ class LensCamera:
     def _distortion(self) -> "_Distortion":
         terms = np.zeros(13)
         terms[_PLACES[self.kind]] = self.distortion
-        return _Distortion(terms, self._plane.largest_radius)
+        return _distortion_of(tuple(map(float, terms)), self._plane.largest_radius)
 
     @cached_property
     def _start_table(self) -> tuple[FloatArray, FloatArray]:
@@ -268,3 +268,9 @@ class _Distortion:
         result[:, 0, 8] = result[:, 1, 10] = r2
         result[:, 0, 9] = result[:, 1, 11] = r2 * r2
         return result
+
+
+@lru_cache(maxsize=64)
+def _distortion_of(terms: tuple[float, ...], largest_radius: float) -> _Distortion:
+    """The same object for lenses that differ in focal length or centre alone: its limit takes a while to find."""
+    return _Distortion(np.array(terms), largest_radius)
