@@ -32,9 +32,9 @@ def state():
         found,
         observations=observations,
         twists=twists,
-        smooth=1e-3 * rng.normal(size=found.smooth.shape),
-        offsets={place: 1e-3 * rng.normal(size=6) for place in found.offsets},
-        focus={target: 1e-3 * rng.normal() for target in found.focus},
+        smooth=3e-4 * rng.normal(size=found.smooth.shape),
+        offsets={place: 3e-4 * rng.normal(size=6) for place in found.offsets},
+        focus={target: 1e-5 * rng.normal() for target in found.focus},
     )
 
 
