@@ -67,7 +67,7 @@ def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: Float
     ]
     index = {tuple(each): k for k, each in enumerate(session.board.indices())}
     places: dict[str, int] = {}
-    targets = []
+    targets: list[TargetView] = []
     for number, (each, pose) in enumerate(zip(session.see_through, see_through, strict=True)):
         if (seen := reading.boards.get(each.path)) is not None:
             point = truth.board_points[[index[tuple(one)] for one in seen.index]]

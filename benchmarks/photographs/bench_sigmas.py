@@ -234,4 +234,4 @@ def _tangent_errors(lens: Lens, true: Lens) -> tuple[FloatArray, FloatArray]:
     tangents = lens.tangents_of_pixel(pixel)
     seen = lens.project(np.concatenate([tangents, np.ones((len(pixel), 1))], axis=1))
     by_values = -np.linalg.solve(seen.by_point[:, :, :2], seen.by_values)
-    return true.tangents_of_pixel(pixel) - tangents, by_values
+    return true.tangents_of_pixel(pixel) - tangents, np.asarray(by_values, dtype=np.float64)

@@ -23,6 +23,7 @@ from wlr_render.simulation.photographs.simulate_readings import SimulatedReading
 DEVICES = ("northstar", "freeform40", "birdbath28")
 
 _SHIFT_MM, _TURN_DEG, _AXIS_DEG = (0.5, 2.0), (0.05, 0.2), 2.0
+_NOTHING: tuple[tuple[str, ...], ...] = ()
 _APART_M = 1e-3  # readings that are exchanged differ by more
 
 
@@ -134,7 +135,7 @@ def _outcome(trial: BenchTrial, seed: int) -> BenchOutcome:
     if trial.kind in (BenchTrialKind.CLEAN, BenchTrialKind.MODELS):
         bench_seed = 1000 * seed + trial.number
     recipe = SimulationRecipe(trial.device, bench=PhotoBenchOptions(seed=bench_seed))
-    faults, truth, wanted = NO_FAULTS, "", ((),)
+    faults, truth, wanted = NO_FAULTS, "", _NOTHING
     if trial.kind in FAULTY:
         clean = simulate_readings(recipe)
         faults, truth, wanted = _fault(trial.kind, clean, np.random.default_rng([bench_seed, 77]))
@@ -194,7 +195,11 @@ def _fault(
     said = f"pose {pose}, by {np.linalg.norm(shift.mm):.2f} mm and {60 * np.linalg.norm(shift.deg):.1f}'"
     step = f"sweep at target pose {pose}"
     if kind is BenchTrialKind.MOVED:
-        return Faults(board_moved=BoardMove(pose, shift)), said, ((f"the target moved at pose {pose}",),)
+        return (
+            Faults(board_moved=BoardMove(pose, shift)),
+            said,
+            ((f"the target moved at pose {pose} between its photographs without the headset",),),
+        )
     if kind is BenchTrialKind.MOVED_IN_SWEEP:
         fault = Faults(board_moved_in_sweep=BoardMove(pose, shift, visit))
         return fault, f"{said}, from visit {visit}", ((step, ": the target moved between"),)

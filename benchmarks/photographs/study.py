@@ -1,22 +1,30 @@
-"""Accuracy of reading photographs: codes at low signal, and a whole session if one is given."""
+"""Accuracy of reading photographs: codes at low signal, a whole session if one is given, and calibrated benches."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
+from benchmarks.photographs.bench_tables import bench_tables
+from benchmarks.photographs.bench_trial import FAULTY, BenchOutcome, BenchTrial, BenchTrialKind, run_bench_trial
 from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
-from wlr_render.files import output_folder
+from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
-from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described
+from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, Workers, described
 from wlr_render.optics.device_file import load_device
-from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Report
-from wlr_render.report.save import save_report
+from wlr_render.processes import as_finished
+from wlr_render.progress import SILENT, Progress
+from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.save import markdown, save_report
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
 from wlr_render.simulation.photographs.recipe import load_recipe
 
+PartName = Literal["codes", "bench", "faults", "models"]
+
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels
+_TRIALS = "trials"
 
 
 @dataclass(frozen=True)
@@ -24,6 +32,25 @@ class PhotographsOptions(Options):
     """Options of `photographs`."""
 
     _: KW_ONLY
+    part: Annotated[
+        tuple[PartName, ...],
+        described("Measurements to make, one or more of codes, bench, faults and models.", many=True),
+    ] = ("codes",)
+    benches: Annotated[
+        int, described("Sessions of simulated benches."), Range(at_least=1), OnlyWith("part", ("bench",))
+    ] = 40
+    faults: Annotated[int, described("Sessions with each fault."), Range(at_least=1), OnlyWith("part", ("faults",))] = (
+        20
+    )
+    models: Annotated[
+        int, described("Sessions whose models are fitted."), Range(at_least=1), OnlyWith("part", ("models",))
+    ] = 6
+    resume: Annotated[
+        bool,
+        described("Keep the trials of benches that an earlier run of the same program left there."),
+    ] = False
+    workers: Workers = None
+    record: Annotated[Path | None, described("Folder in which photographs-PARTS.md is kept, too.")] = None
     session: Annotated[
         Path | None, described("Also compare the calibration of this simulated session with the truth.")
     ] = None
@@ -43,13 +70,54 @@ def run(options: PhotographsOptions = _DEFAULTS, *, progress: ProgressArgument =
         BadInputError: the session is not a simulated one, or cannot be calibrated.
     """
     folder = output_folder(options.out)
-    bench = design_photo_bench(load_device(_DEVICE), "right")
-    trials = list(progress(code_trials(bench, options.snr, options.seed), 3, "codes"))
-    tables = [code_table(trials, bench, options.snr)]
+    tables: list[ReportTable] = []
+    if "codes" in options.part:
+        bench = design_photo_bench(load_device(_DEVICE), "right")
+        trials = list(progress(code_trials(bench, options.snr, options.seed), 3, "codes"))
+        tables = [code_table(trials, bench, options.snr)]
     if options.session is not None:
         truth = load_recipe(options.session).build()
         found = calibrated(CalibratePhotosOptions(options.session, out=options.calibration), progress=progress)
         tables += truth_tables(compare_with_truth(truth, found, options.seed), options.seed)
     inputs = [] if options.session is None else [options.session]
-    report = Report("Photographs compared with the truth", blocks=tables, inputs=inputs, record={"seed": options.seed})
-    return save_report(report, folder, "photographs")
+    outcomes: list[BenchOutcome] = []
+    tasks = bench_trials(options)
+    try:
+        for outcome in _outcomes(tasks, options, folder, progress):
+            outcomes.append(outcome)
+    finally:
+        outcomes.sort(key=lambda each: tasks.index(each.trial))
+        record = {"seed": options.seed, "trials": outcomes}
+        blocks = [*tables, *bench_tables(outcomes)]
+        report = Report("Photographs compared with the truth", blocks=blocks, inputs=inputs, record=record)
+        report = save_report(report, folder, "photographs")
+        if options.record is not None:
+            name = f"photographs-{'-'.join(options.part)}.md"
+            write_text(options.record / name, markdown(report, options.record))
+    return report
+
+
+def bench_trials(options: PhotographsOptions) -> list[BenchTrial]:
+    """Trials of benches, mixed so that an interrupted study has some of each."""
+    counts: dict[BenchTrialKind, int] = {}
+    if "bench" in options.part:
+        counts[BenchTrialKind.CLEAN] = options.benches
+    if "faults" in options.part:
+        counts |= dict.fromkeys(FAULTY, options.faults)
+    if "models" in options.part:
+        counts[BenchTrialKind.MODELS] = options.models
+    trials = [BenchTrial(kind, number) for kind, count in counts.items() for number in range(count)]
+    return sorted(trials, key=lambda trial: (trial.number + 0.5) / counts[trial.kind])
+
+
+def _outcomes(
+    tasks: Sequence[BenchTrial], options: PhotographsOptions, folder: Path, progress: Progress
+) -> Iterable[BenchOutcome]:
+    if not tasks:
+        return ()
+    trials = output_folder(folder / _TRIALS)
+    if not options.resume:
+        for path in trials.glob("*.json"):
+            path.unlink()
+    finished = as_finished(partial(run_bench_trial, seed=options.seed, folder=trials), tasks, options.workers)
+    return progress(finished, len(tasks), "benches")
