@@ -26,6 +26,8 @@ USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 _LEAST, _MOST = 1e-9, 1e-2
 _FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
 _DECAY = 0.5  # of the smooth error's size by degree
+_POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
+"""Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
 _HUBER = 3.0  # sigmas
 _ROUNDS, _HALVINGS = 15, 6
 _ROUGH, _SETTLED = 1.0, 0.05  # sigmas of the worst unknown: when sizes are worth finding, and when all is found
@@ -128,9 +130,13 @@ def layout_of(state: BenchState) -> Layout:
 
 
 def _lens_sizes(lens: Lens, setup: CameraSetup) -> FloatArray:
-    if setup.known is None:
-        return np.where(np.arange(len(lens.values)) < 4, 0.3 * float(np.mean(lens.focal_px)), 1.0)
-    return np.zeros(len(lens.values)) if setup.known_sigma is None else setup.known_sigma
+    if setup.known is not None:
+        return np.zeros(len(lens.values)) if setup.known_sigma is None else setup.known_sigma
+    sizes = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px)))
+    # A term may be as large as to displace the corner of the picture by its distance from the centre.
+    corner = float(np.linalg.norm(0.5 * np.array(lens.size_px) / lens.focal_px))
+    sizes[4:] = [max(1.0, corner ** -_POWERS.get(name, 1)) for name in lens.names[4:]]
+    return sizes
 
 
 def _pose_sizes(known: KnownPose | None) -> FloatArray:

@@ -146,7 +146,8 @@ def _chosen_lens(
     views: Sequence[BoardView], setup: CameraSetup, observations: BenchObservations
 ) -> tuple[Lens, dict[str, float]]:
     """The lens of the simplest kind that predicts held-out photographs as well as any; and rms by kind, pixels."""
-    few = _thinned(views[:: -(-len(views) // _CHOICE_VIEWS)], _CHOICE_FEATURES)
+    some = np.unique(np.linspace(0, len(views) - 1, min(len(views), _CHOICE_VIEWS)).round().astype(int))
+    few = _thinned([views[number] for number in some], _CHOICE_FEATURES)
     camera = few[0].camera
     folds = [few[0::2], few[1::2]]
     if setup.kind != "auto" or min(map(len, folds)) < _FEWEST_VIEWS:
@@ -172,7 +173,7 @@ def _simplest(missed: Mapping[str, FloatArray]) -> str:
     """The first kind that is not worse than the best by more than chance."""
     best = min(missed, key=lambda kind: float(np.mean(missed[kind])), default="")
     for kind, each in missed.items():
-        worse = each - missed[best]
+        worse = np.log(each / missed[best])  # of one photograph as of another: a few show a distortion best
         if np.mean(worse) <= _BETTER_SIGMAS * np.std(worse) / np.sqrt(len(worse)):
             return kind
     return best

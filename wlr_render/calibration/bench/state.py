@@ -92,9 +92,9 @@ class StageModel:
         return stage_motion(self.twists, reading - self.middle)
 
     def smooth_terms(self, reading: FloatArray) -> FloatArray:
-        """(terms,) Legendre polynomials at a reading (m,); those of the range's edge beyond it."""
+        """(terms,) Legendre polynomials of unit rms at a reading (m,); those of the range's edge beyond it."""
         at = np.clip((reading - self.middle) / self.half_range, -1.0, 1.0)
-        values = legendre.legvander(at, SMOOTH_DEGREE)
+        values = legendre.legvander(at, SMOOTH_DEGREE) * np.sqrt(2.0 * np.arange(SMOOTH_DEGREE + 1) + 1.0)
         orders = smooth_orders(len(at)) if len(self.smooth) else []
         return np.array([np.prod(values[np.arange(len(at)), list(order)]) for order in orders])
 
