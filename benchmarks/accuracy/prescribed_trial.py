@@ -58,22 +58,22 @@ class PrescribedTrial(DisplayTrial):
         """Fit and evaluate."""
         exact, setup = _bench(self.at, self.turn_deg, self.shift_mm, self.shape, self.repeat, self.viewpoints, seed)
         rng = self.rng(seed)
-        assert exact.see_through is not None
+        panel, world = exact.both
         captures = EyeCaptures(
-            with_camera_noise(exact.display, self.camera_noise_arcmin, rng),
-            with_camera_noise(exact.see_through, self.camera_noise_arcmin, rng),
+            with_camera_noise(panel, self.camera_noise_arcmin, rng),
+            with_camera_noise(world, self.camera_noise_arcmin, rng),
         )
         prescription = load_device(self.device).eyes[self.eye]
         fit = fit_eye(captures, self.kind, prescription=None if self.kind == "planar" else prescription)
         shown, seen = _observations(setup, seed)
-        display, see_through = fit.display.mapping, fit.see_through.mapping
+        display, see_through = fit.both[0].mapping, fit.both[1].mapping
         errors = {
             Measure.FORWARD: summary(mapping_error.display_error(display, shown).forward_arcmin),
             Measure.PREDICTED: summary(display.sigma(shown.pixel, shown.viewpoint)),
             Measure.REAL_POINT: summary(mapping_error.see_through_error(see_through, seen).backward_arcmin),
             SEE_THROUGH_PREDICTED: summary(see_through.sigma(seen.point, seen.viewpoint)),
         }
-        return Outcome(errors, FoundBench.of(fit.display), len(captures.display))
+        return Outcome(errors, FoundBench.of(fit.both[0]), len(captures.both[0]))
 
 
 @lru_cache(maxsize=2)

@@ -108,7 +108,7 @@ def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> Repor
     fit = compared.found.eyes[compared.bench.eye].fit
     title = (
         "Models from photographs beside models from exact correspondences with the same noise, "
-        f"{fit.display.report.viewpoints} places"
+        f"{fit.both[0].report.viewpoints} places"
     )
     columns = ["error", "from photographs, rms", "from exact numbers, rms", "ratio", "from photographs, median"]
     return ReportTable(title, columns, rows)

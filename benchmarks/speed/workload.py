@@ -91,8 +91,9 @@ def bench_model(
 def _planar(truth: EyeMappings, panel: Panel, seed: int, display_degree: int | None) -> EyeMappings:
     """What a simulated calibration with camera noise makes of an eye, its panel in other pixels."""
     captures = simulated_captures(truth, seed)
-    pixel = captures.display.pixel / captures.display.panel.size_px * panel.size_px
-    scaled = EyeCaptures(replace(captures.display, panel=panel, pixel=pixel), captures.see_through)
+    display, see_through = captures.both
+    pixel = display.pixel / display.panel.size_px * panel.size_px
+    scaled = EyeCaptures(replace(display, panel=panel, pixel=pixel), see_through)
     return fit_eye(scaled, "planar", display_degree).mappings
 
 

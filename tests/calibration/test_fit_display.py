@@ -220,3 +220,19 @@ def test_captures_far_from_the_eye_box_are_refused_with_both_places(scale, shift
     moved = scale * captures.viewpoint + [0.0, shift, 0.0]
     with pytest.raises(BadInputError, match=r"were taken at x .* mm, far from the eye box at x .*: check order, sign"):
         fit_display(dataclasses.replace(captures, viewpoint=moved))
+
+
+def test_positions_in_a_row_say_nothing_across_it_and_the_stage_s_errors_are_not_taken_for_an_answer():
+    along = np.linspace(-0.005, 0.005, 7)
+    rng = np.random.default_rng(3)
+    row = EYE_BOX.centre[:2] + np.stack([along, 0.007 * along + 2e-6 * rng.normal(size=7)], axis=-1)
+    captures = display_captures(row, PANEL.grid(20, 16).reshape(-1, 2), sigma_arcmin=0.1)
+    mapping = fit_display(captures, "planar", 3).mapping
+    pixel = np.array([500.0, 400.0])
+    found, beside = (
+        mapping.view_dir_of_pixel(pixel, PLANE.lift(at[None])).value for at in (row[3], row[3] + [0, 2e-3])
+    )
+    assert arcmin_between(found, dir_of_tangents(tangents_of(pixel[None], row[3:4]))) < 0.1
+    assert arcmin_between(found, beside) < 60.0
+    on, off = (mapping.sigma(pixel, PLANE.lift(at)) for at in (row[3], row[3] + [0, 4e-3]))
+    assert off > 20.0 * on

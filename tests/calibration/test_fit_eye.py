@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 from prescribed_eyes import captured, prescription
-from toy_device import display_captures, positions_in_plane, see_through_captures
+from toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
 from wrong_headset import wrong_headset
 
 from wlr_render.calibration.fit_eye import eye_trends, fit_eye, fit_kinds, fit_with_trends
@@ -46,9 +46,27 @@ def test_report_is_json_ready():
     assert json.loads(json.dumps(record))["see_through"]["residual_px"] is None
 
 
-def test_a_display_without_see_through_is_refused():
-    with pytest.raises(BadInputError, match="have no see-through part"):
-        fit_eye(dataclasses.replace(CAPTURES, see_through=None))
+@pytest.mark.parametrize(("missing", "lacking"), [("display", "display"), ("see_through", "see-through")])
+def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_use(tmp_path, missing, lacking):
+    fit = fit_eye(dataclasses.replace(CAPTURES, **{missing: None}), "planar", 1, 1)
+    both = fit_eye(CAPTURES, "planar", 1, 1).mappings
+    (kept,) = {"display", "see_through"} - {missing}
+    viewpoint, pixel, far = EYE_BOX.centre, np.array([480.0, 420.0]), EYE_BOX.centre - [0.0, 0.0, 1.0]
+    path = save_eye_models(tmp_path / "model.json", [fit.model()])
+    assert set(fit.model().report) == {kept}
+    for mappings in (fit.mappings, load_eye_model(path).mappings):
+        if missing == "display":
+            seen, known = (each.see_through.view_dir_of_real_point(far, viewpoint).value for each in (mappings, both))
+        else:
+            seen, known = (each.display.view_dir_of_pixel(pixel, viewpoint).value for each in (mappings, both))
+        np.testing.assert_array_equal(seen, known)
+        with pytest.raises(BadInputError, match=f"the model has no {lacking} mapping"):
+            (
+                mappings.display.view_dir_of_pixel(pixel, viewpoint),
+                mappings.see_through.view_dir_of_real_point(far, viewpoint),
+            )
+    with pytest.raises(BadInputError, match=f"no {lacking} part"):
+        fit_kinds(dataclasses.replace(CAPTURES, **{missing: None}), None)
 
 
 @pytest.mark.parametrize("kind", ["grey-box", "prescription"])

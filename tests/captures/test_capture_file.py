@@ -97,11 +97,13 @@ def test_a_table_comes_back_with_its_conditions_and_all_colours(tmp_path):
     np.testing.assert_array_equal(green.pixel, DISPLAY.pixel[RECORDED.channel == 1])
 
 
-def test_a_table_of_targets_alone_has_no_display_to_fit(tmp_path):
-    path = save_captures(tmp_path / "eye.npz", observation_table(None, SEE_THROUGH, Panel(10, 8)))
-    assert len(load_observations(path).see_through()) == 20
-    with pytest.raises(BadInputError, match=r"eye\.npz: captures: there are none of the panel"):
-        load_captures(path)
+@pytest.mark.parametrize("panel", [None, Panel(10, 8)])
+def test_targets_alone_come_back_with_the_panel_if_it_is_known(tmp_path, panel):
+    path = save_captures(tmp_path / "eye.npz", observation_table(None, SEE_THROUGH, panel))
+    assert load_observations(path).panel == panel
+    read = load_captures(path)
+    assert read.display is None
+    assert len(read.see_through) == 20
     with pytest.raises(BadInputError, match="neither of the panel nor of a target"):
         observation_table(None, None)
 

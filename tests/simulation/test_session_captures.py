@@ -212,7 +212,8 @@ def test_one_channel_alone_is_taken_whichever_it_is(bench, plan):
     assert captures.see_through is None
 
 
-def test_a_session_without_a_display_table_is_refused(bench, plan):
+def test_a_session_without_a_display_table_gives_see_through_alone(bench, plan):
     alone = SessionPlan(see_through=plan.see_through)
-    with pytest.raises(BadInputError, match="night: has no display table"):
-        captures_of(bench, Session("night", alone, simulate(bench, alone)))
+    captures = captures_of(bench, Session("night", alone, simulate(bench, alone)))
+    assert captures.display is None
+    assert captures.source is captures.see_through

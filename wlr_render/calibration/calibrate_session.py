@@ -139,14 +139,15 @@ def sound_captures(
         BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
     """
     headset = Headset(session.device, session.eye, session.eye_box)
-    sets = reading.decoded(session.display)
+    sets, display, excluded = reading.decoded(session.display), None, []
     panels = [PanelView(bench.device_from_camera(each), found.samples, recorded_of(each)) for each, found in sets]
-    display = display_captures(headset, session.pattern.panel, bench.eyeball, panels)
-    display = replace(display, motion=_motion_prior(bench, [each for each, _ in sets]))
-    _refuse_far_places(session, display.viewpoint)
-    moved = display_outliers(display)
-    excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
-    display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
+    if session.display:
+        display = display_captures(headset, session.pattern.panel, bench.eyeball, panels)
+        display = replace(display, motion=_motion_prior(bench, [each for each, _ in sets]))
+        _refuse_far_places(session, display.viewpoint)
+        moved = display_outliers(display)
+        excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
+        display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
     through = reading.seen(session.see_through)
     if not session.see_through:
         return EyeCaptures(display), tuple(excluded)
@@ -157,7 +158,11 @@ def sound_captures(
         point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
         lens = bench.adjustment.state.lens_at(each.target_pose)
         targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions, lens))
-    see_through = within_field(see_through_captures(headset, bench.eyeball, targets), display)
+    see_through = see_through_captures(headset, bench.eyeball, targets)
+    if display is None:
+        _refuse_far_places(session, see_through.viewpoint)
+    else:
+        see_through = within_field(see_through, display)
     see_through = replace(see_through, motion=_motion_prior(bench, [each for each, _ in through]))
     see_through = select(see_through, dot_inliers(see_through, _visits(see_through)))
     gone = see_through_outliers(see_through, _visits(see_through))

@@ -14,6 +14,7 @@ from wlr_render.calibration.readings import (
     Trend,
     angular_metric,
     turn_columns,
+    without_thickness,
 )
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import DisplayCaptures, select
@@ -113,6 +114,7 @@ def _readings(
     tangents = captures.tangents
     places = place.shape[1]
     visits, capture = captures.visits
+    place = without_thickness(place, capture) if places and trend is None else place
     return FitReadings(
         inputs=np.hstack([captures.pixel, place]),
         is_place=np.array([False, False] + [True] * places),

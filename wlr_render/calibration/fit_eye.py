@@ -22,10 +22,11 @@ from wlr_render.calibration.fit_prescription import (
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.readings import Trend
 from wlr_render.calibration.smooth_prior import Stage
-from wlr_render.captures.correspondences import EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeMappings
+from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.model_file import EyeModel
 from wlr_render.numerics.arrays import FloatArray
@@ -47,21 +48,35 @@ class EyeFit:
 
     Attributes:
         mappings: the models. device: its name.
-        display, see_through: the fits.
+        display, see_through: the fits; None of what was not photographed.
         log_evidence: natural logarithm of the probability density of all readings of both.
         assembly: the prescription with the assembly errors that both models found; None without one.
     """
 
     mappings: EyeMappings
     device: str
-    display: ModelFit[FittedDisplay]
-    see_through: ModelFit[FittedSeeThrough]
+    display: ModelFit[FittedDisplay] | None
+    see_through: ModelFit[FittedSeeThrough] | None
     log_evidence: float
     assembly: FittedAssembly | None = None
 
+    @property
+    def sides(self) -> dict[str, ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]]:
+        """The fits that there are, by "display" and "see-through"."""
+        both = {"display": self.display, "see-through": self.see_through}
+        return {name: side for name, side in both.items() if side is not None}
+
+    @property
+    def both(self) -> tuple[ModelFit[FittedDisplay], ModelFit[FittedSeeThrough]]:
+        """Display and see-through; BadInputError where one is missing."""
+        if self.display is None or self.see_through is None:
+            lacking = "display" if self.display is None else "see-through"
+            raise BadInputError(f"the captures of {self.device} have no {lacking} part; add it.")
+        return self.display, self.see_through
+
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""
-        report = {"display": asdict(self.display.report), "see_through": asdict(self.see_through.report)}
+        report = {name.replace("-", "_"): asdict(side.report) for name, side in self.sides.items()}
         if self.assembly is not None:
             report["prescription"] = prescription_report(self.assembly, self.device, self.mappings.eye)
         return EyeModel(self.mappings, self.device, report)
@@ -93,7 +108,7 @@ class KindComparison:
         """What the prescription gained; empty for a single kind."""
         if len(self.fits) == 1:
             return ""
-        planar, best = self.fits["planar"].display, self.chosen.display
+        planar, best = self.fits["planar"].both[0], self.chosen.both[0]
         if self.best == "planar":
             return (
                 "The prescription does not help: the captures are at least as probable without it. Check that it is of "
@@ -125,19 +140,22 @@ def fit_eye(
         prescription: of the eye, device frame.
 
     Raises:
-        BadInputError: there are no see-through captures, or as `fit_display`, `fit_see_through` and `fit_assembly`.
+        BadInputError: as `fit_display`, `fit_see_through` and `fit_assembly`, or a prescription without both kinds of
+            captures.
     """
-    see_through = _see_through_of(captures)
     if kind in KINDS_BY_PRESCRIPTION:
         if prescription is None:
             raise BadInputError(f"a {kind} model needs the device's prescription; name it, or fit a planar model.")
         trends = eye_trends(captures, fit_assembly(captures, prescription), base_plane)
         return fit_with_trends(captures, kind, trends, (display_degree, see_through_degree))
-    shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane)
-    seen = see_through_fit.fit_see_through(
-        see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
-    )
-    return _eye_fit(captures, shown, seen, _log_evidence(shown) + _log_evidence(seen))
+    shown = seen = None
+    if captures.display is not None:
+        shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane)
+    if captures.see_through is not None:
+        seen = see_through_fit.fit_see_through(
+            captures.see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
+        )
+    return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
 
 
 def fit_kinds(
@@ -156,22 +174,15 @@ def fit_kinds(
     """
     degrees = (display_degree, see_through_degree)
     planar = fit_eye(captures, "planar", *degrees, base_plane)
+    shown, seen = planar.both
     trends = eye_trends(captures, fit_assembly(captures, prescription), base_plane)
-    weights = planar.display.smooth.kept, planar.see_through.smooth.kept
+    weights = shown.smooth.kept, seen.smooth.kept
     fits = {"planar": planar} | {
         kind: fit_with_trends(captures, kind, trends, degrees, weights) for kind in KINDS_BY_PRESCRIPTION
     }
     most = max(fit.log_evidence for fit in fits.values())
     best = next(kind for kind in _COMPARED if fits[kind].log_evidence > most - _WORTH * np.log(10.0))
     return KindComparison(fits, best)
-
-
-def _see_through_of(captures: EyeCaptures) -> SeeThroughCaptures:
-    if captures.see_through is None:
-        raise BadInputError(
-            f"the captures of {captures.display.device} have no see-through part; fit the display alone, or add one."
-        )
-    return captures.see_through
 
 
 @dataclass(frozen=True)
@@ -194,9 +205,9 @@ def eye_trends(captures: EyeCaptures, assembly: FittedAssembly, base_plane: Base
     """Compile the fitted prescription over what the captures cover.
 
     Raises:
-        BadInputError: there are no see-through captures, or hardly any ray passes the optics.
+        BadInputError: captures of one side are missing, or hardly any ray passes the optics.
     """
-    shown, seen = captures.display, _see_through_of(captures)
+    shown, seen = captures.both
     planes = (
         base_plane or choose_base_plane(shown.viewpoint, shown.eye_box),
         base_plane or choose_base_plane(seen.viewpoint, seen.eye_box),
@@ -256,14 +267,11 @@ def _both(
     stage: Stage | None,
 ) -> _Both:
     """Display, and see-through with what the display says of the assembly errors as prior."""
-    shown = display_fit.fit_display(
-        captures.display, kind, degrees[0], trends.planes[0], trends.display, weights[0], stage
-    )
+    display, see_through = captures.both
+    shown = display_fit.fit_display(display, kind, degrees[0], trends.planes[0], trends.display, weights[0], stage)
     mean, covariance = shown.smooth.trend_parameters
     trend = trends.see_through.about(mean, np.asarray(np.linalg.cholesky(covariance), np.float64))
-    seen = see_through_fit.fit_see_through(
-        _see_through_of(captures), kind, degrees[1], trends.planes[1], trend, weights[1], stage
-    )
+    seen = see_through_fit.fit_see_through(see_through, kind, degrees[1], trends.planes[1], trend, weights[1], stage)
     return shown, seen
 
 
@@ -310,8 +318,18 @@ def _log_evidence(fitted: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) 
 
 
 def _eye_fit(
-    captures: EyeCaptures, shown: ModelFit[FittedDisplay], seen: ModelFit[FittedSeeThrough], log_evidence: float
+    captures: EyeCaptures,
+    shown: ModelFit[FittedDisplay] | None,
+    seen: ModelFit[FittedSeeThrough] | None,
+    log_evidence: float,
 ) -> EyeFit:
-    source = captures.display
-    mappings = EyeMappings(f"{source.device} ({shown.kind})", source.eye, shown.mapping, seen.mapping, source.eye_box)
+    source = captures.source
+    kind = next(each.kind for each in (shown, seen) if each is not None)
+    mappings = EyeMappings(
+        f"{source.device} ({kind})",
+        source.eye,
+        AbsentDisplay() if shown is None else shown.mapping,
+        AbsentSeeThrough() if seen is None else seen.mapping,
+        source.eye_box,
+    )
     return EyeFit(mappings, source.device, shown, seen, log_evidence)

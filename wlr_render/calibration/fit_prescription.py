@@ -75,7 +75,9 @@ def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float 
     Raises:
         BadInputError: many readings have no ray through the prescription, or an assembly error is implausibly large.
     """
-    parts: list[_DisplayReadings | _SeeThroughReadings] = [_DisplayReadings.of(captures.display, optics, wavelength_um)]
+    parts: list[_DisplayReadings | _SeeThroughReadings] = []
+    if captures.display is not None:
+        parts.append(_DisplayReadings.of(captures.display, optics, wavelength_um))
     if captures.see_through is not None:
         parts.append(_SeeThroughReadings(_thinned(captures.see_through), wavelength_um))
     scaled = np.zeros(len(ASSEMBLY_NAMES))
@@ -95,8 +97,8 @@ def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float 
         if np.allclose(sizes, before, rtol=_SETTLED):
             break
     for part in parts:
-        _check_reached(part.residual(fitted), captures.display.device)
-    _check_plausible(scaled, captures.display.device)
+        _check_reached(part.residual(fitted), captures.source.device)
+    _check_plausible(scaled, captures.source.device)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
     display_arcmin, *see_through_arcmin = (size / ARCMIN for size in sizes)
     return FittedAssembly(

@@ -12,6 +12,7 @@ from wlr_render.calibration.readings import (
     Trend,
     angular_metric,
     turn_columns,
+    without_thickness,
 )
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
@@ -112,6 +113,7 @@ def _readings(
     """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
     places = place.shape[1]
     visits, capture = captures.visits
+    place = without_thickness(place, capture) if places and trend is None else place
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),

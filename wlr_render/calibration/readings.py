@@ -14,7 +14,9 @@ from wlr_render.numerics.evidence import Posterior, Sums
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
 
 _CHUNK = 4_096  # readings whose design is held at once
-_FLAT = 1e-6  # metres: no extent
+_FLAT_M, _FLAT = 1e-6, 0.03
+"""Extent of the places along an axis that counts as none: metres, and of the widest axis."""
+_THIN = 0.003  # of the extent along the line or plane that fits the places best: what a stage's errors reach
 _UNKNOWN_EXTENT_M = 0.01  # of places, where all captures have the same: an eye box
 _BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 
@@ -186,8 +188,25 @@ class FitReadings:
 
 
 def flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
-    """Variables (variables,) of the place along which inputs (n, variables) have no extent."""
-    return np.asarray(is_place & (np.ptp(inputs, axis=0) <= _FLAT * np.where(is_place, 1.0, np.inf)))
+    """Variables (variables,) of the place along which inputs (n, variables) have no extent to speak of."""
+    extent = np.ptp(inputs, axis=0)
+    widest = float(extent[is_place].max(initial=0.0))
+    return np.asarray(is_place & (extent <= max(_FLAT_M, _FLAT * widest)))
+
+
+def without_thickness(place: FloatArray, capture: IntArray) -> FloatArray:
+    """Return places (n, k) projected onto the line or plane in which their captures (n,) all but lie.
+
+    Errors of the stage are all that is known of the places across it; a fit would take them for a dependence on the
+    place.
+    """
+    number = np.unique(capture, return_inverse=True)[1]
+    count = np.bincount(number)
+    middle = np.stack([np.bincount(number, axis) / count for axis in place.T], axis=-1)
+    centre = middle.mean(axis=0)
+    _, extent, axes = np.linalg.svd(middle - centre, full_matrices=False)
+    thin = (extent <= _THIN * extent[0]) & (extent > 0.0)
+    return np.asarray(place - (place - centre) @ axes[thin].T @ axes[thin]) if thin.any() else place
 
 
 def fitted_box(inputs: FloatArray, is_place: BoolArray) -> Box:

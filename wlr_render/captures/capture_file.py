@@ -3,7 +3,7 @@
 The archive holds `header`, a JSON text with
 
     format "wlr-captures", version 2, frame "openxr", units {"length": "m", "sigma": "arcmin", "pixel": "px"},
-    device, eye, panel {width_px, height_px}, eye_box {centre_m, size_m}, see_through_eye_box or null
+    device, eye, panel {width_px, height_px} or null, eye_box {centre_m, size_m}, see_through_eye_box or null
 
 and one array for each column of the table and of its conditions. Conditions that no row has recorded are omitted.
 Priors of the camera's motion are optional: `display_motion_capture`, `display_motion_size`, `display_motion_log_sigma`,
@@ -49,7 +49,7 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
     table = captures
     if isinstance(table, EyeCaptures):
         table = observation_table(table.display, table.see_through)
-    box = table.see_through_eye_box
+    box, panel = table.see_through_eye_box, table.panel
     header = {
         "format": FORMAT,
         "version": VERSION,
@@ -57,7 +57,7 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
         "units": _UNITS,
         "device": table.device,
         "eye": table.eye,
-        "panel": {"width_px": table.panel.width_px, "height_px": table.panel.height_px},
+        "panel": None if panel is None else {"width_px": panel.width_px, "height_px": panel.height_px},
         "eye_box": _box_record(table.eye_box),
         "see_through_eye_box": None if box is None else _box_record(box),
     }
@@ -77,12 +77,9 @@ def load_captures(path: str | Path) -> EyeCaptures:
     """Read what a fit takes from a capture file: the panel in one colour, and see-through.
 
     Raises:
-        BadInputError: as `load_observations`, or there are no observations of the panel.
+        BadInputError: as `load_observations`.
     """
-    try:
-        return load_observations(path).captures()
-    except BadInputError as error:
-        raise _named(path, error) from error
+    return load_observations(path).captures()
 
 
 def load_observations(path: str | Path) -> ObservationTable:
@@ -93,11 +90,11 @@ def load_observations(path: str | Path) -> ObservationTable:
     """
     arrays = _read_archive(Path(path))
     header = _header(arrays, path)
-    panel = header.table("panel")
+    panel = header.table("panel") if header.has("panel") else None
     common: dict[str, Any] = {
         "device": header.text("device"),
         "eye": header.text("eye"),
-        "panel": Panel(panel.whole("width_px", 1), panel.whole("height_px", 1)),
+        "panel": None if panel is None else Panel(panel.whole("width_px", 1), panel.whole("height_px", 1)),
         "eye_box": _box(header.table("eye_box")),
     }
     box = _box(header.table("see_through_eye_box")) if header.has("see_through_eye_box") else None

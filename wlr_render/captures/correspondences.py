@@ -233,18 +233,39 @@ class EyeCaptures:
     """All captures of one eye: what one capture file holds.
 
     Attributes:
-        display: of the panel.
-        see_through: of the world, or None where the optics cannot be seen through.
+        display: of the panel; None where none was photographed.
+        see_through: of the world; None where none was photographed, or the optics cannot be seen through.
 
     Raises:
-        BadInputError: the two parts are of different eyes.
+        BadInputError: there is neither part, or the two are of different eyes.
     """
 
-    display: DisplayCaptures
+    display: DisplayCaptures | None
     see_through: SeeThroughCaptures | None = None
+
+    @property
+    def source(self) -> DisplayCaptures | SeeThroughCaptures:
+        """A part that states device, eye and eye box: the display where there is one."""
+        found = self.display if self.display is not None else self.see_through
+        assert found is not None
+        return found
+
+    @property
+    def both(self) -> "tuple[DisplayCaptures, SeeThroughCaptures]":
+        """Display and see-through; BadInputError where one is missing."""
+        if self.display is None or self.see_through is None:
+            lacking = "display" if self.display is None else "see-through"
+            raise BadInputError(f"the captures of {self.source.device} have no {lacking} part; add it.")
+        return self.display, self.see_through
 
     def __post_init__(self) -> None:
         other = self.see_through
+        if self.display is None and other is None:
+            raise BadInputError(
+                "captures: there are neither of the panel nor of a target; there must be one of the two."
+            )
+        if self.display is None:
+            return
         if other is not None and (other.device, other.eye) != (self.display.device, self.display.eye):
             raise BadInputError(
                 f"captures: the display captures are of {self.display.device} ({self.display.eye} eye), the "

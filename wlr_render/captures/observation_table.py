@@ -34,7 +34,7 @@ class ObservationTable:
 
     Attributes:
         device, eye: names.
-        panel: the panel whose pixels were decoded.
+        panel: the panel whose pixels were decoded; None where none is known.
         eye_box: the eye box that the display was observed for.
         see_through_eye_box: likewise of see-through; None without any.
         kind: (n,) of feature, `PANEL_PIXEL` or `REAL_POINT`.
@@ -54,7 +54,7 @@ class ObservationTable:
 
     device: str
     eye: str
-    panel: Panel
+    panel: Panel | None
     eye_box: EyeBox
     see_through_eye_box: EyeBox | None
     kind: IntArray
@@ -79,6 +79,8 @@ class ObservationTable:
                 raise BadInputError(f"captures: '{name}' must have shape {(len(self), 3)}, not {shape}.")
         if not np.isin(self.kind, (PANEL_PIXEL, REAL_POINT)).all():
             raise BadInputError(f"captures: 'kind' must be {PANEL_PIXEL} (panel pixel) or {REAL_POINT} (real point).")
+        if self.panel is None and np.any(self.kind == PANEL_PIXEL):
+            raise BadInputError("captures: there are panel pixels, but no 'panel'; state it.")
         if self.see_through_eye_box is None and np.any(self.kind == REAL_POINT):
             raise BadInputError("captures: there are real points, but no 'see_through_eye_box'; state it.")
         # Whatever captures may not hold is refused here.
@@ -92,7 +94,7 @@ class ObservationTable:
         rows = self.kind == PANEL_PIXEL
         if channel is not None:
             rows = rows & (self.conditions.channel == channel)
-        if not rows.any():
+        if not rows.any() or self.panel is None:
             return None
         return DisplayCaptures(
             **self._common(rows),
@@ -117,16 +119,11 @@ class ObservationTable:
         )
 
     def captures(self) -> EyeCaptures:
-        """Return what a fit of one wavelength takes: green where there is a choice, else the first colour.
-
-        Raises:
-            BadInputError: there are no observations of the panel.
-        """
+        """Return what a fit of one wavelength takes: green where there is a choice, else the first colour."""
         channels = np.unique(self.conditions.channel[self.kind == PANEL_PIXEL])
-        if len(channels) == 0:
-            raise BadInputError("captures: there are none of the panel, so there is no display to calibrate.")
-        display = self.display(_GREEN if _GREEN in channels else int(channels[0]))
-        assert display is not None
+        display = None
+        if len(channels):
+            display = self.display(_GREEN if _GREEN in channels else int(channels[0]))
         return EyeCaptures(display, self.see_through())
 
     def _common(self, rows: BoolArray) -> dict[str, Any]:
@@ -145,22 +142,18 @@ COLUMNS = tuple(each.name for each in fields(ObservationTable) if each.name not 
 def observation_table(
     display: DisplayCaptures | None, see_through: SeeThroughCaptures | None, panel: Panel | None = None
 ) -> ObservationTable:
-    """Return captures of one eye as one table; `panel` where there are no display captures.
+    """Return captures of one eye as one table; `panel` where there are no display captures and it is known.
 
     Raises:
         BadInputError: there are neither, or they are of different eyes.
     """
-    if display is not None:
-        panel = EyeCaptures(display, see_through).display.panel
-    first = display or see_through
-    if first is None or panel is None:
-        raise BadInputError("captures: there are neither of the panel nor of a target; there must be one of the two.")
+    first = EyeCaptures(display, see_through).source
     parts = [each for each in (display, see_through) if each is not None]
     columns = [_columns(each) for each in parts]
     return ObservationTable(
         device=first.device,
         eye=first.eye,
-        panel=panel,
+        panel=panel if display is None else display.panel,
         eye_box=first.eye_box,
         see_through_eye_box=None if see_through is None else see_through.eye_box,
         conditions=concatenate([each.pop("conditions") for each in columns]),

@@ -165,7 +165,7 @@ def _painters(
     captures = simulated_captures(truth, seed)
     planar = fit_eye(captures, "planar").mappings
     static = fit_eye(captures, "static").mappings
-    flat = fit_display(captures.display, "static", 1).mapping
+    flat = fit_display(captures.both[0], "static", 1).mapping
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
     return {
         "naive": TracedPainter(naive, renderer),

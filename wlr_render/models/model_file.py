@@ -11,6 +11,8 @@
         see_through    {kind, base_plane {z_m, slope} (planar only), its polynomials, and spread if the model has one}
         report         residuals that the calibration reported, in free form
 
+display or see_through is omitted where it was not calibrated.
+
 Versions 1 and 2 are still read. Version 1 has the keys of its single eye in the header. Both have base planes without
 slope and polynomials with the `degree` up to which they hold all terms, and call a display's `backward_start`
 `backward`; their see-through `backward` is not used. They have no spread.
@@ -59,7 +61,8 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import EyeBox, EyeMappings, Panel
+from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings, Panel, SeeThroughMapping
+from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
@@ -197,25 +200,29 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
 
 def _eye_record(model: EyeModel) -> dict[str, Any]:
     eye = model.mappings
-    return {
+    record: dict[str, Any] = {
         "eye": eye.eye,
         "name": eye.name,
         "eye_box": {"centre_m": eye.eye_box.centre.tolist(), "size_m": eye.eye_box.size.tolist()},
-        "display": _mapping_record(eye.display, DISPLAYS),
-        "see_through": _mapping_record(eye.see_through, SEE_THROUGHS),
-        "report": dict(model.report),
     }
+    if not isinstance(eye.display, AbsentDisplay):
+        record["display"] = _mapping_record(eye.display, DISPLAYS)
+    if not isinstance(eye.see_through, AbsentSeeThrough):
+        record["see_through"] = _mapping_record(eye.see_through, SEE_THROUGHS)
+    return record | {"report": dict(model.report)}
 
 
 def _eye_model(table: Table, device: str, version: int) -> EyeModel:
     box = table.table("eye_box")
     eye_box = EyeBox(box.vector("centre_m", 3), box.vector("size_m", 3))
+    display: DisplayMapping = AbsentDisplay()
+    see_through: SeeThroughMapping = AbsentSeeThrough()
+    if table.has("display") or not table.has("see_through"):
+        display = _mapping(table.table("display"), DISPLAYS, eye_box, version)
+    if table.has("see_through"):
+        see_through = _mapping(table.table("see_through"), SEE_THROUGHS, eye_box, version)
     mappings = EyeMappings(
-        name=table.text("name"),
-        eye=table.text("eye", choices=["left", "right"]),
-        display=_mapping(table.table("display"), DISPLAYS, eye_box, version),
-        see_through=_mapping(table.table("see_through"), SEE_THROUGHS, eye_box, version),
-        eye_box=eye_box,
+        table.text("name"), table.text("eye", choices=["left", "right"]), display, see_through, eye_box
     )
     report = table.free("report")
     return EyeModel(mappings, device, report)

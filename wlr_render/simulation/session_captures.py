@@ -37,10 +37,8 @@ def captures_of(bench: Bench, session: Session) -> EyeCaptures:
     """Captures of the bench's eye; its device's optics do not enter, its panel and eye box do.
 
     Raises:
-        BadInputError: the session has no readings of the panel, or by this bench a dot lies behind the camera.
+        BadInputError: the session has no readings, or by this bench a dot lies behind the camera.
     """
-    if session.plan.display is None:
-        raise BadInputError(f"{session.name}: has no display table, so there is no display to calibrate; add one.")
     return observations_of(bench, session).captures()
 
 

@@ -394,12 +394,20 @@ def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys
     assert not (tmp_path / "out").exists()
 
 
-def test_captures_of_the_display_alone_are_refused(calibrated, tmp_path):
+@pytest.mark.parametrize("side", ["display", "see_through"])
+def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_rendered(calibrated, tmp_path, side, capsys):
     folder, _ = calibrated
-    alone = EyeCaptures(load_captures(folder / "captures-right.npz").display)
+    both = load_captures(folder / "captures-right.npz")
+    alone = EyeCaptures(both.display) if side == "display" else EyeCaptures(None, both.see_through)
     path = save_captures(tmp_path / "alone.npz", alone)
-    with pytest.raises(BadInputError, match="no see-through part"):
-        calibrate_captures(CalibrateCapturesOptions(path, out=tmp_path / "out"))
+    report = calibrate_captures(CalibrateCapturesOptions(path, out=tmp_path / "out"))
+    lacking = "see-through" if side == "display" else "display"
+    assert lacking not in report.verdict
+    assert set(report.record["fits"]["right"]) == {side}
+    model = str(tmp_path / "out" / "model.json")
+    assert main(["render", model, "desk", "--out", str(tmp_path / "picture")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"the model has no {lacking} mapping" in line
 
 
 @pytest.fixture(scope="module")

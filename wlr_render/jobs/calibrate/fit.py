@@ -89,7 +89,7 @@ class FitOptions(Options):
             BadInputError: the captures do not determine a model, or the prescription has no such eye or does not fit.
         """
         limits = self.degree, self.see_through_degree
-        prescription = self.prescription_of(captures.display.eye)
+        prescription = self.prescription_of(captures.source.eye)
         if prescription is None:
             kind = self.kind or "planar"
             return KindComparison({kind: fit_eye(captures, kind, *limits)}, kind)

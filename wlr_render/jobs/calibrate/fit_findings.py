@@ -34,12 +34,8 @@ _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).res
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 
 
-def _sides(fit: EyeFit) -> dict[str, _AnyFit]:
-    return {"display": fit.display, "see-through": fit.see_through}
-
-
 def _reports(fit: EyeFit) -> list[tuple[str, FitReport]]:
-    return [(name, side.report) for name, side in _sides(fit).items()]
+    return [(name, side.report) for name, side in fit.sides.items()]
 
 
 def fit_sentences(comparison: KindComparison) -> str:
@@ -81,7 +77,7 @@ def fit_warnings(fit: EyeFit, display_names: Sequence[str] = ()) -> list[str]:
         display_names: names of the display's camera positions; empty to number them.
     """
     return [
-        warning for name, side in _sides(fit).items() for warning in _warnings(name.capitalize(), side, display_names)
+        warning for name, side in fit.sides.items() for warning in _warnings(name.capitalize(), side, display_names)
     ]
 
 
@@ -172,7 +168,7 @@ def fit_blocks(comparison: KindComparison, captures: EyeCaptures, display_names:
     tables = [_fit_table(fit), _motion_table(fit), _size_table(fit), _held_out_table(fit), _one_more_table(fit)]
     if len(comparison.fits) > 1:
         tables.insert(0, _kinds_table(comparison))
-    maps = _predicted_maps(fit.display.mapping)
+    maps = [] if fit.display is None else _predicted_maps(fit.display.mapping)
     return [*(table for table in tables if table.rows), *maps, *_residual_plots(fit, captures, display_names)]
 
 
@@ -308,14 +304,12 @@ def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray)
 
 def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
     """Residual of each camera position (and target pose), and maps of the residuals."""
-    assert captures.see_through is not None
-    parts: list[tuple[str, _AnyFit, DisplayCaptures | SeeThroughCaptures]] = [
-        ("display", fit.display, captures.display),
-        ("see-through", fit.see_through, captures.see_through),
-    ]
+    parts = {"display": captures.display, "see-through": captures.see_through}
     caption = "A capture whose residual is far above the others' was not taken at the position that its entry states."
     plots, maps = [], []
-    for name, side, part in parts:
+    for name, side in fit.sides.items():
+        part = parts[name]
+        assert part is not None
         residual, names = _residuals(part, side.seen(part).value), _position_names(part, display_names)
         on_panel = isinstance(part, DisplayCaptures)
         place = part.pixel if isinstance(part, DisplayCaptures) else np.rad2deg(np.arctan(part.tangents))

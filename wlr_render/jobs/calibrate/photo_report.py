@@ -53,9 +53,7 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
         Section("What was read"),
         *(table for table in read if table.rows),
         *(_coverage(folder, each, len(found.eyes) > 1) for each in found.eyes.values()),
-        Picture(
-            "Decoding", _draw_rejections(folder / "decoding.png", found), "Camera pixels of every set of the panel."
-        ),
+        *_decoding(folder, found),
         Section("The bench"),
         _lens_table(found),
         *_kinds_tables(found),
@@ -69,6 +67,13 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
         blocks.append(Section("The models" if len(found.eyes) == 1 else f"The models of the {eye} eye"))
         blocks += fit_blocks(each.kinds, each.captures, set_names(found, each))
     return blocks
+
+
+def _decoding(folder: Path, found: SessionCalibration) -> list[Picture]:
+    if not found.reading.decoded(found.session.display):
+        return []
+    drawn = _draw_rejections(folder / "decoding.png", found)
+    return [Picture("Decoding", drawn, "Camera pixels of every set of the panel.")]
 
 
 def _coverage(folder: Path, each: EyeCalibration, several: bool) -> Picture:
@@ -243,8 +248,9 @@ def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
     figure = Figure(figsize=(13.5, 4.2), layout="constrained")
     places, panel, world = figure.subplots(1, 3)
     box, display, see_through = found.session.eye_box, found.captures.display, found.captures.see_through
-    x, y = 1e3 * np.unique(display.viewpoint, axis=0)[:, :2].T
-    places.plot(x, y, "o", label="panel")
+    if display is not None:
+        x, y = 1e3 * np.unique(display.viewpoint, axis=0)[:, :2].T
+        places.plot(x, y, "o", label="panel")
     if see_through is not None:
         x, y = 1e3 * np.unique(see_through.viewpoint, axis=0)[:, :2].T
         places.plot(x, y, "+", markersize=10, label="through the optics")
@@ -254,21 +260,23 @@ def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
     )
     places.set(xlabel="x (mm)", ylabel="y (mm)", title="camera positions", aspect="equal")
     places.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
-    size = found.session.pattern.panel.size_px
-    u, v = display.pixel.T
-    counts, _, _ = np.histogram2d(u, v, bins=(48, 27), range=[(0.0, float(size[0])), (0.0, float(size[1]))])
-    drawn = panel.imshow(counts.T, extent=(0, size[0], size[1], 0), cmap="viridis")
-    figure.colorbar(drawn, ax=panel, shrink=0.7, label="samples")
+    if display is not None:
+        size = found.session.pattern.panel.size_px
+        u, v = display.pixel.T
+        counts, _, _ = np.histogram2d(u, v, bins=(48, 27), range=[(0.0, float(size[0])), (0.0, float(size[1]))])
+        drawn = panel.imshow(counts.T, extent=(0, size[0], size[1], 0), cmap="viridis")
+        figure.colorbar(drawn, ax=panel, shrink=0.7, label="samples")
     panel.set(xlabel="u (px)", ylabel="v (px)", title="decoded panel positions")
     for pose in np.unique(see_through.target_pose) if see_through is not None else ():
         assert see_through is not None
         tangents = see_through.tangents[see_through.target_pose == pose]
         world.plot(*np.rad2deg(np.arctan(tangents)).T, ".", markersize=1, label=f"target pose {pose}")
-    seen = np.rad2deg(np.arctan(display.tangents))
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    world.plot(
-        [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]], "k-", label="panel"
-    )
+    if display is not None:
+        seen = np.rad2deg(np.arctan(display.tangents))
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        world.plot(
+            [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]], "k-", label="panel"
+        )
     world.set(xlabel="to the right (degrees)", ylabel="up (degrees)", title="where dots were seen", aspect="equal")
     world.legend(fontsize=7, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
     return write_figure(path, figure, 110)

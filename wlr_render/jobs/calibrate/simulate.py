@@ -163,9 +163,10 @@ class TruthTests:
     def predicted(self, fit: EyeFit) -> dict[str, float]:
         """Rms errors that a fit expects of itself there, of those that it predicts."""
         shown, seen = self.display, self.see_through
+        display, see_through = fit.both
         return {
-            _PIXEL_DIRECTION: summary(fit.display.mapping.sigma(shown.pixel, shown.viewpoint)).rms,
-            _POINT_DIRECTION: summary(fit.see_through.mapping.sigma(seen.point, seen.viewpoint)).rms,
+            _PIXEL_DIRECTION: summary(display.mapping.sigma(shown.pixel, shown.viewpoint)).rms,
+            _POINT_DIRECTION: summary(see_through.mapping.sigma(seen.point, seen.viewpoint)).rms,
         }
 
 
