@@ -114,7 +114,7 @@ def _readings(
     tangents = captures.tangents
     places = place.shape[1]
     visits, capture = captures.visits
-    place = without_thickness(place, capture) if places and trend is None else place
+    place = without_thickness(place) if places and trend is None else place
     return FitReadings(
         inputs=np.hstack([captures.pixel, place]),
         is_place=np.array([False, False] + [True] * places),

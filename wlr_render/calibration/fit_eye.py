@@ -243,7 +243,7 @@ def fit_with_trends(
         BadInputError: as `fit_display` and `fit_see_through`.
     """
     fit = partial(_both, captures, kind, trends, degrees, weights)
-    is_known = captures.display.motion is not None or _see_through_of(captures).motion is not None
+    is_known = any(each.motion is not None for each in captures.both)
     shown, seen = fit(None) if is_known else _one_stage(fit)
     mean, covariance = shown.smooth.trend_parameters
     root = np.asarray(np.linalg.cholesky(covariance), np.float64)

@@ -113,7 +113,7 @@ def _readings(
     """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
     places = place.shape[1]
     visits, capture = captures.visits
-    place = without_thickness(place, capture) if places and trend is None else place
+    place = without_thickness(place) if places and trend is None else place
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),

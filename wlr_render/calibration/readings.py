@@ -194,17 +194,14 @@ def flat_places(inputs: FloatArray, is_place: BoolArray) -> BoolArray:
     return np.asarray(is_place & (extent <= max(_FLAT_M, _FLAT * widest)))
 
 
-def without_thickness(place: FloatArray, capture: IntArray) -> FloatArray:
-    """Return places (n, k) projected onto the line or plane in which their captures (n,) all but lie.
+def without_thickness(place: FloatArray) -> FloatArray:
+    """Return places (n, k) projected onto the line or plane in which they all but lie.
 
     Errors of the stage are all that is known of the places across it; a fit would take them for a dependence on the
     place.
     """
-    number = np.unique(capture, return_inverse=True)[1]
-    count = np.bincount(number)
-    middle = np.stack([np.bincount(number, axis) / count for axis in place.T], axis=-1)
-    centre = middle.mean(axis=0)
-    _, extent, axes = np.linalg.svd(middle - centre, full_matrices=False)
+    centre = place.mean(axis=0)
+    _, extent, axes = np.linalg.svd(place - centre, full_matrices=False)
     thin = (extent <= _THIN * extent[0]) & (extent > 0.0)
     return np.asarray(place - (place - centre) @ axes[thin].T @ axes[thin]) if thin.any() else place
 
