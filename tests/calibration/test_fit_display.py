@@ -227,7 +227,7 @@ def test_positions_in_a_row_say_nothing_across_it_and_the_stage_s_errors_are_not
     rng = np.random.default_rng(3)
     row = EYE_BOX.centre[:2] + np.stack([along, 0.007 * along + 2e-6 * rng.normal(size=7)], axis=-1)
     captures = display_captures(row, PANEL.grid(20, 16).reshape(-1, 2), sigma_arcmin=0.1)
-    mapping = fit_display(captures, "planar", 3).mapping
+    mapping = fit_display(captures).mapping
     pixel = np.array([500.0, 400.0])
     found, beside = (
         mapping.view_dir_of_pixel(pixel, PLANE.lift(at[None])).value for at in (row[3], row[3] + [0, 2e-3])
