@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.adjustment import layout_of, residuals_of
-from wlr_render.calibration.bench.observations import EYEBALL
+from wlr_render.calibration.bench.adjustment import _lens_sizes, layout_of, residuals_of
+from wlr_render.calibration.bench.observations import EYEBALL, CameraSetup
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.bench.state import StageModel, smooth_orders
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
 
 
 @pytest.fixture(scope="module")
@@ -119,3 +120,19 @@ def test_a_bent_board_is_where_its_shape_says():
 
 def test_turned_is_a_rotation():
     assert transforms.is_rotation(turned(3, 4, 5))
+
+
+def test_smooth_terms_have_unit_rms_over_the_range():
+    stage = StageModel(np.array([0.01]), np.array([0.005]), np.zeros((1, 6)), np.zeros((len(smooth_orders(1)), 6)))
+    readings = np.linspace(0.005, 0.015, 2001)
+    terms = np.array([stage.smooth_terms(np.array([reading])) for reading in readings])
+    np.testing.assert_allclose(np.sqrt(np.mean(terms**2, axis=0)), 1.0, rtol=5e-3)
+
+
+def test_terms_of_a_narrow_lens_may_be_large():
+    # Terms that displace the corner of a field of +-20 degrees by a tenth are up to 42 in size.
+    terms = np.array([0.64, 1.96, 7e-4, -6e-4, 42.8, 0.92, 1.87, 42.8])
+    lens = LensCamera((1280, 1024), np.full(2, 2200.0), np.array([640.0, 512.0]), terms, "rational")
+    sizes = _lens_sizes(lens, CameraSetup(lens.size_px))
+    assert np.all(np.abs(lens.distortion) < sizes[4:])
+    assert np.all(sizes[6:8] < 10.0)
