@@ -46,6 +46,8 @@ class Imperfections:
     noise_px: float = 0.02
     outliers: float = 0.002
     lens_kind: str = "rational"
+    focus_hunt: float = 0.0  # relative change of the focal length from one hand-held photograph to the next
+    hand_px: float = 0.0  # that a hand moves the image while a rolling shutter reads it, and half as much bent
 
 
 PERFECT = Imperfections(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.02, 0, "brown")
@@ -67,6 +69,7 @@ class TrueBench:
 
     def __post_init__(self):
         rng = self.rng = np.random.default_rng([self.seed, 5])
+        self.hand = np.random.default_rng([self.seed, 6])
         size = self.size
         rational = np.array([-0.06, 0.02, 4e-4, -3e-4, 0.004, 0.03, 0.01, -0.004])
         terms = {"brown": rational[:5] * [1, 1, 1, 1, 0], "rational": rational}[size.lens_kind]
@@ -130,10 +133,16 @@ class TrueBench:
         count = int(inside.sum())
         noise = self.size.noise_px * self.rng.normal(size=(count, 2))
         noise[self.rng.random(count) < self.size.outliers] *= 30.0
+        pixel = pixel[inside] + (self.hand_held(pixel[inside], lens) if target is None else 0.0)
         sigma = np.full(count, 0.02)
-        return BoardView(
-            name, camera, self.feature[inside], self.nominal[inside], pixel[inside] + noise, sigma, target, place
-        )
+        return BoardView(name, camera, self.feature[inside], self.nominal[inside], pixel + noise, sigma, target, place)
+
+    def hand_held(self, pixel, lens):
+        """(n, 2) displacements: the focus hunts, and the hand moves evenly and then faster while rows are read."""
+        rng, size = self.hand, np.array(lens.size_px)
+        time = pixel[:, 1:] / size[1] - 0.5
+        speed, faster = self.size.hand_px * rng.normal(size=(2, 2)) * [[1.0], [0.5]]
+        return self.size.focus_hunt * rng.normal() * (pixel - lens.centre_px) + time * speed + time**2 * faster
 
     def lens_views(self, camera, count=9, distance=0.55):
         angles = np.arange(count - 1) * 2 * np.pi / (count - 1)

@@ -10,7 +10,7 @@ from wlr_render.calibration.bench.adjustment import adjust
 from wlr_render.calibration.bench.checks import bench_checks, prior_pulls, reading_pulls, significance
 from wlr_render.calibration.bench.faults import adjust_without_faults
 from wlr_render.calibration.bench.lenses import sound_views
-from wlr_render.calibration.bench.observations import EYEBALL
+from wlr_render.calibration.bench.observations import EYEBALL, BenchObservations
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
@@ -108,6 +108,24 @@ def test_stated_extrinsics_that_are_wrong_are_in_the_sigma_of_every_pose():
     assert np.all(sigma > 0.9 * np.degrees(bench.size.extrinsics_rad) * 60)
     exact = replace(observations, device_from_tracking=replace(observations.device_from_tracking, sigma=(0.0, 0.0)))
     assert np.all(adjusted(exact).target_pose(0).sigma_arcmin < 0.2 * sigma)
+
+
+def test_photographs_by_hand_tell_how_much_they_are_stretched():
+    hand = replace(Imperfections(), focus_hunt=1e-3, hand_px=0.6)
+    errors, sizes = [], []
+    for seed in range(8):
+        bench = TrueBench(seed, hand)
+        views = [view.only((view.feature @ [1, 2]) % 6 == 0) for view in bench.lens_views(EYEBALL, 9)]
+        known = bench.observations(lens_photographs=3)
+        cameras = {EYEBALL: replace(known.cameras[EYEBALL], kind="rational")}
+        alone = BenchObservations(views, cameras, {}, (), tolerances=known.tolerances)
+        found = adjusted(alone)
+        sigma = np.sqrt(np.diag(found.covariance_of([("lens", EYEBALL)])))[:4]
+        errors.append((found.state.lens[EYEBALL].values - bench.lens[EYEBALL].values)[:4] / sigma)
+        sizes.append(found.sizes.stretch)
+    assert 3e-4 < np.exp(np.mean(np.log(sizes))) < 2e-3
+    # Eight cameras, of which fx and fy err together: a standard deviation to about a fifth.
+    assert 0.6 < rms(errors) < 1.5
 
 
 def test_exchanged_readings_are_named():

@@ -36,6 +36,7 @@ def state():
         smooth=3e-4 * rng.normal(size=found.smooth.shape),
         offsets={place: 3e-4 * rng.normal(size=6) for place in found.offsets},
         focus={target: 1e-5 * rng.normal() for target in found.focus},
+        stretches={name: 1e-3 * rng.normal(size=4) for name in found.stretches},
     )
 
 
@@ -74,6 +75,16 @@ def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
             rounded = 3e-7  # of pixels to the last bit, over twice the step
             atol = tolerance * size + rounded
             np.testing.assert_allclose(derivative @ direction, expected, atol=atol, err_msg=str(key))
+
+
+def test_a_stretched_image_is_larger_about_its_middle(state):
+    view = next(view for view in state.observations.views if view.name in state.stretches)
+    part = residuals_of(state, view)
+    still = residuals_of(replace(state, stretches={}), view)
+    from_middle = view.pixel - 0.5 * np.array(state.lens[EYEBALL].size_px)
+    larger = from_middle @ state.stretches[view.name].reshape(2, 2).T
+    np.testing.assert_allclose(still.residual - part.residual, larger, atol=1e-9)
+    np.testing.assert_allclose(part.by_stretch @ state.stretches[view.name], larger, atol=1e-9)
 
 
 def test_a_linear_axis_translates_and_a_rotary_one_turns_about_its_pivot():

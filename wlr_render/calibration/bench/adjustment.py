@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BoardView, CameraSetup, KnownPose
-from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders
+from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders, stretch_terms
 from wlr_render.calibration.poses import Pose, adjoint, cross_matrix
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
@@ -21,7 +21,7 @@ from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, poste
 
 FLAT, EXACT = 10.0, 1e-9
 """Prior sizes of what is not known beforehand, and of what counts as exact: radians, metres, per unit."""
-USUAL_SIZES = {"turn": 1e-5, "shift": 3e-6, "smooth turn": 5e-5, "smooth shift": 3e-6}  # of ordinary stages
+USUAL_SIZES = {"turn": 1e-5, "shift": 3e-6, "smooth turn": 5e-5, "smooth shift": 3e-6, "stretch": 1e-4}  # ordinary
 USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 _LEAST, _MOST = 1e-9, 1e-2
 _FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
@@ -48,6 +48,7 @@ class Sizes:
     Attributes:
         turn, shift: random error of the stage in each visit, radians and metres.
         smooth_turn, smooth_shift: its smooth error over the travel.
+        stretch: of the image of a board held freely, relative; each of the four parts.
         feature_m: error of a feature on each board.
         noise: factor on the stated sigma of the features, by camera.
     """
@@ -56,6 +57,7 @@ class Sizes:
     shift: float
     smooth_turn: float
     smooth_shift: float
+    stretch: float
     feature_m: Mapping[str, float]
     noise: Mapping[str, float]
 
@@ -89,7 +91,8 @@ class Layout:
         return {key: vector[where] for key, where in self.where.items()}
 
 
-HYPER = ("turn", "shift", "smooth turn", "smooth shift", "noise")
+HYPER = ("turn", "shift", "smooth turn", "smooth shift", "stretch", "noise")
+_STRETCH = HYPER.index("stretch")
 
 
 def layout_of(state: BenchState) -> Layout:
@@ -122,8 +125,10 @@ def layout_of(state: BenchState) -> Layout:
         add(("axis", number), _axis_sizes(axis))
     for number, order in enumerate(smooth_orders(len(state.twists)) if len(state.smooth) else []):
         add(("smooth", number), _smooth_sizes(order, seen.axes), [2, 2, 2, 3, 3, 3])
-    for place in state.offsets:
-        add(("offset", place), np.ones(6), [0, 0, 0, 1, 1, 1])
+    random: list[tuple[Key, list[int]]] = [(("offset", place), [0, 0, 0, 1, 1, 1]) for place in state.offsets]
+    random += [(("stretch", name), [_STRETCH] * 4) for name in state.stretches]
+    for key, hypers in random:
+        add(key, np.ones(len(hypers)), hypers)
     for key in [*(("free", place) for place in state.free), *(("board pose", name) for name in state.boards)]:
         add(key, np.full(6, FLAT))
     return Layout(where, np.concatenate(size), np.concatenate(hyper))
@@ -169,6 +174,7 @@ class ViewResiduals:
         residual: (n, 2) seen minus predicted; NaN where the lens cannot see the point.
         by_motion: (n, 2, 6) of predicted by a small motion of camera_from_board, camera frame.
         by_lens: (n, 2, P). by_shape: (n, 2, 5). by_place: (n, 2, 3), by the feature's place.
+        by_stretch: (n, 2, 4), or (n, 2, 0) where the image counts as not stretched.
     """
 
     residual: FloatArray
@@ -176,6 +182,7 @@ class ViewResiduals:
     by_lens: FloatArray
     by_shape: FloatArray
     by_place: FloatArray
+    by_stretch: FloatArray
 
 
 def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
@@ -185,7 +192,13 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
     seen = state.lens_of(view).project(point)
     turned = seen.by_point @ camera_from_board[:3, :3]
     by_motion = np.concatenate([seen.by_point @ -cross_matrix(point), seen.by_point], axis=-1)
-    return ViewResiduals(view.pixel - seen.pixel, by_motion, seen.by_values, turned @ shape.by_low(view.point), turned)
+    predicted, by_stretch = seen.pixel, np.zeros((len(point), 2, 0))
+    if view.name in state.stretches:
+        by_stretch = stretch_terms(view.pixel, state.lens_of(view).size_px)
+        predicted = predicted + by_stretch @ state.stretches[view.name]
+    return ViewResiduals(
+        view.pixel - predicted, by_motion, seen.by_values, turned @ shape.by_low(view.point), turned, by_stretch
+    )
 
 
 Extra = Mapping[Key, Mapping[str, FloatArray]]
@@ -194,7 +207,7 @@ Extra = Mapping[Key, Mapping[str, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class _ViewEquations:
-    """Weighted equations of one view in its local unknowns: its lens, its board's shape, the motion of its board.
+    """Weighted equations of one view in its local unknowns: lens, board's shape, motion of the board, stretch.
 
     Attributes:
         design: (n, 2, local). by_place: (n, 2, 3), by the places of the view's features. value: (n, 2), linearised
@@ -226,7 +239,7 @@ class _ViewEquations:
         length = np.sqrt(0.5 * np.sum(residual**2, axis=1)) / sigma
         weight = seen * np.sqrt(_HUBER / np.maximum(length, _HUBER)) / sigma
         near = np.minimum(length, _HUBER)
-        local = np.concatenate([part.by_lens, part.by_shape, part.by_motion], axis=-1)
+        local = np.concatenate([part.by_lens, part.by_shape, part.by_motion, part.by_stretch], axis=-1)
         design = np.where(seen[:, None, None], local, 0.0) * weight[:, None, None]
         by_place = np.where(seen[:, None, None], part.by_place, 0.0) * weight[:, None, None]
         rows = shape.rows_of(view.feature)
@@ -251,13 +264,16 @@ def _carried(state: BenchState, layout: Layout, extra: Extra, view: BoardView, p
     blocks = state.board_motion(view)
     blocks |= {key: columns[view.name] for key, columns in extra.items() if view.name in columns}
     lens, low = part.by_lens.shape[-1], part.by_shape.shape[-1]
-    carry = np.zeros((lens + low + 6, len(layout.size)))
+    stretch = part.by_stretch.shape[-1]
+    carry = np.zeros((lens + low + 6 + stretch, len(layout.size)))
     carry[:lens, layout.where["lens", view.camera]] = np.eye(lens)
     carry[lens : lens + low, layout.where["shape", view.board]] = np.eye(low)
     if view.camera == EYEBALL and view.target is not None and lens:
         carry[:2, layout.where["focus", view.target]] = state.lens[EYEBALL].focal_px[:, None]
     for key, columns in blocks.items():
-        carry[-6:, layout.where[key]] = columns
+        carry[lens + low : lens + low + 6, layout.where[key]] = columns
+    if stretch:
+        carry[lens + low + 6 :, layout.where["stretch", view.name]] = np.eye(stretch)
     return carry
 
 
@@ -362,8 +378,8 @@ def prior_of(layout: Layout) -> Prior:
     features = np.zeros((len(layout.size), len(HYPER)))
     rows = np.flatnonzero(layout.hyper >= 0)
     features[rows, layout.hyper[rows]] = 1.0
-    bounds = [(np.log(_LEAST), np.log(_MOST))] * 4 + [(-2.0, 2.0)]
-    expected = [(np.log(USUAL_SIZES[name]), USUAL_DIFFER) for name in HYPER[:4]] + [(0.0, _NOISE_DIFFERS)]
+    bounds = [(np.log(_LEAST), np.log(_MOST))] * 5 + [(-2.0, 2.0)]
+    expected = [(np.log(USUAL_SIZES[name]), USUAL_DIFFER) for name in HYPER[:-1]] + [(0.0, _NOISE_DIFFERS)]
     none = np.zeros((0, len(HYPER)))
     return Prior(HYPER, np.array(bounds), np.array(expected), none, features, none)
 
@@ -446,7 +462,7 @@ def adjust(start: BenchState) -> Adjustment:
     """
     state, layout = start, layout_of(start)
     prior = prior_of(layout)
-    hyper = np.array([*(np.log(USUAL_SIZES[name]) for name in HYPER[:4]), 0.0])
+    hyper = np.array([*(np.log(USUAL_SIZES[name]) for name in HYPER[:-1]), 0.0])
     sizes = _sizes(
         hyper,
         {name: start.observations.tolerances[name].print_error_m for name in state.shape},
@@ -479,8 +495,8 @@ def _alike(one: Sizes, other: Sizes) -> bool:
 
 
 def _sizes(hyper: FloatArray, feature_m: Mapping[str, float], noise: Mapping[str, float]) -> Sizes:
-    turn, shift, smooth_turn, smooth_shift = (float(one) for one in np.exp(hyper[:4]))
-    return Sizes(turn, shift, smooth_turn, smooth_shift, feature_m, noise)
+    turn, shift, smooth_turn, smooth_shift, stretch = (float(one) for one in np.exp(hyper[:-1]))
+    return Sizes(turn, shift, smooth_turn, smooth_shift, stretch, feature_m, noise)
 
 
 def _stepped(
@@ -560,10 +576,10 @@ def _best_hyper(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray,
     starts = [dict(zip(HYPER, hyper, strict=True))]
     others = _STARTS if everywhere else ()
     starts += [
-        starts[0] | {name: np.log(size) for name, size in zip(HYPER[:4], other, strict=True)} for other in others
+        starts[0] | {name: np.log(size) for name, size in zip(HYPER[:-1], other, strict=True)} for other in others
     ]
     best = maximise(rest, smaller, starts)
     return np.array([best.hyper[name] for name in HYPER])
 
 
-_STARTS = ((1e-6, 5e-7, 1e-5, 1e-6), (5e-5, 1e-5, 1e-4, 1e-5))
+_STARTS = ((1e-6, 5e-7, 1e-5, 1e-6, 1e-5), (5e-5, 1e-5, 1e-4, 1e-5, 1e-3))

@@ -110,7 +110,7 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
     without = -np.inf
     for shrink in _SHRINKS:
         # One fault makes the stage look worse than it is: its errors may be smaller once the fault is granted.
-        hyper = adjustment.hyper + np.array([shrink[0], shrink[1], shrink[0], shrink[1], 0.0])
+        hyper = adjustment.hyper + np.array([shrink[0], shrink[1], shrink[0], shrink[1], 0.0, 0.0])
         width = layout.size * np.exp(prior.mixed_features @ hyper)
         gram, moment = noise * width[:, None] * normal.gram * width, noise * width * normal.moment
         inner = gram[:own, :own] + np.eye(own)

@@ -137,7 +137,8 @@ def free_views(
     camera = free[0].camera
     alone = BenchObservations(free, {camera: replace(setup, kind=kind)}, {}, (), tolerances=observations.tolerances)
     try:
-        return adjust(start_state(alone, {camera: start_lens(free, setup.size_px, kind)})).state
+        start = start_state(alone, {camera: start_lens(free, setup.size_px, kind)})
+        return adjust(replace(start, stretches={})).state  # a rough lens needs no sigma
     except UndeterminedError as error:
         raise undetermined(views) from error
 
@@ -170,10 +171,13 @@ def _chosen_lens(
 
 
 def _simplest(missed: Mapping[str, FloatArray]) -> str:
-    """The first kind that is not worse than the best by more than chance."""
-    best = min(missed, key=lambda kind: float(np.mean(missed[kind])), default="")
+    """The first kind that is not worse than the best by more than chance.
+
+    By logarithms, of one photograph as of another: a few show a distortion best, and one may be poor.
+    """
+    best = min(missed, key=lambda kind: float(np.mean(np.log(missed[kind]))), default="")
     for kind, each in missed.items():
-        worse = np.log(each / missed[best])  # of one photograph as of another: a few show a distortion best
+        worse = np.log(each / missed[best])
         if np.mean(worse) <= _BETTER_SIGMAS * np.std(worse) / np.sqrt(len(worse)):
             return kind
     return best
@@ -184,7 +188,11 @@ def _missed_px(state: BenchState, camera: str, views: Sequence[BoardView]) -> Fl
     lens, result = state.lens[camera], []
     for view in views:
         true = replace(view, point=state.shape[view.board].point_of(view.feature, view.point))
-        pose, scale = board_pose(lens, true)
+        try:
+            pose, scale = board_pose(lens, true)
+        except BadInputError:  # the lens cannot look there
+            result.append(float(np.sum(np.square(lens.size_px))))
+            continue
         residual = view.pixel - lens.pixel_of_point(transforms.apply(pose, true.point))
         most = _OUTLIER_SIGMAS * max(scale, 1.0) * view.sigma_px[:, None]
         result.append(np.mean(np.where(np.isfinite(residual), np.clip(residual, -most, most), most) ** 2))

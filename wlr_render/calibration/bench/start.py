@@ -20,6 +20,9 @@ from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, Lens
 from wlr_render.numerics.arrays import FloatArray
 
 _SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them
+_SOME_VIEWS = 8  # by which rough lenses are compared
+_CORNER_DEG = np.geomspace(15.0, 150.0, 12)  # from the axis to the picture's corner
+_LEAST_COSINE = 0.17  # of features that a pose starts from: nearer to the edge of the half space they weigh too much
 _STEPS, _CLOSE = 30, 1e-9
 _UNCLEAR = 5.0  # ratio of the residuals of the two poses of a plane below which both are refined
 _MOVED = 1e-3
@@ -27,49 +30,83 @@ _MOVED = 1e-3
 
 
 def start_lens(views: Sequence[BoardView], size_px: tuple[int, int], kind: str) -> LensCamera:
-    """Return a rough lens from views of boards (Z. Zhang, PAMI 22 (2000) 1330, by OpenCV).
+    """Return a rough lens from views of boards: by OpenCV, of the kind "fisheye" also by trying focal lengths.
 
     Raises:
         BadInputError: the views do not determine it.
     """
-    some = [slice(None, None, max(1, len(view) // _SOME)) for view in views]
-    flat = [(view.point[part] * [1.0, 1.0, 0.0]).astype(np.float32) for view, part in zip(views, some, strict=True)]
-    seen = [(view.pixel[part] + OPENCV_PIXEL_SHIFT).astype(np.float32) for view, part in zip(views, some, strict=True)]
+    some = [view.only(np.arange(len(view)) % max(1, len(view) // _SOME) == 0) for view in views]
+    if kind == "fisheye":
+        return min(_fisheye_lenses(some, size_px), key=lambda lens: _rough_misfit_px(lens, some))
+    brown = _brown_lens(some, size_px)
+    terms = np.zeros(len(LENS_KINDS[kind]))
+    terms[:5] = brown.distortion
+    return LensCamera(brown.size_px, brown.focal_px, brown.centre_px, terms, kind)
+
+
+def _brown_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensCamera:
+    """By OpenCV (Z. Zhang, PAMI 22 (2000) 1330)."""
+    flat = [(view.point * [1.0, 1.0, 0.0]).astype(np.float32) for view in views]
+    seen = [(view.pixel + OPENCV_PIXEL_SHIFT).astype(np.float32) for view in views]
     held = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
     try:
         _, matrix, found, _, _ = cv2.calibrateCamera(flat, seen, size_px, None, None, flags=held)
     except cv2.error as error:
         raise undetermined(views) from error
-    brown = LensCamera(
-        size_px, np.diag(matrix)[:2].copy(), matrix[:2, 2] - OPENCV_PIXEL_SHIFT, found.ravel()[:5].copy()
-    )
-    if kind != "fisheye":
-        terms = np.zeros(len(LENS_KINDS[kind]))
-        terms[:5] = brown.distortion
-        return LensCamera(brown.size_px, brown.focal_px, brown.centre_px, terms, kind)
-    # The same radial distortion as a polynomial of the angle.
-    corner = float(np.linalg.norm(0.5 * np.array(size_px) / brown.focal_px))
+    centre = matrix[:2, 2] - OPENCV_PIXEL_SHIFT
+    return LensCamera(size_px, np.diag(matrix)[:2].copy(), centre, found.ravel()[:5].copy())
+
+
+def _fisheye_lenses(views: Sequence[BoardView], size_px: tuple[int, int]) -> list[LensCamera]:
+    """Equidistant lenses of many fields of view, and OpenCV's lens as a polynomial of the angle."""
+    half = 0.5 * np.array(size_px, dtype=float)
+    radius = float(np.linalg.norm(half))
+    tried = [
+        LensCamera(size_px, np.full(2, radius / np.radians(corner)), half, np.zeros(4), "fisheye")
+        for corner in _CORNER_DEG
+    ]
+    try:
+        brown = _brown_lens(views, size_px)
+    except BadInputError:
+        return tried
+    corner = float(np.linalg.norm(half / brown.focal_px))
     tangent = np.linspace(0.02, 1.0, 40) * min(corner, 2.0)
     k1, k2 = brown.distortion[:2]
-    radius, angle = tangent * (1.0 + k1 * tangent**2 + k2 * tangent**4), np.arctan(tangent)
+    distorted, angle = tangent * (1.0 + k1 * tangent**2 + k2 * tangent**4), np.arctan(tangent)
     powers = angle[:, None] ** np.array([3, 5])
-    terms = np.linalg.lstsq(powers, radius - angle, rcond=None)[0]
-    return LensCamera(brown.size_px, brown.focal_px, brown.centre_px, np.array([*terms, 0.0, 0.0]), kind)
+    terms = np.linalg.lstsq(powers, distorted - angle, rcond=None)[0]
+    return [*tried, LensCamera(size_px, brown.focal_px, brown.centre_px, np.array([*terms, 0.0, 0.0]), "fisheye")]
+
+
+def _rough_misfit_px(lens: Lens, views: Sequence[BoardView]) -> float:
+    """Mean over some views of the residuals' robust scale about the best poses."""
+    scales = []
+    for view in views[:: -(-len(views) // _SOME_VIEWS)]:
+        try:
+            scales.append(board_pose(lens, view)[1] * float(np.median(view.sigma_px)))
+        except BadInputError:
+            scales.append(float(np.linalg.norm(lens.size_px)))
+    return float(np.mean(np.minimum(scales, np.linalg.norm(lens.size_px))))
 
 
 def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     """Return camera_from_board (4, 4) of a flat board by a known lens, and the residuals' robust scale in sigmas."""
     direction = lens.dir_of_pixel(view.pixel)
-    good = np.isfinite(direction).all(axis=1) & (direction[:, 2] > 0.17)
+    seen = np.isfinite(direction).all(axis=1)
+    # A camera turned towards the board sees all of it less than 90 degrees off axis, wherever the lens looks.
+    ahead = _turn_to(direction[seen].sum(axis=0) if seen.any() else np.array([0.0, 0.0, 1.0]))
+    direction = direction @ ahead.T
+    good = seen & (direction[:, 2] > _LEAST_COSINE)
     if np.count_nonzero(good) < 4:
         raise BadInputError(f"{view.name}: shows features where the camera's lens model has no inverse.")
     tangents = direction[good, :2] / direction[good, 2:]
     flat = view.point[good] * [1.0, 1.0, 0.0]
     # T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014) 252, has two solutions.
     _, rotations, translations, _ = cv2.solvePnPGeneric(flat, tangents, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    back = transforms.rigid(ahead.T, np.zeros(3))
     few = view.only(np.arange(len(view)) % max(1, len(view) // _SOME) == 0)
     poses = [
-        transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
+        back @ transforms.rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
         for rotation, translation in zip(rotations, translations, strict=True)
     ]
     misses = [_refined(lens, pose, few, steps=0)[1] for pose in poses]
@@ -77,6 +114,16 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     if len(near) > 1:
         near = [min((_refined(lens, pose, few) for pose in near), key=lambda each: each[1])[0]]
     return _refined(lens, near[0] if near else poses[0], view)
+
+
+def _turn_to(direction: FloatArray) -> FloatArray:
+    """(3, 3) the smallest rotation that carries a direction (3,) to the z axis."""
+    unit = direction / np.linalg.norm(direction)
+    axis = np.cross(unit, [0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-12:
+        return np.eye(3) if unit[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return transforms.rotations_of_vectors(axis * (np.arctan2(length, unit[2]) / length))
 
 
 def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS) -> tuple[FloatArray, float]:
@@ -130,6 +177,7 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> Be
         {place: np.zeros(6) for place in chain.visited if observations.places[place].reading is not None},
         chain.free,
         {view.name: seen[view.name] for view in held},
+        {view.name: np.zeros(4) for view in held},
     )
 
 

@@ -124,6 +124,8 @@ class BenchState:
         smooth: (terms, 6) of the stage's smooth error by `smooth_terms`.
         offsets: (6,) random error by place, camera frame. free: device_from_camera by place, of places without reading.
         boards: camera_from_board of each view of a board held freely, by its name.
+        stretches: (4,) how the image of each of these views is stretched, by `stretch_terms`: a focus that hunts, or a
+            camera or board that moves during the exposure, above all before a rolling shutter.
     """
 
     observations: BenchObservations
@@ -138,6 +140,7 @@ class BenchState:
     offsets: Mapping[str, FloatArray]
     free: Mapping[str, FloatArray]
     boards: Mapping[str, FloatArray]
+    stretches: Mapping[str, FloatArray]
 
     @property
     def stage(self) -> "StageModel":
@@ -242,6 +245,8 @@ class BenchState:
             return np.asarray(self.smooth[int(which)])
         if kind == "offset":
             return self.offsets[str(which)]
+        if kind == "stretch":
+            return self.stretches[str(which)]
         return np.zeros(6)
 
     def moved(self, step: Mapping[Key, FloatArray]) -> "BenchState":
@@ -272,6 +277,7 @@ class BenchState:
             offsets={place: offset + step["offset", place] for place, offset in self.offsets.items()},
             free={place: pose @ small_motion(step["free", place]) for place, pose in self.free.items()},
             boards={name: small_motion(step["board pose", name]) @ pose for name, pose in self.boards.items()},
+            stretches={name: stretch + step["stretch", name] for name, stretch in self.stretches.items()},
         )
 
 
@@ -287,6 +293,14 @@ def _motion_after(nominal: FloatArray, pose: FloatArray) -> FloatArray:
 def _code(feature: IntArray) -> IntArray:
     """(n,) one number for each (column, row), in the order of both."""
     return np.asarray(feature[:, 0] * _MOST_ROWS + feature[:, 1])
+
+
+def stretch_terms(pixel: FloatArray, size_px: tuple[int, int]) -> FloatArray:
+    """Return the displacements (n, 2, 4), pixels, at pixels (n, 2), by the stretch of an image about its middle.
+
+    The stretch is a 2 x 2 matrix, row by row: 1e-3 moves the edge of the picture by 1e-3 of half its larger side.
+    """
+    return np.asarray(np.kron(np.eye(2), (pixel - 0.5 * np.array(size_px))[:, None]), dtype=np.float64)
 
 
 @cache
