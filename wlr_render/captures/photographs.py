@@ -1,5 +1,6 @@
 """Read and write photographs: linear values of one channel, 8 to 16 bits."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -108,9 +109,7 @@ def exposure_of(path: Path) -> float | None:
     try:
         with Image.open(path) as image:
             tags = image.getexif()
-            time = tags.get_ifd(0x8769).get(
-                0x829A, tags.get(0x829A)
-            )  # ExposureTime in the Exif directory, or beside it
+            time = tags.get_ifd(_EXIF).get(_EXPOSURE_TIME, tags.get(_EXPOSURE_TIME))
             return None if time is None or not float(time) > 0 else float(time)
     except (OSError, ValueError, ZeroDivisionError):
         return None  # reading the picture will say what is wrong with the file
@@ -188,7 +187,5 @@ def describe_pixels(image: CodeImage) -> str:
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Digits as numbers: 2 before 10."""
-    import re
-
     parts = re.split(r"(\d+)", path.name)
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

@@ -12,11 +12,10 @@ from wlr_render.captures.boards.board import (
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    RealArray,
     flat_points,
     grid_indices,
 )
-from wlr_render.captures.boards.cell_pattern import CellPattern
+from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
@@ -34,7 +33,7 @@ _CLEARLY = 3.0  # by so much another order of the tags fits better, to be named
 
 
 @dataclass(frozen=True, eq=False)
-class AprilGrid:
+class AprilGrid(CellBoard):
     """A grid of AprilTags 36h11; its features are the tags' corners, so that columns and rows come in pairs.
 
     Attributes:
@@ -84,11 +83,6 @@ class AprilGrid:
         """Side of a tag's bit, or of a small square."""
         return min(self.tag_m / self._bits, self.gap_m)
 
-    @property
-    def half_turn_symmetric(self) -> bool:
-        """False: every tag is unique."""
-        return False
-
     def indices(self) -> IntArray:
         """(column, row) of all tag corners, row by row: two of each for every tag."""
         return grid_indices(2 * self.tag_columns, 2 * self.tag_rows)
@@ -126,14 +120,6 @@ class AprilGrid:
             black.append(dark)
         return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
 
-    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """As `Board.reflectance`."""
-        return self._pattern.reflectance(in_board, softness_m)
-
-    def svg_shapes(self) -> list[str]:
-        """The small squares and the black of the tags."""
-        return self._pattern.svg_shapes()
-
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """As `Board.find`; any part of the board with two tags or more is enough.
 
@@ -166,11 +152,7 @@ class AprilGrid:
         guess = np.array((starts[0] + OPENCV_PIXEL_SHIFT)[:, None, :], dtype=np.float32)
         nearer = cv2.cornerSubPix(grey, guess, (window, window), (-1, -1), _SUB_PIXEL)
         starts.append(nearer[:, 0].astype(np.float64) - OPENCV_PIXEL_SHIFT)
-        try:
-            found = observe_corners(image, index, place, starts, reach)
-        except BoardNotFoundError as error_:
-            raise BoardNotFoundError(f"{name}: {error_}") from error_
-        return replace(found, unidentified=4 * foreign)
+        return replace(observe_corners(image, index, place, starts, reach, name=name), unidentified=4 * foreign)
 
     def _detect(self, grey: NDArray[np.uint8]) -> tuple[FloatArray, IntArray]:
         """Corners (n, 4, 2) and numbers (n,) of the tags seen; a number seen twice is dropped."""

@@ -1,6 +1,6 @@
 """Board files: board.toml with the design of a board of any kind and how far the print may differ from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ where the printer scaled it, measure the ruler and multiply all of them by measu
 scale_sigma, flatness_mm, print_error_um: standard deviations of how far the print may differ from this design."""
 _DOTS_COMMENT = "\nsizes: one text per row of dots, from the top; 1 large, 0 small."
 _FIRST_TAGS = ("top-left", "bottom-left")
+_CLASSES = (DotBoard, CharucoBoard, AprilGrid, Chessboard, CircleGrid)  # in the order of KINDS
 
 
 def save_board(board: Board, path: str | Path) -> Path:
@@ -43,58 +44,26 @@ def board_table(board: Board) -> dict[str, Any]:
 
 
 def _design_keys(board: Board) -> dict[str, Any]:
+    """A key for each attribute of a board, in their order; lengths in millimetres."""
+    if not isinstance(board, _CLASSES):
+        raise TypeError(f"a {type(board).__name__} has no board file")
+    kind = KINDS[_CLASSES.index(type(board))]
+    keys: dict[str, Any] = {"kind": kind}
     if isinstance(board, DotBoard):
-        return {
-            "kind": "dots",
-            "columns": board.columns,
-            "rows": board.rows,
-            "pitch_mm": _in_mm(board.pitch_m),
-            "large_mm": _in_mm(board.large_m),
-            "small_mm": _in_mm(board.small_m),
-            "margin_mm": _in_mm(board.margin_m),
-            "sizes": ["".join("1" if large else "0" for large in row) for row in board.large],
-        }
-    if isinstance(board, CharucoBoard):
-        return {
-            "kind": "charuco",
-            "square_columns": board.square_columns,
-            "square_rows": board.square_rows,
-            "square_mm": _in_mm(board.square_m),
-            "marker_mm": _in_mm(board.marker_m),
-            "dictionary": board.dictionary,
-            "legacy": board.legacy,
-            "margin_mm": _in_mm(board.margin_m),
-        }
-    if isinstance(board, AprilGrid):
-        return {
-            "kind": "april-grid",
-            "tag_columns": board.tag_columns,
-            "tag_rows": board.tag_rows,
-            "tag_mm": _in_mm(board.tag_m),
-            "spacing": board.spacing,
-            "border_bits": board.border_bits,
-            "first_id": board.first_id,
-            "first_tag": _FIRST_TAGS[board.first_at_bottom],
-            "margin_mm": _in_mm(board.margin_m),
-        }
-    if isinstance(board, Chessboard):
-        return {
-            "kind": "chessboard",
-            "corner_columns": board.columns,
-            "corner_rows": board.rows,
-            "square_mm": _in_mm(board.square_m),
-            "margin_mm": _in_mm(board.margin_m),
-        }
-    if isinstance(board, CircleGrid):
-        return {
-            "kind": "asymmetric-circles" if board.staggered else "circles",
-            "columns": board.columns,
-            "rows": board.rows,
-            "pitch_mm": _in_mm(board.pitch_m),
-            "diameter_mm": _in_mm(board.diameter_m),
-            "margin_mm": _in_mm(board.margin_m),
-        }
-    raise TypeError(f"a {type(board).__name__} has no board file")
+        keys |= {"columns": board.columns, "rows": board.rows}
+    for name in (each.name for each in fields(board) if each.name != "tolerances"):
+        value = getattr(board, name)
+        if name.endswith("_m"):
+            keys[f"{name}m"] = _in_mm(value)
+        elif name == "large":
+            keys["sizes"] = ["".join("1" if large else "0" for large in row) for row in value]
+        elif name == "first_at_bottom":
+            keys["first_tag"] = _FIRST_TAGS[value]
+        elif name == "staggered":
+            keys["kind"] = "asymmetric-circles" if value else kind
+        else:
+            keys[f"corner_{name}" if isinstance(board, Chessboard) else name] = value
+    return keys
 
 
 def load_board(path: str | Path) -> Board:

@@ -1,5 +1,6 @@
 """Patterns of black and white rectangles between grid lines: how chessboards and boards of markers look."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,27 @@ class CellPattern:
         top = total[row, column] * (1 - right) + total[row, column + 1] * right
         bottom = total[row + 1, column] * (1 - right) + total[row + 1, column + 1] * right
         return np.asarray(top * (1 - down) + bottom * down)
+
+
+class CellBoard(ABC):
+    """Base of boards that consist of cells; no two views of such a board are alike unless a subclass says so."""
+
+    @property
+    @abstractmethod
+    def _pattern(self) -> CellPattern: ...
+
+    @property
+    def half_turn_symmetric(self) -> bool:
+        """Whether the board looks the same turned by 180 degrees."""
+        return False
+
+    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
+        """As `Board.reflectance`."""
+        return self._pattern.reflectance(in_board, softness_m)
+
+    def svg_shapes(self) -> list[str]:
+        """One path of all black cells."""
+        return self._pattern.svg_shapes()
 
 
 def _lines(places: FloatArray, half: float) -> FloatArray:

@@ -12,11 +12,10 @@ from wlr_render.captures.boards.board import (
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    RealArray,
     grid_indices,
     grid_points,
 )
-from wlr_render.captures.boards.cell_pattern import CellPattern
+from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
@@ -25,7 +24,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class CharucoBoard:
+class CharucoBoard(CellBoard):
     """A ChArUco board; its features are the inner corners of the chessboard.
 
     Attributes:
@@ -66,11 +65,6 @@ class CharucoBoard:
         """Side of a marker's bit."""
         return self.marker_m / (dictionary_of(self.dictionary).markerSize + 2)
 
-    @property
-    def half_turn_symmetric(self) -> bool:
-        """False: every marker is unique."""
-        return False
-
     def indices(self) -> IntArray:
         """(column, row) of all inner corners, row by row."""
         return grid_indices(self.square_columns - 1, self.square_rows - 1)
@@ -102,14 +96,6 @@ class CharucoBoard:
             black.append(dark)
         return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
 
-    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """As `Board.reflectance`."""
-        return self._pattern.reflectance(in_board, softness_m)
-
-    def svg_shapes(self) -> list[str]:
-        """The black squares and the black of the markers."""
-        return self._pattern.svg_shapes()
-
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """As `Board.find`; any part of the board with two markers or more is enough.
 
@@ -122,10 +108,7 @@ class CharucoBoard:
         if not len(index):
             raise BoardNotFoundError(f"{name}: {self._why_nothing(grey, numbers)}")
         margin = 0.5 * (1.0 - self.marker_m / self.square_m)
-        try:
-            return observe_corners(image, index, index.astype(np.float64), [pixel], white_margin=margin)
-        except BoardNotFoundError as error:
-            raise BoardNotFoundError(f"{name}: {error}") from error
+        return observe_corners(image, index, index.astype(np.float64), [pixel], white_margin=margin, name=name)
 
     def _detect(self, grey: NDArray[np.uint8]) -> tuple[IntArray, FloatArray, IntArray]:
         """Index (n, 2) and pixel (n, 2) of the corners, and the numbers (m,) of the markers seen."""

@@ -14,11 +14,10 @@ from wlr_render.captures.boards.board import (
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    RealArray,
     grid_indices,
     grid_points,
 )
-from wlr_render.captures.boards.cell_pattern import CellPattern
+from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
@@ -34,7 +33,7 @@ _ALIKE = 0.5  # of the board's own contrast, and of the places along a side, tha
 
 
 @dataclass(frozen=True, eq=False)
-class Chessboard:
+class Chessboard(CellBoard):
     """A chessboard of black and white squares; its features are the inner corners.
 
     Attributes:
@@ -86,14 +85,6 @@ class Chessboard:
             self.size_m, np.concatenate([low, low + self.square_m], axis=1), square.sum(axis=1) % 2 == 0
         )
 
-    def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """As `Board.reflectance`; the square at the top left is black."""
-        return self._pattern.reflectance(in_board, softness_m)
-
-    def svg_shapes(self) -> list[str]:
-        """The black squares."""
-        return self._pattern.svg_shapes()
-
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """As `Board.find`; all inner corners must be in the picture.
 
@@ -113,10 +104,8 @@ class Chessboard:
                 f"inner corners): they go on at its {' and '.join(sides)}; count the inner corners of the whole board."
             )
         index = self.indices()
-        try:
-            found = observe_corners(image, index, index.astype(np.float64), [grid[index[:, 1], index[:, 0]]])
-        except BoardNotFoundError as error:
-            raise BoardNotFoundError(f"{name}: {error}") from error
+        start = grid[index[:, 1], index[:, 0]]
+        found = observe_corners(image, index, index.astype(np.float64), [start], name=name)
         return replace(found, ambiguous_half_turn=self.half_turn_symmetric)
 
     def _grid(self, image: Photograph, name: str) -> FloatArray:

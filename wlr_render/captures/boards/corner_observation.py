@@ -22,6 +22,7 @@ def observe_corners(
     starts: Sequence[FloatArray],
     reach: float = 1.0,
     white_margin: float | None = None,
+    name: str = "photograph",
 ) -> BoardObservation:
     """Return the observation of corners that are known to about a pixel; those that do not look like one are left out.
 
@@ -32,12 +33,13 @@ def observe_corners(
         starts: (n, 2) pixels each, from the outer corner of the top-left pixel; where the first leads to no corner, the
             next is tried.
         reach, white_margin: see `corner_fit.fit_corners`.
+        name: of the photograph, for the error.
 
     Raises:
-        BoardNotFoundError: too few corners are left; the sentence lacks the photograph's name.
+        BoardNotFoundError: too few corners are left.
     """
     if len(index) < LEAST_CORNERS:
-        raise _too_few(len(index))
+        raise _too_few(name, len(index))
     slope = lattice_shape(place, starts[0]).slope
     pixel, sigma = np.full((len(index), 2), np.nan), np.full(len(index), np.nan)
     for start in starts:
@@ -48,7 +50,7 @@ def observe_corners(
     if len(rows) >= _LEAST_FOR_OUTLIERS:
         rows = rows[_smooth(place[rows], pixel[rows])]
     if len(rows) < LEAST_CORNERS:
-        raise _too_few(len(rows))
+        raise _too_few(name, len(rows))
     rows = rows[np.lexsort(index[rows].T)]
     left_out = len(index) - len(rows)
     return BoardObservation(index[rows], pixel[rows], sigma[rows], disagreeing=left_out)
@@ -70,5 +72,5 @@ def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
     return max(tried, key=len)
 
 
-def _too_few(corners: int) -> BoardNotFoundError:
-    return BoardNotFoundError(f"only {corners} corners of the board were seen; show more of it.")
+def _too_few(name: str, corners: int) -> BoardNotFoundError:
+    return BoardNotFoundError(f"{name}: only {corners} corners of the board were seen; show more of it.")
