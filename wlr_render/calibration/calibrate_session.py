@@ -9,6 +9,7 @@ import numpy as np
 from wlr_render.calibration.bench.bench_file import save_station
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.checks import refuse_contradictions
+from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.photograph_captures import (
@@ -117,6 +118,7 @@ def calibrate_session(
 def _calibrated(
     session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], KindComparison]
 ) -> SessionCalibration:
+    reading = with_half_turns(session, reading)
     bench = calibrate_bench(session, reading)
     for eye in session.eyes:
         save_station(folder / f"station-{eye}.json", bench)

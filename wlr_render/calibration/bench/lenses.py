@@ -194,6 +194,6 @@ def _missed_px(state: BenchState, camera: str, views: Sequence[BoardView]) -> Fl
             result.append(float(np.sum(np.square(lens.size_px))))
             continue
         residual = view.pixel - lens.pixel_of_point(transforms.apply(pose, true.point))
-        most = _OUTLIER_SIGMAS * max(scale, 1.0) * view.sigma_px[:, None]
+        most = np.minimum(_OUTLIER_SIGMAS * max(scale, 1.0) * view.sigma_px[:, None], max(lens.size_px))
         result.append(np.mean(np.where(np.isfinite(residual), np.clip(residual, -most, most), most) ** 2))
     return np.array(result)
