@@ -79,8 +79,8 @@ def options(tmp_path, camera, **others):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr("wlr_render.captures.trigger._STABLE_S", 0.02)
-    monkeypatch.setattr("wlr_render.captures.trigger._LOOK_S", 0.01)
+    monkeypatch.setattr("wlr_render.jobs.capture._STABLE_S", 0.02)
+    monkeypatch.setattr("wlr_render.jobs.capture._LOOK_S", 0.01)
 
 
 @pytest.mark.usefixtures("quick")

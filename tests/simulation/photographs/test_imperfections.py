@@ -12,10 +12,9 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, design_photo_bench
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe
 from wlr_render.simulation.photographs.take_photographs import blurred, veiling_glare
-from wlr_render.simulation.photographs.visits import true_camera_poses
 
 NONE = BenchImperfections.none()
 

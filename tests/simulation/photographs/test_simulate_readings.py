@@ -14,12 +14,11 @@ from wlr_render.simulation.photographs.camera_view import panel_position, pixel_
 from wlr_render.simulation.photographs.faults import BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import camera_poses
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 from wlr_render.simulation.photographs.take_photographs import take
-from wlr_render.simulation.photographs.visits import true_camera_poses
 from wlr_render.toml_files import Table
 
 RECIPE = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions(camera_px=(640, 512)))

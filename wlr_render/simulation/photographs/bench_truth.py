@@ -12,7 +12,7 @@ from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.faults import Faults
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.visits import SessionVisits, Visit
+from wlr_render.simulation.photographs.photo_plan import SessionVisits, Visit
 
 
 @dataclass(frozen=True, eq=False)

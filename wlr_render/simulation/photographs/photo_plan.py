@@ -1,16 +1,36 @@
-"""The photographs of a simulated session: where the camera is told to stand, and how the boards are held."""
+"""Plan a simulated session: where the cameras are told to stand, where they really stand, and its session.toml."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.photo_session import (
+    BoardPhotograph,
+    CodeSet,
+    PhotoSession,
+    SessionCamera,
+    SessionPanel,
+    StageAxis,
+    StageDescription,
+)
+from wlr_render.captures.photo_session_entries import with_places
+from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_readings
+from wlr_render.simulation.viewpoints import random_in_eye_box
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
 _FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
+_PLACES, _TURNS, _READINGS, _CREEP, _HAND = range(17, 22)  # streams of random numbers
+_CREEP_TIME = 0.3  # of the session, in which the creep falls to 1 / e
+_HAND_TURN_DEG = 1.5  # of each axis, standard deviation
+_READING_DIGITS = 8  # of metres: an encoder of 10 nm
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,3 +86,148 @@ def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
             turn = transforms.rotations_of_vectors(np.deg2rad([*tilt, 90.0 * (number % 4) + 11.0 * side]))
             poses.append(transforms.rigid(turn, np.array([shift[0], shift[1] * (-1) ** number, depth])))
     return np.stack(poses)
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """The camera at one place, from arriving until leaving.
+
+    Attributes:
+        reading: (m,) what the encoders of the stage say, metres; None for a camera in the hand.
+        device_from_camera: (4, 4) where the eyeball camera really is.
+        place: name of the place of a camera in the hand; "" on a stage.
+    """
+
+    reading: FloatArray | None
+    device_from_camera: FloatArray
+    place: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class SessionVisits:
+    """The visits of a session, in the order of the lists of its session.toml.
+
+    Attributes:
+        bare: one for each photograph of the target without the headset.
+        see_through: one for each photograph of the target through the optics.
+        display: one for each panel set; these are the visits of the first target pose's photographs.
+    """
+
+    bare: tuple[Visit, ...]
+    see_through: tuple[Visit, ...]
+    display: tuple[Visit, ...]
+
+
+def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
+    """The visits of a session, from the bench's seed.
+
+    The stage travels through the bare positions of the first target pose, the sweep of each target pose with a return
+    to its first position, and the bare positions of the other bare target pose. It creeps in this order. A hand holds
+    the camera anywhere in the eye box, at as many places for each target pose.
+    """
+    axes = stage_axis_count(bench)
+    if not axes:
+        return _visits_by_hand(bench, len(plan.sweep))
+    sweep = np.concatenate([plan.sweep, plan.sweep[:1]])
+    poses, places, bare = len(bench.device_from_target), len(plan.sweep), len(plan.bare)
+    commanded = np.concatenate([np.tile(plan.bare, (len(plan.bare_poses), 1)), np.tile(sweep, (poses, 1))])
+    bare_count = bare * len(plan.bare_poses)
+    taken = np.concatenate([np.arange(bare), np.arange(bare, bare_count) + poses * len(sweep)])
+    taken = np.concatenate([taken, bare + np.arange(poses * len(sweep))])
+    # In this order since the first sessions were simulated with the first sweep and the bare visits alone.
+    drawn = np.concatenate([bare_count + np.arange(places), np.arange(bare_count)])
+    drawn = np.concatenate([drawn, np.arange(bare_count + places, len(commanded))])
+
+    sizes, seed, left = bench.options.imperfections, bench.options.seed, int(bench.eye == "left")
+    place, turn, reading, creep = (
+        np.random.default_rng([seed, stream, left]) for stream in (_PLACES, _TURNS, _READINGS, _CREEP)
+    )
+    position = commanded.copy()
+    position[drawn] += place.normal(0.0, 1e-6 * sizes.repeatability_um, commanded.shape)
+    direction = creep.standard_normal(3)
+    error = np.concatenate([turn.normal(0.0, 1e-6 * sizes.turn_jitter_urad, commanded.shape), commanded * 0.0], axis=1)
+    error[:, 3:] = np.outer(_creep(taken), 1e-6 * sizes.creep_um * direction / np.linalg.norm(direction))
+    stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
+    visits = tuple(
+        Visit(own[:axes], bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True)
+    )
+    through = visits[bare_count:]
+    return SessionVisits(visits[:bare_count], through, through[:places])
+
+
+def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
+    rng = np.random.default_rng([bench.options.seed, _HAND, int(bench.eye == "left")])
+    visits = []
+    for pose in range(len(bench.device_from_target)):
+        for number, viewpoint in enumerate(random_in_eye_box(bench.optics.eye_box, count, rng)):
+            turn = transforms.rotations_of_vectors(np.deg2rad(_HAND_TURN_DEG) * rng.standard_normal(3))
+            pose_of_hand = transforms.rigid(turn @ bench.device_from_camera[:3, :3], viewpoint)
+            visits.append(Visit(None, pose_of_hand, f"target {pose}, place {number}"))
+    return SessionVisits((), tuple(visits), tuple(visits[:count]))
+
+
+def _creep(taken: FloatArray) -> FloatArray:
+    """(n,) part of the whole creep at the photographs number `taken` (n,)."""
+    part = 1.0 - np.exp(-taken / (_CREEP_TIME * max(1, len(taken) - 1)))
+    return np.asarray(part / (1.0 - np.exp(-1.0 / _CREEP_TIME)))
+
+
+def planned_session(
+    root: Path, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits, pattern: Pattern
+) -> PhotoSession:
+    """The session of these visits, whose photographs are to lie in the folder `root`; nothing of the truth is in it."""
+    poses = range(len(bench.device_from_target))
+    eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
+    tracking = _camera(
+        root / "intrinsics" / "tracking", bench.tracking, bench.tracking_sensor, len(plan.tracking_boards)
+    )
+    bare = [f"bare/pose{pose}_{n:02d}.png" for pose in plan.bare_poses for n in range(len(plan.bare))]
+    # The first reading once more at the end of each sweep: what moved meanwhile shows there.
+    sweep = len(visits.see_through) // len(poses)
+    through = [
+        (pose, f"pose{pose}_{n:02d}.png", visits.see_through[pose * sweep + n]) for pose in poses for n in range(sweep)
+    ]
+    sizes, axes = bench.options.imperfections, stage_axis_count(bench)
+    sigma = (float(np.radians(sizes.extrinsics_deg)), 1e-3 * sizes.extrinsics_mm)
+
+    def target_photographs(folder: str) -> tuple[BoardPhotograph, ...]:
+        return tuple(
+            BoardPhotograph(root, f"{folder}/{name}", pose, visit.reading, visit.place, eye=bench.eye)
+            for pose, name, visit in through
+        )
+
+    session = PhotoSession(
+        folder=root,
+        device=bench.device.name,
+        eyes=(bench.eye,),
+        eye_boxes={bench.eye: bench.optics.eye_box},
+        panels={bench.eye: SessionPanel(pattern)},
+        decoding=DecodeOptions(full_scale=eyeball.full_scale),
+        board=bench.board,
+        eyeball_camera=eyeball,
+        tracking_camera=tracking,
+        device_from_tracking=bench.stated_device_from_tracking,
+        tracking_sigma=sigma if all(sigma) else None,
+        stage=StageDescription((StageAxis(),) * axes) if axes else None,
+        bare=tuple(
+            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading, eye=bench.eye)
+            for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
+        ),
+        tracking=tuple(
+            BoardPhotograph(root, f"tracking/pose{pose}_{when}.png", pose)
+            for pose in poses
+            for when in ("before", "after")
+        ),
+        see_through=target_photographs("see_through"),
+        beside=() if axes else target_photographs("beside"),
+        display=tuple(
+            CodeSet(root / "display" / f"{number:02d}", visit.reading, visit.place, eye=bench.eye)
+            for number, visit in enumerate(visits.display)
+        ),
+    )
+    return with_places(session)
+
+
+def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:
+    paths = tuple(folder / f"{number:02d}.png" for number in range(count))
+    return SessionCamera(lens.camera.size_px, PhotographFormat(sensor.bits), paths)

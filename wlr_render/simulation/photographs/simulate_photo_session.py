@@ -24,11 +24,16 @@ from wlr_render.progress import SILENT, Progress
 from wlr_render.simulation.photographs import recipe as recipe_file
 from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
-from wlr_render.simulation.photographs.planned_session import planned_session
+from wlr_render.simulation.photographs.photo_plan import (
+    PhotoPlan,
+    SessionVisits,
+    Visit,
+    plan_photographs,
+    planned_session,
+    true_camera_poses,
+)
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
-from wlr_render.simulation.photographs.visits import SessionVisits, Visit, true_camera_poses
 
 BOARD = "board.toml"
 _MOST_WORKERS = 4  # each takes up to 0.4 GB

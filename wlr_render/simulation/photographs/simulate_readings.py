@@ -24,10 +24,8 @@ from wlr_render.simulation.photographs.bench_truth import BenchTruth, known_numb
 from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
 from wlr_render.simulation.photographs.faults import NO_FAULTS, Exchange, Faults
 from wlr_render.simulation.photographs.photo_bench import passes_optics
-from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs
-from wlr_render.simulation.photographs.planned_session import planned_session
+from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.visits import true_camera_poses
 
 _EDGE_PX = 6.0  # from the edge of the picture to the centre of a dot that is seen whole
 _NEAR = 1.1  # of the picture: beyond, optics do not bring a point into it

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from wlr_render.captures.trigger import take_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.jobs.capture import take_photograph
 
 
 def python(code):
