@@ -34,6 +34,12 @@ VERBS = (
     Verb("render", DRAW, "render:render", "Draw the frames of one or both eyes for a still or moving wearer."),
     Verb("compare", DRAW, "compare:compare", "Measure the error of rasterisation against ray tracing, pixel by pixel."),
     Verb(
+        "plan",
+        CALIBRATE,
+        "plan.plan:plan",
+        "Plan a session: where to put the camera, and how many photographs reach an accuracy.",
+    ),
+    Verb(
         "calibrate photos",
         CALIBRATE,
         "calibrate.photos:calibrate_photos",

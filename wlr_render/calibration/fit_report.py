@@ -1,6 +1,6 @@
 """A fitted model and its report: noise and stage as found, predicted error, and what further positions would bring."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar
@@ -251,11 +251,36 @@ class ModelFit(Generic[AnyModel]):
             subject = self._subject(self.captures)[rows][:, None]
             sure = [np.nanmean(self.mapping.sigma(subject, place[None]) ** 2) for place in places]
             worst = places[int(np.argmax(sure))]
-            spread = self.smooth.spread_with(self.readings_of(self._with_positions(worst)))
-            predicted = self.predicted_arcmin(self.mapping.with_spread(spread))
+            predicted = self.predicted_arcmin(self.with_positions(worst))
             name = f"a {noun} of {count} camera positions at {'xy'[axis]} = {1e3 * worst[0, axis]:+.1f} mm"
             tried.append(OneMore(name, predicted))
         return min(tried, key=lambda each: each.predicted_arcmin)
+
+    def with_positions(self, viewpoint: FloatArray) -> AnyModel:
+        """The model with the covariance that further camera positions (m, 3) would give."""
+        return self.mapping.with_spread(self.smooth.spread_with(self.readings_of(self._with_positions(viewpoint))))
+
+    def with_design(self, captures: DisplayCaptures | SeeThroughCaptures, hyper: Mapping[str, float]) -> AnyModel:
+        """The model with the covariance that a fit to other captures of the same headset would have.
+
+        Args:
+            captures: of another design.
+            hyper: see `SmoothFit.spread_from`.
+        """
+        return self.mapping.with_spread(self.smooth.spread_from(self.readings_of(captures), hyper))
+
+    def with_camera_motions(self, curve: Callable[[FloatArray], FloatArray]) -> AnyModel:
+        """The model that these captures would give if each camera had moved.
+
+        Args:
+            curve: (positions (m, 3)) -> (m, 6) rotation (rad) and displacement (m) of the camera there.
+        """
+        _, first = np.unique(self.smooth.readings.capture, return_index=True)
+        motion = curve(self.captures.viewpoint[first])
+        model: Any = self.mapping  # a dataclass, as every model is
+        name = next(iter(model.FORMS))
+        changed: AnyModel = replace(model, **{name: self.smooth.with_motions(np.roll(motion, 3, axis=1))})
+        return changed
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
         """The captures and further ones from viewpoints (m, 3), each of which sees what the nearest camera saw."""

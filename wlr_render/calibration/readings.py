@@ -169,8 +169,13 @@ class FitReadings:
         """Some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None)
-        chosen.__dict__["box"] = self.box
-        return chosen
+        return chosen.within(self.box)
+
+    def within(self, box: Box) -> "FitReadings":
+        """The same readings in another box: coefficients and their priors mean the same as of readings in it."""
+        changed = replace(self)
+        changed.__dict__["box"] = box
+        return changed
 
     def values(self, polynomial: Polynomial) -> FloatArray:
         """What a polynomial says of `observed`, (n, 2)."""

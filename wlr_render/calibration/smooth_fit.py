@@ -239,13 +239,38 @@ class SmoothFit:
 
     def spread_with(self, readings: FitReadings) -> Covariance:
         """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
+        return self._spread(readings, np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))]), self._hyper)
+
+    def spread_from(self, readings: FitReadings, hyper: Mapping[str, float]) -> Covariance:
+        """Covariance of a fit to other readings of optics as smooth as these.
+
+        Args:
+            readings: of the same headset, none beyond the box of this fit.
+            hyper: hyperparameters, logarithms, in place of those found: "noise", "shift" and "turn".
+        """
+        values = [hyper.get(name, value) for name, value in self.posterior.hyper.items()]
+        return self._spread(readings.within(self.readings.box), np.ones(len(readings)), np.array(values))
+
+    def _spread(self, readings: FitReadings, kept: FloatArray, hyper: FloatArray) -> Covariance:
         columns, prior = None, self._prior
         if self._columns is not None:
             columns = motion_columns(readings, self.polynomial)
             prior = replace(prior, own_offset=np.log(motion_sizes(readings)))
-        kept = np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))])
         sums = sums_of(readings, None, columns, kept)
-        return spread_of(readings, posterior(sums, prior, self._hyper))
+        return spread_of(readings, posterior(sums, prior, hyper, evidence=False))
+
+    def with_motions(self, motion: FloatArray) -> Polynomial:
+        """The polynomial that these readings would give if their cameras had moved by `motion`.
+
+        Args:
+            motion: (captures, 6) shift in metres, then turn in radians.
+        """
+        readings = self.readings
+        if self._columns is None:
+            return self.polynomial
+        moved = np.einsum("nok,nk->no", self._columns, motion[readings.capture])
+        sums = sums_of(replace(readings, observed=readings.observed - moved), self._start, self._columns, self.kept)
+        return polynomial_of(readings, self._start, posterior(sums, self._prior, self._hyper, evidence=False))
 
 
 def fit_within(

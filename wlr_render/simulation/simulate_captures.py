@@ -1,5 +1,6 @@
 """Simulate captures of the panel and of targets from exact mappings, with noise and position errors."""
 
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 
@@ -30,6 +31,8 @@ class CaptureSetup:
         stage_error_m: standard deviation of the true camera position about the reported one, independent per visit of
             a position and per axis.
         stage_turn_rad: standard deviation of the camera's rotation about each axis, likewise independent.
+        stage_curve: (reported positions (m, 3)) -> (m, 6) rotation (rad) and displacement (m) of the camera, the same
+            in every visit; None for none.
         camera_field: the part of the display's field that is photographed, by a grid of camera pixels; None for all
             of it, by a grid of panel pixels.
         grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
@@ -47,6 +50,7 @@ class CaptureSetup:
     target_depths_m: tuple[float, ...] = (0.4, 3.0)
     _: KW_ONLY
     stage_turn_rad: float = 0.0
+    stage_curve: Callable[[FloatArray], FloatArray] | None = None
 
     def __post_init__(self) -> None:
         for name in ("camera_noise_arcmin", "stage_error_m", "stage_turn_rad"):
@@ -74,7 +78,7 @@ class CaptureSetup:
     @property
     def stated_sigma_arcmin(self) -> float:
         """Sigma of a measured direction that captures state; 0 only where they are exact."""
-        has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0
+        has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0 or self.stage_curve is not None
         return self.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if has_stage_errors else 0.0)
 
     @cached_property
@@ -160,9 +164,12 @@ class _Visits:
 
 def _visited(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> _Visits:
     position = np.asarray(viewpoint + rng.normal(0.0, setup.stage_error_m, viewpoint.shape))
-    if setup.stage_turn_rad == 0.0:
+    if setup.stage_turn_rad == 0.0 and setup.stage_curve is None:
         return _Visits(position, None)
     turn = rng.normal(0.0, setup.stage_turn_rad, viewpoint.shape)
+    if setup.stage_curve is not None:
+        curve = setup.stage_curve(viewpoint)
+        turn, position = turn + curve[:, :3], position + curve[:, 3:]
     return _Visits(position, rotations_of_vectors(turn))
 
 

@@ -1,0 +1,126 @@
+"""Plan a session: where to put the camera, and how many photographs reach an accuracy."""
+
+from dataclasses import KW_ONLY, dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder, write_text
+from wlr_render.jobs.headset import is_model
+from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed, described, described_size, flag_of
+from wlr_render.jobs.plan.next_places import plan_next_places
+from wlr_render.jobs.plan.plan_report import places_csv, plan_report
+from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.jobs.plan.search import LEAST_PLACES, find_design
+from wlr_render.jobs.targets import Code
+from wlr_render.optics.device_file import device_path, load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report
+from wlr_render.report.save import save_report
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
+
+_USUAL, _READINGS = BenchImperfections(), ReadingOptions()
+PLACES_FILE = "places.csv"
+
+
+@dataclass(frozen=True)
+class PlanOptions(Options):
+    """Options of `plan`."""
+
+    headset: Annotated[str, described("A shipped device or a device file (.toml).")]
+    _: KW_ONLY
+    eye: Annotated[Eye, described("Eye to calibrate.")] = "right"
+    accuracy_arcmin: Annotated[
+        float, described("Wanted registration error in arcmin, of 95 % of the eye box."), Range(above=0)
+    ] = 0.3
+    repeatability_um: Annotated[
+        float, described("Repeatability of the stage in um, standard deviation per axis."), Range(at_least=0)
+    ] = _USUAL.repeatability_um
+    turn_jitter_urad: Annotated[
+        float, described("Random rotation of each visit in urad, standard deviation per axis."), Range(at_least=0)
+    ] = _USUAL.turn_jitter_urad
+    turn_urad: Annotated[
+        float, described("Smooth pitch, yaw and roll of the stage in urad, rms along each axis."), Range(at_least=0)
+    ] = _USUAL.turn_urad
+    dot_noise_px: Annotated[
+        float, described("Noise of a dot of the board, per axis, in camera pixels."), Range(above=0)
+    ] = _READINGS.dot_px
+    panel_noise_px: Annotated[
+        float, described("Noise of a decoded panel position, per axis, in panel pixels."), Range(above=0)
+    ] = _READINGS.panel_px
+    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), Range(at_least=1)] = (
+        PhotoBenchOptions.camera_px
+    )
+    depths_m: Annotated[
+        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(above=0)
+    ] = PhotoBenchOptions.target_depths_m
+    pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
+    seconds: Annotated[float, described("Seconds a photograph takes."), Range(above=0)] = 2.0
+    most_places: Annotated[int, described("Camera places at most."), Range(at_least=LEAST_PLACES, at_most=200)] = 81
+    calibration: Annotated[
+        Path | None,
+        described("Folder of a calibration of this headset (captures-EYE.npz): plan the places to add to it."),
+    ] = None
+    add: Annotated[int, described("With --calibration: places to add at most."), Range(at_least=1, at_most=20)] = 4
+    seed: Seed = 1
+    out: Annotated[Path, described("Output folder.")] = Path("out/plan")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.calibration is None and self.add != type(self).add:
+            raise BadInputError(f"{flag_of(type(self), 'add')} is used with --calibration only; leave it out.")
+        if len(set(self.depths_m)) < 2:
+            raise BadInputError(
+                f"{flag_of(type(self), 'depths_m')} is {' '.join(f'{each:g}' for each in self.depths_m)}; see-through "
+                "needs targets at two distances at least, e.g. 0.4 1."
+            )
+
+    @property
+    def recipe(self) -> SimulationRecipe:
+        """The headset and the bench."""
+        sizes = replace(
+            _USUAL,
+            repeatability_um=self.repeatability_um,
+            turn_jitter_urad=self.turn_jitter_urad,
+            turn_urad=self.turn_urad,
+        )
+        bench = PhotoBenchOptions(
+            self.camera, target_depths_m=tuple(sorted(self.depths_m)), seed=self.seed, imperfections=sizes
+        )
+        return SimulationRecipe(self.headset, self.eye, self.most_places, self.pattern, bench)
+
+
+def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Plan a session, or the places to add to one; writes places.csv and the report into `options.out`.
+
+    Raises:
+        BadInputError: an unknown device or eye, an impossible bench, or a calibration that cannot be read or is of
+            another headset.
+    """
+    if is_model(options.headset):
+        raise BadInputError(
+            f"{options.headset}: is a fitted model; a plan needs the headset's prescription: name a shipped device or "
+            "a device file."
+        )
+    device = load_device(options.headset)
+    truth = replace(traced_eye(device, options.eye), name=device.name)
+    inputs = [device_path(options.headset)]
+    folder = output_folder(options.out)
+    if options.calibration is not None:
+        report, places = plan_next_places(
+            truth, options.calibration, options.accuracy_arcmin, options.add, progress.say
+        )
+    else:
+        noise = ReadingOptions(options.dot_noise_px, options.panel_noise_px)
+        bench = PlannedBench(truth, options.recipe, noise, options.recipe.build())
+        search = find_design(bench, options.accuracy_arcmin, options.most_places, progress.say)
+        report = plan_report(search, options.accuracy_arcmin, options.seconds)
+        places = bench.places(search.recommended.design.unit) - truth.eye_box.centre
+    written = write_text(folder / PLACES_FILE, places_csv(places))
+    record = {"options": options, "places_mm": 1e3 * places} | dict(report.record)
+    report = replace(report, inputs=[*inputs, *report.inputs], files=[written], record=record)
+    return save_report(report, folder)

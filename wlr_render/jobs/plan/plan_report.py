@@ -1,0 +1,208 @@
+"""Report of a planned session: how many places, where, how long, predicted error, and what limits it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wlr_render.evaluation.metrics import Summary
+from wlr_render.jobs.plan.prediction import DesignErrors, EyeTests, place_variance
+from wlr_render.jobs.plan.search import Search
+from wlr_render.mappings import EyeBox
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
+from wlr_render.report.plots import axis, curves
+
+_CELLS = 25  # of the map, across the eye box
+_WORTH = 0.05  # part of the error that a change takes away, to be named
+
+
+def plan_report(search: Search, accuracy_arcmin: float, seconds: float) -> Report:
+    """The report of a planned session; `seconds` each photograph takes."""
+    bench, design = search.predictor.bench, search.recommended.design
+    photographs = bench.photographs(len(design))
+    total = sum(photographs.values())
+    errors, simulated = search.recommended.errors, search.simulated
+    found = errors.registration
+    what = (
+        f"{len(design)} camera places, {total} photographs, {_duration(total * seconds)} at {seconds:g} s each: "
+        f"predicted registration error {found.median:.2g}' in the median, {found.p95:.2g}' at 95 % of the eye box "
+        f"(simulated: {simulated.registration.median:.2g}', {simulated.registration.p95:.2g}')"
+    )
+    verdict = f"{what}; this reaches the wanted {accuracy_arcmin:g}'."
+    if not search.reaches:
+        verdict = f"The wanted {accuracy_arcmin:g}' are not reached. The best design found: {what}."
+    models = search.predictor.models(design.unit)
+    blocks: list[Block] = [
+        _errors_table(errors, simulated),
+        _limits_table(search),
+        _designs_table(search),
+        _curves(search, accuracy_arcmin),
+        error_map(*models, bench.truth.eye_box, bench.places(design.unit), search.predictor.tests),
+        ReportTable(
+            "Photographs",
+            ["photograph", "number", "minutes"],
+            [[name, count, count * seconds / 60.0] for name, count in photographs.items()],
+            ("The display's codes and the board are photographed at every camera place; the rest once a session.",),
+        ),
+        places_table(bench.places(design.unit) - bench.truth.eye_box.centre),
+    ]
+    return Report(
+        f"Plan of a session: {bench.truth.name}, {bench.truth.eye} eye",
+        verdict,
+        advice=_advice(search),
+        warnings=_warnings(search),
+        blocks=blocks,
+        record={
+            "design": design.name,
+            "photographs": photographs,
+            "predicted": errors,
+            "simulated": simulated,
+            "limits": search.limits,
+        },
+    )
+
+
+def places_csv(places: FloatArray) -> str:
+    """Places (m, 3) from the centre of the eye box as CSV, millimetres."""
+    rows = [",".join(f"{1e3 * each:.3f}" for each in place) for place in places[_by_rows(places)]]
+    return "\n".join(["x_mm,y_mm,z_mm", *rows]) + "\n"
+
+
+def places_table(places: FloatArray) -> ReportTable:
+    """Places (m, 3) from the centre of the eye box."""
+    rows: list[list[Cell]] = [
+        [number, *(f"{1e3 * each:+.3f}" for each in place)] for number, place in enumerate(places[_by_rows(places)])
+    ]
+    notes = ("From the centre of the eye box, device frame: x to the right, y up, z backward. Also in places.csv.",)
+    return ReportTable("Camera places", ["place", "x (mm)", "y (mm)", "z (mm)"], rows, notes)
+
+
+def error_map(
+    display: FittedDisplay, see_through: FittedSeeThrough, eye_box: EyeBox, places: FloatArray, tests: EyeTests
+) -> Plot:
+    """Predicted registration error over the eye box in its middle plane, with camera places (m, 3)."""
+    half = 0.5 * eye_box.size[:2]
+    x, y = (np.linspace(-each, each, _CELLS) for each in half)
+    grid = np.stack([*np.meshgrid(x, y), np.zeros((_CELLS, _CELLS))], axis=-1).reshape(-1, 3)
+    error = np.sqrt(place_variance(display, see_through, eye_box.centre + grid, tests)).reshape(_CELLS, _CELLS)
+    away = 1e3 * (places - eye_box.centre)
+    data = [
+        {
+            "type": "heatmap",
+            "x": np.round(1e3 * x, 3).tolist(),
+            "y": np.round(1e3 * y, 3).tolist(),
+            "z": [[float(f"{value:.4g}") for value in row] for row in error],
+            "colorscale": "Viridis",
+            "colorbar": {"title": {"text": "arcmin"}},
+        },
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "camera places",
+            "x": np.round(away[:, 0], 3).tolist(),
+            "y": np.round(away[:, 1], 3).tolist(),
+            "marker": {"size": 9, "color": "#d62728", "symbol": "circle-open", "line": {"width": 2}},
+        },
+    ]
+    layout = {
+        "xaxis": axis("x (mm)") | {"constrain": "domain"},
+        "yaxis": axis("y (mm)") | {"scaleanchor": "x", "constrain": "domain"},
+    }
+    caption = (
+        "Rms predicted registration error at viewpoints in the middle plane of the eye box; circles: camera places. "
+        "Rays to viewpoints before and behind that plane pass it beside the eye box, so that places lie there, too."
+    )
+    return Plot("Predicted error over the eye box", data, layout, caption, height_px=560)
+
+
+def _by_rows(places: FloatArray) -> list[int]:
+    """Order in which a stage travels little: row by row, to and fro."""
+    step = max(float(np.ptp(places[:, 1])) / max(1.0, np.sqrt(len(places))), 1e-9)
+    row = np.floor((places[:, 1] - places[:, 1].min()) / step)
+    return list(np.lexsort((places[:, 0] * np.where(row % 2, -1.0, 1.0), row)))
+
+
+def _duration(seconds: float) -> str:
+    hours, minutes = divmod(round(seconds / 60.0), 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
+
+
+def _errors_table(predicted: DesignErrors, simulated: DesignErrors) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for name in ("display", "see_through", "registration"):
+        one: Summary = getattr(predicted, name)
+        other: Summary = getattr(simulated, name)
+        rows.append([name.replace("_", "-"), one.median, one.p95, other.median, other.p95, one.rms, other.rms])
+    columns = ["error", "predicted median (arcmin)", "predicted 95 % (arcmin)", "simulated median (arcmin)"]
+    columns += ["simulated 95 % (arcmin)", "predicted rms (arcmin)", "simulated rms (arcmin)"]
+    notes = (
+        "Over the eye box and the field of view. Predicted: from the covariance of the models and the smooth errors of "
+        "the stage that its calibration leaves. Simulated: one session's models against the traced headset.",
+        "Smooth errors of the stage are the same in display and see-through, and mostly cancel in registration.",
+        "Errors of the tracking camera's extrinsics and of eye tracking come on top.",
+    )
+    return ReportTable("Errors of the recommended design", columns, rows, notes)
+
+
+def _limits_table(search: Search) -> ReportTable:
+    now = search.recommended.errors
+    rows: list[list[Cell]] = [["as planned", now.registration.median, now.registration.p95, None, now.display.p95]]
+    for name, errors in search.limits.items():
+        gain = 100.0 * (1.0 - errors.registration.p95 / now.registration.p95)
+        rows.append([name, errors.registration.median, errors.registration.p95, gain, errors.display.p95])
+    columns = ["change", "registration, median (arcmin)", "registration, 95 % (arcmin)", "gain (%)"]
+    return ReportTable("What limits the accuracy", [*columns, "display, 95 % (arcmin)"], rows)
+
+
+def _designs_table(search: Search) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for tried in search.tried.values():
+        for each in sorted(tried, key=lambda one: len(one.design)):
+            mark = "recommended" if each.design is search.recommended.design else ""
+            found = each.errors.registration
+            total = sum(search.predictor.bench.photographs(len(each.design)).values())
+            rows.append([each.design.name, len(each.design), total, found.median, found.p95, mark])
+    columns = ["design", "places", "photographs", "registration, median (arcmin)", "registration, 95 % (arcmin)", ""]
+    notes = (
+        "Spread: no two places share a column or a row. Chosen: each place where those before leave the largest "
+        "predicted variance. A grid has few levels of x and y for its number of places.",
+    )
+    return ReportTable("Designs", columns, rows, notes)
+
+
+def _curves(search: Search, accuracy_arcmin: float) -> Plot:
+    lines = {}
+    for family, tried in search.tried.items():
+        sorted_ = sorted(tried, key=lambda one: len(one.design))
+        lines[family] = ([len(one.design) for one in sorted_], [one.p95 for one in sorted_])
+    counts = [count for xs, _ in lines.values() for count in xs]
+    wanted = ([min(counts), max(counts)], [accuracy_arcmin, accuracy_arcmin])
+    title = "Predicted registration error by number of camera places"
+    return curves(title, lines | {"wanted": wanted}, ("camera places", "95 % of the eye box (arcmin)"), log_y=True)
+
+
+def _gains(search: Search) -> list[tuple[float, str, float]]:
+    """Relative gain, name and 95 % registration error of each change, the largest gain first."""
+    now = search.recommended.p95
+    found = [(1.0 - each.registration.p95 / now, name, each.registration.p95) for name, each in search.limits.items()]
+    return sorted(found, reverse=True)
+
+
+def _advice(search: Search) -> list[str]:
+    steps = ["Drive the stage to the places of places.csv, measured from the centre of the eye box."]
+    gains = [each for each in _gains(search) if each[0] > _WORTH]
+    if not gains:
+        return [*steps, "No single change of the bench improves registration by more than 5 %."]
+    first, *others = [f"{name} ({p95:.2g}')" for _, name, p95 in gains]
+    return [*steps, f"Most would be gained by {first}" + (f", then by {others[0]}." if others else ".")]
+
+
+def _warnings(search: Search) -> Sequence[str]:
+    predicted, simulated = search.recommended.errors.registration.rms, search.simulated.registration.rms
+    if simulated <= 1.5 * predicted:
+        return []
+    return [
+        f"The simulated session's registration error is {simulated / predicted:.1f} times the predicted one: the model "
+        "cannot follow these optics between so few places, or its fit did not find how smooth they are."
+    ]

@@ -1,0 +1,203 @@
+"""Predicted and simulated errors of a calibration over the eye box, by the design of its session."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_report import ModelFit
+from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.evaluation import mapping_error
+from wlr_render.evaluation.metrics import Summary, summary
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.mappings import EyeMappings
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation import viewpoints
+
+_VIEWPOINTS, _EACH = 150, 8
+_NEAR_M, _FAR_M = 0.3, 5.0  # of real points, evenly in dioptres
+_CURVES = 4  # smooth errors of the stage that are averaged over
+_DRAWS = 8  # of the random part, of each
+_TESTS, _PILOT = 72, 73  # streams of random numbers
+
+
+@dataclass(frozen=True)
+class PlannedFit:
+    """Planar models of both mappings of an eye, fitted to the captures of a design."""
+
+    display: ModelFit[FittedDisplay]
+    see_through: ModelFit[FittedSeeThrough]
+
+    @classmethod
+    def to(cls, captures: EyeCaptures) -> "PlannedFit":
+        """Fit as calibration does, but outliers, of which captures have none here, are not looked for."""
+        shown, seen = captures.display, captures.see_through
+        assert seen is not None
+        return cls(fit_display(shown, weights=np.ones(len(shown))), fit_see_through(seen, weights=np.ones(len(seen))))
+
+
+@dataclass(frozen=True, eq=False)
+class EyeTests:
+    """A real point and the pixel that covers it, as they are seen from viewpoints all over the eye box.
+
+    Attributes:
+        viewpoint: (n, 3). pixel: (n, 2). point: (n, 3). view_dir: (n, 3) direction of both.
+    """
+
+    viewpoint: FloatArray
+    pixel: FloatArray
+    point: FloatArray
+    view_dir: FloatArray
+
+    @classmethod
+    def of(cls, truth: EyeMappings, seed: int) -> "EyeTests":
+        """Random directions of the nominal field, or of the whole panel if the device names no field."""
+        rng = np.random.default_rng([seed, _TESTS])
+        viewpoint = viewpoints.random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None]
+        if truth.field is None:
+            pixel = rng.uniform(0.0, 1.0, (_VIEWPOINTS, _EACH, 2)) * truth.display.panel.size_px
+            shown = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
+        else:
+            tangents = rng.uniform(truth.field.low, truth.field.high, (_VIEWPOINTS, _EACH, 2))
+            shown = mapping_error.observations_of_dirs(truth.display, viewpoint, dir_of_tangents(tangents))
+        seen = truth.see_through.real_ray_of_view_dir(shown.view_dir, shown.viewpoint).usable
+        viewpoint, view_dir = shown.viewpoint[seen], shown.view_dir[seen]
+        depth = 1.0 / rng.uniform(1.0 / _FAR_M, 1.0 / _NEAR_M, len(view_dir))
+        points = mapping_error.see_through_observations(truth.see_through, viewpoint, view_dir, depth)
+        return cls(viewpoint, shown.pixel[seen], points.point, view_dir)
+
+    def directions(self, display: FittedDisplay, see_through: FittedSeeThrough) -> tuple[FloatArray, FloatArray]:
+        """Directions (n, 3) in which models see the pixel, and the point."""
+        return (
+            display.view_dir_of_pixel(self.pixel, self.viewpoint).value,
+            see_through.view_dir_of_real_point(self.point, self.viewpoint).value,
+        )
+
+
+@dataclass(frozen=True)
+class DesignErrors:
+    """Errors of a calibration over the eye box, arcminutes.
+
+    Attributes:
+        display: of the direction of a pixel. see_through: of the direction of a real point.
+        registration: angle between a real point and what is drawn over it.
+    """
+
+    display: Summary
+    see_through: Summary
+    registration: Summary
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of the errors of a bench as multiples of the planned ones.
+
+    Attributes:
+        noise: of dots and decoded positions.
+        random: repeatability and random turns of the stage.
+        smooth: smooth errors of the stage that the bench's calibration leaves.
+    """
+
+    noise: float = 1.0
+    random: float = 1.0
+    smooth: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """Predicts the errors of designs from the fit of one simulated session, the pilot.
+
+    The pilot says how smooth the optics are. The covariance of another design follows from its places, its readings and
+    that smoothness, without a fit.
+
+    Attributes:
+        bench: the planned bench.
+        pilot: fitted to captures of a design.
+        tests: where errors are predicted.
+    """
+
+    bench: PlannedBench
+    pilot: PlannedFit
+    tests: EyeTests
+
+    def models(
+        self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
+    ) -> tuple[FittedDisplay, FittedSeeThrough]:
+        """Models with the covariance of a design with places (m, 2), see `Design.unit`."""
+        captures = self.bench.captures(self.bench.places(unit), [0, _PILOT], None, depths_m)
+        assert captures.see_through is not None
+        changes = {"noise": scales.noise, "shift": scales.random, "turn": scales.random}
+        # The stage as the pilot found it: a fit takes for random motions what it cannot follow, smooth errors included.
+        shown, seen = (
+            {name: float(side.smooth.posterior.hyper[name] + np.log(scale)) for name, scale in changes.items()}
+            for side in (self.pilot.display, self.pilot.see_through)
+        )
+        return (
+            self.pilot.display.with_design(captures.display, shown),
+            self.pilot.see_through.with_design(captures.see_through, seen),
+        )
+
+    def errors(
+        self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
+    ) -> DesignErrors:
+        """Predicted errors of a design with places (m, 2)."""
+        return self.errors_of(*self.models(unit, scales, depths_m), scales.smooth)
+
+    def errors_of(self, display: FittedDisplay, see_through: FittedSeeThrough, smooth: float = 1.0) -> DesignErrors:
+        """Predicted errors by the covariance of two models and the smooth errors of the stage."""
+        shown = display.sigma(self.tests.pixel, self.tests.viewpoint)
+        seen = see_through.sigma(self.tests.point, self.tests.viewpoint)
+        sizes = (shown, seen, np.hypot(shown, seen))
+        return DesignErrors(
+            *(_lengths(size, smooth * curve) for size, curve in zip(sizes, self._by_curves, strict=True))
+        )
+
+    @cached_property
+    def _by_curves(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Errors (curves, n) of display, see-through and registration by the stage's smooth errors.
+
+        The fits take them for optics. As both photograph from the same places, parts cancel in registration.
+        """
+        now = self.tests.directions(self.pilot.display.mapping, self.pilot.see_through.mapping)
+        found = []
+        for draw in range(_CURVES):
+            curve = self.bench.curve(1 + draw)
+            changed = self.tests.directions(
+                self.pilot.display.with_camera_motions(curve), self.pilot.see_through.with_camera_motions(curve)
+            )
+            shown, seen = (new - old for new, old in zip(changed, now, strict=True))
+            found.append([np.linalg.norm(each, axis=1) / ARCMIN for each in (shown, seen, shown - seen)])
+        shown, seen, both = (np.array(each) for each in zip(*found, strict=True))
+        return shown, seen, both
+
+    def simulated(self, fit: PlannedFit) -> DesignErrors:
+        """Errors of a fit against the traced headset."""
+        shown, seen = self.tests.directions(fit.display.mapping, fit.see_through.mapping)
+        pairs = ((shown, self.tests.view_dir), (seen, self.tests.view_dir), (shown, seen))
+        return DesignErrors(*(summary(arcmin_between(*pair)) for pair in pairs))
+
+
+def place_variance(
+    display: FittedDisplay, see_through: FittedSeeThrough, place: FloatArray, tests: EyeTests
+) -> FloatArray:
+    """Mean predicted variance (k,) of registration as seen from places (k, 3), arcminutes squared."""
+    rows = np.linspace(0, len(tests.pixel) - 1, 60).astype(int)
+    shown = display.sigma(tests.pixel[rows][:, None], place[None])
+    seen = see_through.sigma(tests.point[rows][:, None], place[None])
+    return np.asarray(np.nanmean(shown**2 + seen**2, axis=0))
+
+
+def _lengths(sigma: FloatArray, curve: FloatArray) -> Summary:
+    """Lengths of errors: random ones of rms length `sigma` (n,), added to smooth ones (curves, n)."""
+    rng = np.random.default_rng(0)
+    along, across = rng.standard_normal((2, _DRAWS, 1, len(sigma))) * sigma / np.sqrt(2.0)
+    return summary(np.hypot(curve + along, across))
+
+
+def simulated_captures(bench: PlannedBench, unit: FloatArray, seed: int) -> EyeCaptures:
+    """Captures of one session with all errors of the bench; the smooth ones are none of those predicted with."""
+    return bench.captures(bench.places(unit), [seed, _PILOT], bench.curve(_CURVES + 1 + seed))

@@ -1,0 +1,173 @@
+"""Search for the session with the fewest camera places that reaches an accuracy."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.jobs.plan.designs import (
+    CHOSEN,
+    GRID,
+    SPREAD,
+    Design,
+    candidates,
+    first_chosen,
+    grids,
+    spread,
+    with_chosen,
+)
+from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.jobs.plan.prediction import (
+    DesignErrors,
+    EyeTests,
+    PlannedFit,
+    Predictor,
+    Scales,
+    place_variance,
+    simulated_captures,
+)
+
+LEAST_PLACES = 9
+_PILOT_PLACES = 30
+_BATCHES = 4  # in which the places of a chosen design are chosen at most
+_FIRST_STEP = 16  # of so many parts of the designs; steps double until a design reaches the accuracy
+_MORE = 1.25  # times as many places if the simulated session misses the accuracy
+_TRIALS = 3
+_AGREES = 1.1  # of the wanted accuracy: one session's own errors scatter by this
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A design with its predicted errors."""
+
+    design: Design
+    errors: DesignErrors
+
+    @property
+    def p95(self) -> float:
+        """Registration error in arcminutes that 95 % of the eye box stay below."""
+        return self.errors.registration.p95
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What was found.
+
+    Attributes:
+        predictor: predicts errors of designs.
+        tried: designs of each family with their predicted errors, by number of places.
+        recommended: the design to use. simulated: errors of a simulated session of it, against the traced headset.
+        limits: predicted errors with one error of the bench changed, by its name.
+        reaches: whether prediction and simulation reach the accuracy.
+    """
+
+    predictor: Predictor
+    tried: Mapping[str, tuple[Candidate, ...]]
+    recommended: Candidate
+    simulated: DesignErrors
+    limits: Mapping[str, DesignErrors]
+    reaches: bool
+
+
+def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Callable[[str], object]) -> Search:
+    """Find the design with the fewest places that reaches an accuracy in prediction and in simulation.
+
+    Args:
+        bench: the planned bench.
+        accuracy_arcmin: wanted registration error of 95 % of the eye box.
+        most: places at most.
+        say: is told what is being done.
+
+    Raises:
+        BadInputError: the captures of a design do not determine a model.
+    """
+    seed = bench.recipe.bench.seed
+
+    def spread_of(count: int) -> Design:
+        return spread(bench.truth.eye_box, bench.field_reach, count)
+
+    say("fitting the captures of a pilot session")
+    pilot = PlannedFit.to(simulated_captures(bench, spread_of(min(_PILOT_PLACES, most)).unit, seed))
+    predictor = Predictor(bench, pilot, EyeTests.of(bench.truth, seed))
+    say("predicting designs")
+    by_family = {
+        SPREAD: _bisected(predictor, [spread_of(count) for count in range(LEAST_PLACES, most + 1)], accuracy_arcmin),
+        GRID: _bisected(predictor, grids(bench.reach_m, most), accuracy_arcmin),
+    }
+    by_family[CHOSEN] = _chosen(predictor, min(most, _smallest(by_family, accuracy_arcmin)), accuracy_arcmin)
+    enough = [each for tried in by_family.values() for each in tried if each.p95 <= accuracy_arcmin]
+    every = [each for tried in by_family.values() for each in tried]
+    best = (
+        min(enough, key=lambda each: (len(each.design), each.p95)) if enough else min(every, key=lambda each: each.p95)
+    )
+    for trial in range(_TRIALS):
+        say(f"simulating the session: {len(best.design)} camera places")
+        fit = PlannedFit.to(simulated_captures(bench, best.design.unit, seed + 1))
+        simulated = predictor.simulated(fit)
+        reaches = best.p95 <= accuracy_arcmin and simulated.registration.p95 <= _AGREES * accuracy_arcmin
+        more = min(most, int(np.ceil(_MORE * len(best.design))))
+        if reaches or not enough or more == len(best.design) or trial == _TRIALS - 1:
+            break
+        # A fit to few places also has to find how smooth the optics are, which the prediction takes as known.
+        best = _predicted(predictor, spread_of(more))
+        by_family[SPREAD] = (*by_family[SPREAD], best)
+    say("predicting what limits the accuracy")
+    return Search(predictor, by_family, best, simulated, _limits(predictor, best.design), reaches)
+
+
+def _predicted(predictor: Predictor, design: Design) -> Candidate:
+    return Candidate(design, predictor.errors(design.unit))
+
+
+def _bisected(predictor: Predictor, designs: Sequence[Design], accuracy_arcmin: float) -> tuple[Candidate, ...]:
+    """Predictions on the way to the first of the designs, smallest first, that reaches the accuracy."""
+    tried: dict[int, Candidate] = {}
+
+    def reaches(number: int) -> bool:
+        tried[number] = _predicted(predictor, designs[number])
+        return tried[number].p95 <= accuracy_arcmin
+
+    low, high, step, last = -1, 0, max(1, len(designs) // _FIRST_STEP), len(designs) - 1
+    while high <= last and not reaches(high):
+        low, high, step = high, last + 1 if high == last else min(high + step, last), 2 * step
+    while high <= last and high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if reaches(middle) else (middle, high)
+    return tuple(sorted(tried.values(), key=lambda each: len(each.design)))
+
+
+def _smallest(by_family: Mapping[str, tuple[Candidate, ...]], accuracy_arcmin: float) -> int:
+    """Number of places of the smallest design that reaches the accuracy, or of the largest."""
+    every = [each for tried in by_family.values() for each in tried]
+    enough = [len(each.design) for each in every if each.p95 <= accuracy_arcmin]
+    return min(enough) if enough else max(len(each.design) for each in every)
+
+
+def _chosen(predictor: Predictor, most: int, accuracy_arcmin: float) -> tuple[Candidate, ...]:
+    """Chosen designs of growing size, up to the first that reaches the accuracy."""
+    design, tried = first_chosen(), []
+    batch = max(2, -(-(most - len(design)) // _BATCHES))
+    while True:
+        models = predictor.models(design.unit)
+        tried.append(Candidate(design, predictor.errors_of(*models)))
+        missing = min(batch, most - len(design))
+        if tried[-1].p95 <= accuracy_arcmin or missing <= 0:
+            return tuple(tried)
+        variance = place_variance(*models, predictor.bench.places(candidates()), predictor.tests)
+        design = with_chosen(design, variance, missing)
+
+
+def _limits(predictor: Predictor, design: Design) -> dict[str, DesignErrors]:
+    """Predicted errors of the design with one thing changed."""
+    bench, unit = predictor.bench, design.unit
+    near, *_, far = sorted(bench.recipe.bench.target_depths_m)
+    middle = 2.0 / (1.0 / near + 1.0 / far)
+    depths = (*bench.recipe.bench.target_depths_m, round(middle, 2))
+    twice = spread(bench.truth.eye_box, bench.field_reach, 2 * len(design))
+    return {
+        "half the noise of dots and decoding": predictor.errors(unit, Scales(noise=0.5)),
+        "half the repeatability and random turns": predictor.errors(unit, Scales(random=0.5)),
+        "half the smooth stage error": predictor.errors(unit, Scales(smooth=0.5)),
+        f"one more target, at {depths[-1]:g} m": predictor.errors(unit, depths_m=depths),
+        f"twice the camera places, {len(twice)}": predictor.errors(twice.unit),
+    }
