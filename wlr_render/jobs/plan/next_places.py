@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.calibration.base_plane import choose_base_plane
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.capture_file import load_captures
-from wlr_render.captures.correspondences import AnyCaptures, EyeCaptures, select
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import rays
@@ -50,23 +51,20 @@ def plan_next_places(
         say: is told what is being done.
 
     Raises:
-        BadInputError: there are no captures of this headset and eye, or they have no see-through part.
+        BadInputError: there are no captures of this eye, or they lack the display or see-through.
     """
     path = folder / f"captures-{truth.eye}.npz"
     if not path.is_file():
         raise BadInputError(f"{path}: there is no such file; name the output folder of a calibrate verb with this eye.")
-    captures = load_captures(path)
-    if captures.see_through is None:
-        raise BadInputError(f"{path}: has no see-through captures, so that no registration error can be predicted.")
+    display, see_through = load_captures(path).both
     say("fitting the captures")
-    fitted = fit_eye(EyeCaptures(_thinned(captures.display), _thinned(captures.see_through)))
-    fit = PlannedFit(fitted.display, fitted.see_through)
-    box, plane = captures.display.eye_box, choose_base_plane(captures.display.viewpoint, captures.display.eye_box)
-    tests = _tests(fit, captures)
-    reach = 0.5 * box.size[:2] + 0.5 * box.size[2] * np.abs(captures.display.tangents).max(axis=0)
+    fit = PlannedFit(fit_display(_thinned(display)), fit_see_through(_thinned(see_through)))
+    box, plane = display.eye_box, choose_base_plane(display.viewpoint, display.eye_box)
+    tests = _tests(fit, display)
+    reach = 0.5 * box.size[:2] + 0.5 * box.size[2] * np.abs(display.tangents).max(axis=0)
     flat = box.centre[:2] + candidates() * reach
     offered = np.concatenate([flat, plane.z_at(flat)[:, None]], axis=1)
-    taken = (np.unique(captures.display.viewpoint, axis=0)[:, :2] - box.centre[:2]) / reach
+    taken = (np.unique(display.viewpoint, axis=0)[:, :2] - box.centre[:2]) / reach
     now = (fit.display.mapping, fit.see_through.mapping)
     steps = [_Step(np.zeros((0, 3)), now, _predicted(*now, tests))]
     while len(steps[-1].places) < most and steps[-1].errors.p95 > accuracy_arcmin:
@@ -77,7 +75,7 @@ def plan_next_places(
         best = largest(variance, candidates(), np.concatenate([taken, own]), _TRIED)
         tried = [_with_places(fit, np.concatenate([last.places, offered[each][None]]), tests) for each in best]
         steps.append(min(tried, key=lambda each: each.errors.rms))
-    return _report(truth, path, captures.display.device, steps, accuracy_arcmin, tests), steps[-1].places - box.centre
+    return _report(truth, path, display.device, steps, accuracy_arcmin, tests), steps[-1].places - box.centre
 
 
 def _thinned(captures: AnyCaptures) -> AnyCaptures:
@@ -92,9 +90,9 @@ def _thinned(captures: AnyCaptures) -> AnyCaptures:
     return select(replace(captures, sigma_arcmin=captures.sigma_arcmin * factor), np.concatenate(kept))
 
 
-def _tests(fit: PlannedFit, captures: EyeCaptures) -> EyeTests:
+def _tests(fit: PlannedFit, shown: DisplayCaptures) -> EyeTests:
     """Random viewpoints, and directions that the captures saw, as the models have them."""
-    rng, shown = np.random.default_rng(0), captures.display
+    rng = np.random.default_rng(0)
     viewpoint = shown.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTS, 3)))
     pixel = shown.pixel[rng.integers(0, len(shown), _TESTS)]
     view_dir = fit.display.mapping.view_dir_of_pixel(pixel, viewpoint)

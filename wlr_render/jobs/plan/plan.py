@@ -98,8 +98,7 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
     """Plan a session, or the places to add to one; writes places.csv and the report into `options.out`.
 
     Raises:
-        BadInputError: an unknown device or eye, an impossible bench, or a calibration that cannot be read or is of
-            another headset.
+        BadInputError: an unknown device or eye, an impossible bench, or a calibration that cannot be read.
     """
     if is_model(options.headset):
         raise BadInputError(

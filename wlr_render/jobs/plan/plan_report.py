@@ -118,6 +118,8 @@ def error_map(
 
 def _by_rows(places: FloatArray) -> list[int]:
     """Order in which a stage travels little: row by row, to and fro."""
+    if len(places) == 0:
+        return []
     step = max(float(np.ptp(places[:, 1])) / max(1.0, np.sqrt(len(places))), 1e-9)
     row = np.floor((places[:, 1] - places[:, 1].min()) / step)
     return list(np.lexsort((places[:, 0] * np.where(row % 2, -1.0, 1.0), row)))

@@ -35,8 +35,7 @@ class PlannedFit:
     @classmethod
     def to(cls, captures: EyeCaptures) -> "PlannedFit":
         """Fit as calibration does, but outliers, of which captures have none here, are not looked for."""
-        shown, seen = captures.display, captures.see_through
-        assert seen is not None
+        shown, seen = captures.both
         return cls(fit_display(shown, weights=np.ones(len(shown))), fit_see_through(seen, weights=np.ones(len(seen))))
 
 
@@ -128,8 +127,7 @@ class Predictor:
         self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
     ) -> tuple[FittedDisplay, FittedSeeThrough]:
         """Models with the covariance of a design with places (m, 2), see `Design.unit`."""
-        captures = self.bench.captures(self.bench.places(unit), [0, _PILOT], None, depths_m)
-        assert captures.see_through is not None
+        display, see_through = self.bench.captures(self.bench.places(unit), [0, _PILOT], None, depths_m).both
         changes = {"noise": scales.noise, "shift": scales.random, "turn": scales.random}
         # The stage as the pilot found it: a fit takes for random motions what it cannot follow, smooth errors included.
         shown, seen = (
@@ -137,8 +135,8 @@ class Predictor:
             for side in (self.pilot.display, self.pilot.see_through)
         )
         return (
-            self.pilot.display.with_design(captures.display, shown),
-            self.pilot.see_through.with_design(captures.see_through, seen),
+            self.pilot.display.with_design(display, shown),
+            self.pilot.see_through.with_design(see_through, seen),
         )
 
     def errors(

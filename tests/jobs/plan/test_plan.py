@@ -1,0 +1,193 @@
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.capture_file import save_captures
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.cli import main
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.plan import plan as plan_job
+from wlr_render.jobs.plan.designs import candidates, first_chosen, grids, spread, with_chosen
+from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
+from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.jobs.plan.prediction import PlannedFit, Scales, simulated_captures
+from wlr_render.jobs.plan.search import find_design
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
+
+DEVICE = "birdbath28"
+ACCURACY = 0.2
+OPTIONS = PlanOptions(DEVICE, accuracy_arcmin=ACCURACY, most_places=24)
+KINDS = ("display", "see_through", "registration")
+
+
+@pytest.fixture(scope="module")
+def bench():
+    """With a stage that turns smoothly by 100 microradians, which no fit of captures contains."""
+    truth = replace(traced_eye(load_device(DEVICE)), name=DEVICE)
+    return PlannedBench(truth, OPTIONS.recipe, ReadingOptions(), OPTIONS.recipe.build())
+
+
+@pytest.fixture(scope="module")
+def search(bench):
+    return find_design(bench, ACCURACY, OPTIONS.most_places, lambda text: None)
+
+
+@pytest.fixture(scope="module")
+def sessions(bench, search):
+    """Errors of several simulated sessions of the recommended design against the traced headset."""
+    fits = (PlannedFit.to(simulated_captures(bench, search.recommended.design.unit, seed)) for seed in (11, 12, 13, 14))
+    return [search.predictor.simulated(fit) for fit in fits]
+
+
+def of_family(bench, count):
+    return spread(bench.truth.eye_box, bench.field_reach, count)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_predicted_errors_are_those_of_simulated_sessions(search, sessions, kind):
+    found = np.sqrt(np.mean([getattr(each, kind).rms ** 2 for each in sessions]))
+    assert 0.8 < getattr(search.recommended.errors, kind).rms / found < 1.25
+
+
+def test_the_recommended_design_reaches_the_wanted_accuracy(search, sessions):
+    assert search.reaches
+    assert len(search.recommended.design) < OPTIONS.most_places
+    assert np.median([each.registration.p95 for each in sessions]) < ACCURACY
+
+
+def test_a_few_places_less_do_not_reach_it(bench, search):
+    fewer = [each for tried in search.tried.values() for each in tried]
+    fewer = [each for each in fewer if len(each.design) < len(search.recommended.design)]
+    assert fewer
+    assert all(each.p95 > ACCURACY for each in fewer)
+
+
+def test_more_places_and_smaller_errors_never_predict_worse(bench, search):
+    sizes = [search.predictor.errors(of_family(bench, count).unit).registration.rms for count in (9, 11, 14, 18, 24)]
+    assert sizes == sorted(sizes, reverse=True)
+    now = search.recommended.errors
+    for changed in search.limits.values():
+        assert changed.registration.rms <= 1.001 * now.registration.rms
+    for scales in (Scales(noise=2.0), Scales(random=2.0), Scales(smooth=2.0)):
+        worse = search.predictor.errors(search.recommended.design.unit, scales)
+        assert all(getattr(worse, kind).rms >= getattr(now, kind).rms for kind in KINDS)
+
+
+def test_smooth_errors_of_the_stage_cancel_in_registration_but_not_in_the_display(search):
+    now = search.recommended.errors
+    without = search.predictor.errors(search.recommended.design.unit, Scales(smooth=0.0))
+    assert now.display.rms > 2.0 * without.display.rms
+    assert now.registration.rms < 1.5 * without.registration.rms
+
+
+def test_calibration_of_the_stage_leaves_nothing_at_its_levels(bench):
+    at_levels = bench.places(np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [1.0, -1.0]]))
+    between = bench.places(np.array([[0.5, 0.0], [0.5, -0.5]]))
+    curve = bench.curve(1)
+    assert np.abs(curve(at_levels)).max() < 1e-12
+    assert np.abs(curve(between)[:, :3]).max() > 1e-5
+    assert np.abs(bench.curve(1, levels=4)(between)).max() < 1e-10  # cubic curves
+
+
+def test_grids_keep_to_the_number_of_places_and_to_the_shape_of_the_box():
+    names = [each.name for each in grids(np.array([0.012, 0.006]), 30)]
+    assert "grid 3 x 3" in names
+    assert "grid 4 x 3" in names
+    assert all(len(each) <= 30 for each in grids(np.array([0.012, 0.006]), 30))
+    wide = grids(np.array([0.012, 0.006]), 81)
+    assert np.ptp(wide[-1].unit, axis=0) == pytest.approx([2.0, 2.0])
+
+
+def test_places_are_chosen_where_the_variance_is_largest_and_not_twice():
+    variance = np.hypot(*(candidates() - [0.5, 0.5]).T) < 0.3
+    design = with_chosen(first_chosen(), variance.astype(float), 3)
+    added = design.unit[9:]
+    assert np.linalg.norm(added[0] - 0.5) < 0.5
+    assert len(np.unique(design.unit.round(9), axis=0)) == 12
+
+
+def test_an_accuracy_out_of_reach_is_said_to_be(search):
+    from wlr_render.jobs.plan.plan_report import plan_report
+
+    report = plan_report(replace(search, reaches=False), 0.001, 2.0)
+    assert report.verdict.startswith("The wanted 0.001' are not reached.")
+
+
+def test_the_report_states_places_photographs_and_errors(search, tmp_path, monkeypatch):
+    monkeypatch.setattr(plan_job, "find_design", lambda *_: search)
+    report = plan(replace(OPTIONS, out=tmp_path))
+    count = len(search.recommended.design)
+    assert report.verdict.startswith(
+        f"{count} camera places, {count * 46 + 2 * (count + 1) + 22 + 4 + 36} photographs, "
+    )
+    assert f"this reaches the wanted {ACCURACY:g}'" in report.verdict
+    with (tmp_path / PLACES_FILE).open(newline="", encoding="utf-8") as file:
+        rows = [[float(each) for each in row.values()] for row in csv.DictReader(file)]
+    expected = 1e3 * (search.predictor.bench.places(search.recommended.design.unit) - load_box().centre)
+    assert sorted(rows) == pytest.approx(np.array(sorted(expected.round(3).tolist())), abs=1e-3)
+    assert (tmp_path / "report.html").is_file()
+
+
+def load_box():
+    return traced_eye(load_device(DEVICE)).eye_box
+
+
+@pytest.fixture(scope="module")
+def calibration(bench, tmp_path_factory):
+    """A calibration from places of the left half of the eye box alone."""
+    folder = tmp_path_factory.mktemp("calibration")
+    unit = of_family(bench, 12).unit * [0.5, 1.0] - [0.5, 0.0]
+    save_captures(folder / "captures-right.npz", simulated_captures(bench, unit, 5))
+    return folder
+
+
+def test_places_are_added_where_a_calibration_has_none(calibration, tmp_path):
+    report = plan(PlanOptions(DEVICE, calibration=calibration, accuracy_arcmin=0.01, add=2, out=tmp_path))
+    added = np.loadtxt(tmp_path / PLACES_FILE, delimiter=",", skiprows=1)
+    assert added.shape == (2, 3)
+    assert np.all(added[:, 0] > 1.0)
+    (table,) = [each for each in report.tables if each.title.startswith("Places to add")]
+    p95 = [row[-1] for row in table.rows]
+    assert p95 == sorted(p95, reverse=True)
+    assert p95[-1] < 0.5 * p95[0]
+    assert "does not reach the wanted 0.01'" in report.verdict
+
+
+def test_a_calibration_that_is_good_enough_needs_no_places(calibration, tmp_path):
+    report = plan(PlanOptions(DEVICE, calibration=calibration, accuracy_arcmin=100.0, out=tmp_path))
+    assert "add no places" in report.verdict
+    assert (tmp_path / PLACES_FILE).read_text().strip() == "x_mm,y_mm,z_mm"
+
+
+def test_captures_without_see_through_are_refused(bench, tmp_path):
+    captures = simulated_captures(bench, of_family(bench, 9).unit, 5)
+    save_captures(tmp_path / "captures-right.npz", EyeCaptures(captures.display))
+    with pytest.raises(BadInputError, match="have no see-through part"):
+        plan(PlanOptions(DEVICE, calibration=tmp_path, out=tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--accuracy-arcmin", "0"], "--accuracy-arcmin is 0.0; it must be a finite number above 0."),
+        (["--repeatability-um", "-1"], "--repeatability-um is -1.0; it must be a finite number of 0 or more."),
+        (["--depths-m", "0.5", "0.5"], "see-through needs targets at two distances at least"),
+        (["--most-places", "5"], "--most-places is 5; it must be between 9 and 200."),
+        (["--add", "3"], "--add is used with --calibration only"),
+        (["--calibration", "nowhere"], "nowhere/captures-right.npz: there is no such file"),
+        (["--eye", "left"], "has no left eye"),
+    ],
+)
+def test_bad_options_get_a_sentence(options, sentence, capsys, tmp_path):
+    assert main(["plan", DEVICE, *options, "--out", str(tmp_path)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert sentence in said
+
+
+def test_a_fitted_model_is_no_prescription(tmp_path):
+    with pytest.raises(BadInputError, match="is a fitted model; a plan needs the headset's prescription"):
+        plan(PlanOptions("model.json", out=tmp_path))
