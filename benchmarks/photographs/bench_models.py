@@ -35,7 +35,7 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
     """
     truth = traced_eye(simulated.truth.bench.device, simulated.truth.bench.eye)
     tests = TruthTests.of(truth, seed)
-    stated, true = simulated.truth.stated_device_from_tracking, simulated.truth.device_from_tracking
+    stated, true = simulated.truth.bench.stated_device_from_tracking, simulated.truth.bench.device_from_tracking
     captures, _ = sound_captures(simulated.session, simulated.reading, bench)
     sources = {
         CALIBRATED: (captures, _moved(tests, stated @ transforms.inverse(true))),
@@ -70,13 +70,13 @@ def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: Float
     targets: list[TargetView] = []
     for number, (each, pose) in enumerate(zip(session.see_through, see_through, strict=True)):
         if (seen := reading.boards.get(each.path)) is not None:
-            point = truth.board_points[[index[tuple(one)] for one in seen.index]]
+            point = truth.bench.printed.points[[index[tuple(one)] for one in seen.index]]
             place = places.setdefault(each.place, len(places))
             lens, target = truth.eyeball_at_target[each.target_pose], truth.see_through_targets[number]
             view = TargetView(pose, target, each.target_pose, place, seen, point, {"visit": len(targets)}, lens)
             targets.append(view)
-    shown = display_captures(headset, session.pattern.panel, truth.eyeball, panels)
-    return EyeCaptures(shown, within_field(see_through_captures(headset, truth.eyeball, targets), shown))
+    shown = display_captures(headset, session.pattern.panel, truth.bench.eyeball.camera, panels)
+    return EyeCaptures(shown, within_field(see_through_captures(headset, truth.bench.eyeball.camera, targets), shown))
 
 
 def _moved(tests: TruthTests, motion: FloatArray) -> TruthTests:

@@ -74,8 +74,8 @@ class _Compared:
             found |= self._poses(f"{name}, device frame", poses)
             found |= self._poses(f"{name}, tracking camera's frame", [self._from_tracking(pose) for pose in poses])
         found["board shape"] = boards[0][1]
-        found["lens of the eyeball camera, directions"] = self._lens(EYEBALL, truth.eyeball)
-        found["lens of the tracking camera, directions"] = self._lens(TRACKING, truth.tracking)
+        found["lens of the eyeball camera, directions"] = self._lens(EYEBALL, truth.bench.eyeball.camera)
+        found["lens of the tracking camera, directions"] = self._lens(TRACKING, truth.bench.tracking.camera)
         some = [self._from_tracking(pose) for pose in cameras[::_EVERY]]
         found["directions of pixels, tracking camera's frame"] = self._directions(some)
         return found | self._poses("travel of the stage, end to end", self._travel())
@@ -123,7 +123,7 @@ class _Compared:
         back = transforms.inverse(tracking)
         rows = adjoint(back) @ pose.rows
         rows[:, self._adjustment.layout.where["extrinsics", TRACKING]] -= np.eye(6)
-        true = transforms.inverse(self._truth.device_from_tracking) @ pose.true
+        true = transforms.inverse(self._truth.bench.device_from_tracking) @ pose.true
         return _Pose(back @ pose.found, true, rows, adjoint(back) @ pose.own @ adjoint(back).T)
 
     def _board(self, number: int) -> tuple[_Pose, SquaredErrors]:
@@ -135,10 +135,10 @@ class _Compared:
         chosen = np.arange(0, len(shape.feature), max(1, len(shape.feature) // _FEATURES))
         feature, pose = shape.feature[chosen], state.targets[number]
         nominal = board.point_of(feature)
-        true = self._truth.board_points[[index[tuple(each)] for each in feature]]
+        true = self._truth.bench.printed.points[[index[tuple(each)] for each in feature]]
         turn, count = pose[:3, :3], len(chosen)
         found = transforms.apply(pose, shape.point_of(feature, nominal))
-        error = transforms.apply(self._truth.device_from_target[number], true) - found
+        error = transforms.apply(self._truth.bench.device_from_target[number], true) - found
         inverse, _, cross = self._adjustment.normal.features["board"]
         rows = np.zeros((count, 3, self._unknowns))
         by_motion = np.concatenate([-cross_matrix(found), np.broadcast_to(np.eye(3), (count, 3, 3))], axis=-1)
@@ -168,7 +168,7 @@ class _Compared:
     def _directions(self, poses: list[_Pose]) -> SquaredErrors:
         """Directions of pixels at some camera places, in the frame of the poses."""
         lens = self._adjustment.state.lens[EYEBALL]
-        error, by_values = _tangent_errors(lens, self._truth.eyeball)
+        error, by_values = _tangent_errors(lens, self._truth.bench.eyeball.camera)
         pixel = _pixels(lens)
         where = self._adjustment.layout.where["lens", EYEBALL]
         tangents = lens.tangents_of_pixel(pixel)

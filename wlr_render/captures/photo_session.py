@@ -49,11 +49,6 @@ class SessionCamera:
     lens_file: Path | None = None
 
     @property
-    def bits(self) -> int:
-        """Bits of a stored value, 8 to 16."""
-        return self.format.bits
-
-    @property
     def full_scale(self) -> int:
         """Value of a saturated pixel."""
         return self.format.full_scale

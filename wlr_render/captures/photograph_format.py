@@ -1,6 +1,6 @@
 """Format of a camera's files: how stored values become linear grey values, and which of them are saturated."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ class PhotographFormat:
     left_justified: bool | None = None
     black_level: float = 0.0
     gamma: float = 1.0
-    linearisation: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    linearisation: tuple[tuple[float, float], ...] = ()
     linearisation_file: str = ""
     channel: str = "grey"
     mosaic: str = ""
@@ -72,11 +72,6 @@ class PhotographFormat:
     def end_of_scale(self) -> float:
         """Value from which a pixel counts as saturated; infinite for synthetic pictures."""
         return np.inf if self.synthetic else self.full_scale
-
-    @property
-    def fingerprint(self) -> str:
-        """Text that differs between formats that convert differently."""
-        return f"{self!r} {hash(self.linearisation)}"
 
     @property
     def _largest(self) -> int:

@@ -168,7 +168,7 @@ class _BoardTask:
     kind: PhotographFormat
 
     def fingerprint(self) -> str:
-        return _fingerprint([self.path], [board_table(self.board), self.size_px, self.kind.fingerprint])
+        return _fingerprint([self.path], [board_table(self.board), self.size_px, self.kind])
 
     def read(self) -> dict[str, NDArray[Any]]:
         image = read_photograph(self.path, self.kind)
@@ -203,7 +203,7 @@ class _PanelTask:
     def fingerprint(self) -> str:
         files = self._files()
         roles = [[path.name for path in paths] for paths in files.pictures]
-        how = [roles, files.exposures_s, self.pattern, self.decoding, self.size_px, self.kind.fingerprint]
+        how = [roles, files.exposures_s, self.pattern, self.decoding, self.size_px, self.kind]
         return _fingerprint(files.paths, how)
 
     def _files(self) -> CodeFiles:

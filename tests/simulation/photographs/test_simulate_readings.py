@@ -67,9 +67,11 @@ def test_readings_scatter_by_their_noise_about_the_true_projections(simulated):
         assert np.all(seen.sigma_px == 0.02)
     for each, camera in zip(session.display, truth.display, strict=True):
         samples = simulated.reading.panels[each.folder].samples
-        exact = panel_position(truth.bench.optics, truth.eyeball, camera, samples.camera_pixel)
+        exact = panel_position(truth.bench.optics, truth.bench.eyeball.camera, camera, samples.camera_pixel)
         assert rms(samples.panel_pixel - exact.value) == pytest.approx(0.03, rel=0.1)
-        beside = panel_position(truth.bench.optics, truth.eyeball, camera, samples.camera_pixel + [1.0, 0.0])
+        beside = panel_position(
+            truth.bench.optics, truth.bench.eyeball.camera, camera, samples.camera_pixel + [1.0, 0.0]
+        )
         wide = np.linalg.norm(beside.value - exact.value, axis=-1)
         assert np.nanmedian(samples.scale / wide) == pytest.approx(1.0, abs=0.1)
 
@@ -109,7 +111,7 @@ def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path):
         assert np.all(np.abs(off.mean(axis=0)) < 0.01), path
     folder = session.display[1].folder
     decoded = sample(session.pattern.decode(read_each(sorted(folder.iterdir())), session.decoding))
-    exact = panel_position(truth.bench.optics, truth.eyeball, truth.display[1], decoded.camera_pixel).value
+    exact = panel_position(truth.bench.optics, truth.bench.eyeball.camera, truth.display[1], decoded.camera_pixel).value
     off = (decoded.panel_pixel - exact)[np.isfinite(exact).all(axis=-1)]
     assert len(off) > 800
     assert np.all(np.abs(np.median(off, axis=0)) < 0.02)
@@ -118,8 +120,8 @@ def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path):
 
 def test_the_session_states_the_readings_and_the_extrinsics_with_their_errors(simulated):
     session, truth = simulated.session, simulated.truth
-    assert np.array_equal(session.device_from_tracking, truth.stated_device_from_tracking)
-    assert not np.allclose(session.device_from_tracking, truth.device_from_tracking, atol=1e-5)
+    assert np.array_equal(session.device_from_tracking, truth.bench.stated_device_from_tracking)
+    assert not np.allclose(session.device_from_tracking, truth.bench.device_from_tracking, atol=1e-5)
     assert session.tracking_sigma == pytest.approx((np.deg2rad(0.05), 0.3e-3))
     repeated = session.see_through[0], session.see_through[RECIPE.viewpoints]
     assert 0 < np.abs(repeated[0].stage - repeated[1].stage).max() < 5e-6
@@ -167,7 +169,9 @@ def test_a_stage_of_fewer_axes_has_readings_of_those_alone(stage, axes):
     assert len(session.stage.axes) == axes
     check_session(Table({}, "session.toml"), session)
     # Along the other axes the camera has not moved but for the errors of the stage.
-    nominal = np.linalg.solve(truth.stage_axes, (truth.see_through[:, :3, 3] - truth.bench.optics.eye_box.centre).T).T
+    nominal = np.linalg.solve(
+        truth.bench.stage_axes, (truth.see_through[:, :3, 3] - truth.bench.optics.eye_box.centre).T
+    ).T
     assert np.abs(nominal[:, axes:]).max() < 0.1e-3
     assert np.abs(nominal[:, :axes]).max() > 2e-3
 
@@ -210,7 +214,7 @@ def test_exchanged_readings_are_exchanged_in_the_session_alone(simulated):
 
 def test_an_axis_off_its_right_angle_is_so_in_the_truth():
     recipe = replace(RECIPE, bench=replace(RECIPE.bench, imperfections=BenchImperfections.none()))
-    axes = simulate_readings(recipe, faults=Faults(axis_off_deg=2.0)).truth.stage_axes
+    axes = simulate_readings(recipe, faults=Faults(axis_off_deg=2.0)).truth.bench.stage_axes
     x, y = (axes[:, axis] / np.linalg.norm(axes[:, axis]) for axis in (0, 1))
     assert 90.0 - np.rad2deg(np.arccos(x @ y)) == pytest.approx(2.0, abs=0.01)
 

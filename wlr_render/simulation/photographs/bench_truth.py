@@ -20,34 +20,22 @@ class BenchTruth:
     """True values behind a simulated session. Device frame, metres; lists are in the order of those of the session.
 
     Attributes:
-        bench: the bench, with the stage axes that it had.
-        eyeball: the eyeball lens at its middle focus, as of the panel and of the photographs for the intrinsics.
+        bench: the bench, with the stage axes that it had and the target's poses before any fault. Its eyeball lens is
+            at its middle focus, as of the panel and of the photographs for the intrinsics.
         eyeball_at_target: the eyeball lens at each target pose.
-        tracking: the tracking camera's lens.
         bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set; photographs past the
             optics have the poses of those through them.
-        device_from_target: (k, 4, 4) the target's poses before any fault of the sweeps.
         bare_targets, see_through_targets, tracking_targets: (n, 4, 4) device_from_target at each photograph.
-        device_from_tracking, stated_device_from_tracking: (4, 4).
-        stage_axes: (3, 3) displacement = axes @ position, but for the stage's smooth and random errors.
-        board_points: (n, 3) true places of the board's features in the order of `board.indices()`.
     """
 
     bench: PhotoBench
-    eyeball: LensCamera
     eyeball_at_target: tuple[LensCamera, ...]
-    tracking: LensCamera
     bare: FloatArray
     see_through: FloatArray
     display: FloatArray
-    device_from_target: FloatArray
     bare_targets: FloatArray
     see_through_targets: FloatArray
     tracking_targets: FloatArray
-    device_from_tracking: FloatArray
-    stated_device_from_tracking: FloatArray
-    stage_axes: FloatArray
-    board_points: FloatArray
 
 
 def true_values(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faults: Faults) -> BenchTruth:
@@ -82,20 +70,13 @@ def true_values(session: PhotoSession, bench: PhotoBench, visits: SessionVisits,
         tracked[2 * pose + 1 :] = now_from_before @ tracked[2 * pose + 1 :]
     return BenchTruth(
         bench=bench,
-        eyeball=bench.eyeball.camera,
         eyeball_at_target=tuple(bench.eyeball_focused(pose).camera for pose in poses),
-        tracking=bench.tracking.camera,
         bare=_poses_of(visits.bare),
         see_through=camera,
         display=camera[: len(session.display)],
-        device_from_target=bench.device_from_target,
         bare_targets=bare_target,
         see_through_targets=target,
         tracking_targets=tracked,
-        device_from_tracking=bench.device_from_tracking,
-        stated_device_from_tracking=bench.stated_device_from_tracking,
-        stage_axes=bench.stage_axes,
-        board_points=bench.printed.points,
     )
 
 

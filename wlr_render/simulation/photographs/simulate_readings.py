@@ -127,15 +127,15 @@ class _Reader:
             boards[path] = self._free(path, lens, camera_from_target)
 
         for path, pose in zip(session.eyeball_camera.intrinsics, plan.eyeball_boards, strict=True):
-            free(path, truth.eyeball, pose)
+            free(path, truth.bench.eyeball.camera, pose)
         tracking = () if session.tracking_camera is None else session.tracking_camera.intrinsics
         for path, pose in zip(tracking, plan.tracking_boards, strict=True):
-            free(path, truth.tracking, pose)
+            free(path, truth.bench.tracking.camera, pose)
         for each, camera, target in zip(session.bare, truth.bare, truth.bare_targets, strict=True):
             lens = truth.eyeball_at_target[each.target_pose]
             free(each.path, lens, transforms.inverse(camera) @ target)
         for each, target in zip(session.tracking, truth.tracking_targets, strict=True):
-            free(each.path, truth.tracking, transforms.inverse(truth.device_from_tracking) @ target)
+            free(each.path, truth.bench.tracking.camera, transforms.inverse(truth.bench.device_from_tracking) @ target)
         for each, camera, target in zip(session.see_through, truth.see_through, truth.see_through_targets, strict=True):
             boards[each.path] = self._through(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
         for each, camera, target in zip(session.beside, truth.see_through, truth.see_through_targets, strict=False):
@@ -158,7 +158,7 @@ class _Reader:
     def _free(self, path: Path, lens: LensCamera, camera_from_target: FloatArray) -> BoardObservation:
         """The board without the optics."""
         rng = self._rng(path)
-        pixel = lens.pixel_of_point(transforms.apply(camera_from_target, self.truth.board_points))
+        pixel = lens.pixel_of_point(transforms.apply(camera_from_target, self.truth.bench.printed.points))
         number = self._chosen(_inside(pixel, lens.size_px, _EDGE_PX), rng)
         return self._observed(number, pixel[number], rng)
 
@@ -167,7 +167,7 @@ class _Reader:
     ) -> BoardObservation:
         """The board through the optics."""
         rng = self._rng(path)
-        point = transforms.apply(device_from_target, self.truth.board_points)
+        point = transforms.apply(device_from_target, self.truth.bench.printed.points)
         straight = camera.pixel_of_point(transforms.apply(transforms.inverse(device_from_camera), point))
         near = _inside(straight, camera.size_px, -(_NEAR - 1.0) * max(camera.size_px))
         number = self._chosen(near, rng)
@@ -181,7 +181,7 @@ class _Reader:
         """The part of the board that is seen past the optics, with some distance from their edge."""
         rng = self._rng(path)
         in_camera = transforms.apply(
-            transforms.inverse(device_from_camera) @ device_from_target, self.truth.board_points
+            transforms.inverse(device_from_camera) @ device_from_target, self.truth.bench.printed.points
         )
         pixel, tangents = camera.pixel_of_point(in_camera), in_camera[:, :2] / in_camera[:, 2:]
         optics, rotation, viewpoint = self.truth.bench.optics, device_from_camera[:3, :3], device_from_camera[:3, 3]
@@ -204,7 +204,7 @@ class _Reader:
         return BoardObservation(index, pixel + rng.normal(0.0, noise, pixel.shape), sigma)
 
     def _panel(self, folder: Path, device_from_camera: FloatArray) -> PanelReading:
-        camera, rng = self.truth.eyeball, self._rng(folder)
+        camera, rng = self.truth.bench.eyeball.camera, self._rng(folder)
         width, height = camera.size_px
         lit = self._panel_at(_grid(camera.size_px, max(width, height) / _COARSE), device_from_camera)
         share = max(float(np.isfinite(lit[..., 0]).mean()), 1.0 / lit.size)
@@ -223,7 +223,7 @@ class _Reader:
         return PanelReading(DecodedSamples(pixel[seen], found, sigma, scale[seen]), counts, fates, extent)
 
     def _panel_at(self, pixel: FloatArray, device_from_camera: FloatArray) -> FloatArray:
-        return panel_position(self.truth.bench.optics, self.truth.eyeball, device_from_camera, pixel).value
+        return panel_position(self.truth.bench.optics, self.truth.bench.eyeball.camera, device_from_camera, pixel).value
 
     def _rng(self, path: Path) -> np.random.Generator:
         """Noise of one photograph, whatever others there are."""
