@@ -89,7 +89,9 @@ def run(options: PhotographsOptions = _DEFAULTS, *, progress: ProgressArgument =
         outcomes.sort(key=lambda each: tasks.index(each.trial))
         record = {"seed": options.seed, "trials": outcomes}
         blocks = [*tables, *bench_tables(outcomes)]
-        report = Report("Photographs compared with the truth", blocks=blocks, inputs=inputs, record=record)
+        title = "Photographs compared with the truth"
+        title += f": {len(outcomes)} of {len(tasks)} benches" if tasks else ""
+        report = Report(title, blocks=blocks, inputs=inputs, record=record)
         report = save_report(report, folder, "photographs")
         if options.record is not None:
             name = f"photographs-{'-'.join(options.part)}.md"
