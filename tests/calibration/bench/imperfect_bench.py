@@ -4,10 +4,11 @@ The stage's errors are sines over the travel with random phases, the board is be
 off its place, the lens has terms that the fit may not have, and noise has outliers.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wlr_render.calibration.bench.adjustment import adjust
 from wlr_render.calibration.bench.observations import (
     EYEBALL,
     TRACKING,
@@ -17,6 +18,7 @@ from wlr_render.calibration.bench.observations import (
     CameraSetup,
     KnownPose,
 )
+from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.poses import small_motion
 from wlr_render.captures.boards.board import USUAL_TOLERANCES
 from wlr_render.captures.photo_session import StageDescription
@@ -144,6 +146,21 @@ class TrueBench:
         speed, faster = self.size.hand_px * rng.normal(size=(2, 2)) * [[1.0], [0.5]]
         return self.size.focus_hunt * rng.normal() * (pixel - lens.centre_px) + time * speed + time**2 * faster
 
+    def carried(self, motions, reading):
+        """(4, 4) of one visit to a reading (m,), by a stage of other axes.
+
+        Args:
+            motions: one function for each axis, reading -> (4, 4) motion in the camera's frame.
+            reading: metres or radians.
+        """
+        random = self.rng.normal(size=6) * np.repeat([self.size.turn_jitter_rad, self.size.repeatability_m], 3)
+        pose = self.base
+        for motion, amount in zip(motions, reading, strict=True):
+            pose = pose @ motion(amount)
+        travel = np.zeros(3)
+        travel[: len(reading)] = np.clip(reading, -0.008, 0.008)
+        return pose @ small_motion(self.smooth(travel) + random)
+
     def lens_views(self, camera, count=9, distance=0.55):
         angles = np.arange(count - 1) * 2 * np.pi / (count - 1)
         tilts = [(0.0, 0.0)] + [(28 * np.cos(a), 28 * np.sin(a)) for a in angles]
@@ -190,3 +207,21 @@ class TrueBench:
             KnownPose(self.stated_tracking, (self.size.extrinsics_rad, self.size.extrinsics_m)),
             tolerances={"board": USUAL_TOLERANCES},
         )
+
+
+def thinned(observations, every=4):
+    """Fewer features, so that tests are quick."""
+    views = [view.only((view.feature @ [1, 2]) % every == 0) for view in observations.views]
+    return replace(observations, views=views)
+
+
+def start_of(observations):
+    lens = {}
+    for name, setup in observations.cameras.items():
+        views = [view for view in observations.views if view.camera == name and view.target is None]
+        lens[name] = setup.known if setup.known is not None else start_lens(views, setup.size_px, setup.kind)
+    return start_state(observations, lens)
+
+
+def adjusted(observations):
+    return adjust(start_of(observations))

@@ -4,36 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imperfect_bench import PERFECT, Imperfections, TrueBench
+from imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
 
-from wlr_render.calibration.bench.adjustment import adjust
 from wlr_render.calibration.bench.checks import bench_checks, prior_pulls, reading_pulls, significance
 from wlr_render.calibration.bench.faults import adjust_without_faults
 from wlr_render.calibration.bench.lenses import sound_views
 from wlr_render.calibration.bench.observations import EYEBALL, BenchObservations
-from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
 
 SEEDS = range(5)
-
-
-def thinned(observations, every=4):
-    """Fewer features, so that tests are quick."""
-    views = [view.only((view.feature @ [1, 2]) % every == 0) for view in observations.views]
-    return replace(observations, views=views)
-
-
-def start_of(observations):
-    lens = {}
-    for name, setup in observations.cameras.items():
-        views = [view for view in observations.views if view.camera == name and view.target is None]
-        lens[name] = start_lens(views, setup.size_px, setup.kind)
-    return start_state(observations, lens)
-
-
-def adjusted(observations):
-    return adjust(start_of(observations))
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ USUAL_SIZES = {"turn": 1e-5, "shift": 3e-6, "smooth turn": 5e-5, "smooth shift":
 USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 _LEAST, _MOST = 1e-9, 1e-2
 _FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
+_PIVOT_M = 1e-3  # standard deviation of a stated pivot, about what a rule measures
 _DECAY = 0.5  # of the smooth error's size by degree
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
@@ -120,7 +121,7 @@ def layout_of(state: BenchState) -> Layout:
     if seen.device_from_tracking is not None:
         add(("extrinsics", TRACKING), _pose_sizes(seen.device_from_tracking))
     for number in state.base:
-        add(("base", number), _pose_sizes(seen.device_from_camera if number == 0 else None))
+        add(("base", number), _pose_sizes(seen.device_from_camera if number == state.first_mounting else None))
     for number, axis in enumerate(seen.axes):
         add(("axis", number), _axis_sizes(axis))
     for number, order in enumerate(smooth_orders(len(state.twists)) if len(state.smooth) else []):
@@ -154,6 +155,8 @@ def _axis_sizes(axis: StageAxis) -> FloatArray:
         sizes[:3] = EXACT
     if axis.direction is not None:
         sizes[AXIS_PARTS[axis.kind]] = axis.direction_sigma or EXACT
+    if axis.direction is not None and axis.pivot is not None:
+        sizes[3:] = _PIVOT_M
     return sizes
 
 
@@ -324,9 +327,10 @@ class Normal:
             own[view.board][each.rows] += np.einsum("nik,nij->nkj", each.by_place, each.by_place)
             pull[view.board][each.rows] += np.einsum("nik,ni->nk", each.by_place, each.value)
         self.count = sum(self.values.values())
-        carry = np.concatenate([each for each, _ in carried])
-        self.gram = carry.T @ np.concatenate([each for _, each in carried])
-        self.moment = carry.T @ np.concatenate(moments)
+        count = len(layout.size)
+        carry = np.concatenate([np.zeros((0, count)), *(each for each, _ in carried)])
+        self.gram = carry.T @ np.concatenate([np.zeros((0, count)), *(each for _, each in carried)])
+        self.moment = carry.T @ np.concatenate([np.zeros(0), *moments])
         cross_of = {name: np.concatenate(carries[name]).T @ np.concatenate(each) for name, each in crosses.items()}
         self._eliminate(sizes, cross_of, own, pull)
 

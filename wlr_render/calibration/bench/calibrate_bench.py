@@ -8,9 +8,10 @@ import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment, UndeterminedError, adjust
 from wlr_render.calibration.bench.checks import Check, bench_checks
-from wlr_render.calibration.bench.faults import APART, SINGLE, Fault, adjust_without_faults
+from wlr_render.calibration.bench.faults import SINGLE, Fault, adjust_without_faults
 from wlr_render.calibration.bench.lenses import SoundViews, sound_views
 from wlr_render.calibration.bench.observations import (
+    APART,
     EYEBALL,
     TRACKING,
     BenchObservations,
@@ -187,7 +188,7 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
         if given.board is not None
     }
     axes = session.stage.axes if session.stage is not None else ()
-    used = {view.camera for view in views}
+    used = {EYEBALL, *(view.camera for view in views)}
     return BenchObservations(
         views,
         {name: setup for name, setup in cameras.items() if name in used},

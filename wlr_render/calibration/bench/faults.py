@@ -12,7 +12,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment, Layout, Normal, layout_of, prior_of
-from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
+from wlr_render.calibration.bench.observations import APART, EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.bench.state import BenchState, Key
 from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry.directions import ARCMIN
@@ -29,10 +29,6 @@ _CONVINCING = 9.2  # natural logarithm of the odds, 10,000 to 1, beyond the numb
 _MOST = 4
 _MOST_PAIRED = 40  # photographs of which all pairs are tried
 _SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # of stage errors, logarithms
-APART = 1000
-"""Target poses and mountings after a fault have their number plus a multiple of this."""
-
-
 SINGLE = ("photograph", "exchange")
 """Kinds of faults whose photographs are rejected; the others leave a target or a mounting of its own."""
 
@@ -152,7 +148,7 @@ def _exchanges(state: BenchState, staged: Sequence[BoardView]) -> list[Fault]:
         here, there = (state.observations.places[str(view.place)] for view in (one, other))
         assert here.reading is not None
         assert there.reading is not None
-        if here.orientation != there.orientation:
+        if not here.orientation == there.orientation == state.first_mounting:
             continue
         apart = motion_between(state.stage.nominal(there.reading), state.stage.nominal(here.reading))
         names = (one.name, other.name)

@@ -17,6 +17,9 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 EYEBALL, TRACKING = "eyeball", "tracking"
 """The two cameras: in the place of the eye, and on the headset."""
 
+APART = 1000
+"""Target poses and mountings that are set apart after a fault have their number plus a multiple of this."""
+
 FEWEST_FEATURES = 8
 """A pose has 6 unknowns; four features give 8 readings, and twice that shows whether they are right."""
 

@@ -6,12 +6,20 @@ import cv2
 import numpy as np
 
 from wlr_render.calibration.bench.observations import (
+    APART,
     EYEBALL,
     TRACKING,
     BenchObservations,
     BoardView,
 )
-from wlr_render.calibration.bench.state import BOARD_SHAPE, BenchState, BoardShape, smooth_orders, stage_motion
+from wlr_render.calibration.bench.state import (
+    BOARD_SHAPE,
+    BenchState,
+    BoardShape,
+    smooth_orders,
+    stage_motion,
+    stated_twist,
+)
 from wlr_render.calibration.poses import cross_matrix, motion_between, small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -26,7 +34,7 @@ _LEAST_COSINE = 0.17  # of features that a pose starts from: nearer to the edge 
 _STEPS, _CLOSE = 30, 1e-9
 _UNCLEAR = 5.0  # ratio of the residuals of the two poses of a plane below which both are refined
 _MOVED = 1e-3
-"""An axis whose readings vary by less than this part of the largest travel has not moved."""
+"""An axis whose readings vary by less than this part of its travel has not moved."""
 
 
 def start_lens(views: Sequence[BoardView], size_px: tuple[int, int], kind: str) -> LensCamera:
@@ -164,6 +172,9 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> Be
     twists = _start_twists(observations, [view for view in bound if view.camera == EYEBALL], seen)
     chain = _Chain(observations, tracking, twists)
     chain.join(bound, seen)
+    for number, axis in enumerate(observations.axes):
+        if not twists[number].any() and chain.base:  # no view of a target tells how it moves
+            twists[number] = stated_twist(axis, chain.base[min(chain.base)])
     return BenchState(
         observations,
         dict(lens),
@@ -195,16 +206,20 @@ def _shapes(observations: BenchObservations) -> dict[str, BoardShape]:
 def _start_twists(
     observations: BenchObservations, views: Sequence[BoardView], seen: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """(m, 6) twists of the axes from relative motions of the camera between views of one target in one mounting."""
+    """(m, 6) twists of the axes from relative motions of the camera between views of one target in its first mounting.
+
+    Zero for those along which the views do not vary.
+    """
     axes = observations.axes
     if not axes:
         return np.zeros((0, 6))
     middle, half = observations.travel
     design, motion = [], []
     groups: dict[tuple[int, int], list[BoardView]] = {}
+    first_mounting = min((place.orientation for place in observations.places.values()), default=0)
     for view in views:
         place = observations.places[str(view.place)]
-        if place.reading is not None:
+        if place.reading is not None and place.orientation % APART == first_mounting:
             groups.setdefault((int(view.target or 0), place.orientation), []).append(view)
     for group in groups.values():
         reading = np.array([observations.places[str(view.place)].reading for view in group])
@@ -216,7 +231,7 @@ def _start_twists(
     known = [number for number, axis in enumerate(axes) if axis.direction is not None]
     matrix = np.array(design).reshape(-1, len(axes))
     scale = np.linalg.norm(matrix, axis=0)
-    still = scale <= _MOVED * scale.max(initial=1e-12)
+    still = scale <= _MOVED * half
     for number in map(int, np.flatnonzero(still)):
         if number not in known and observations.travel[1][number] != 1.0:
             raise BadInputError(
@@ -230,8 +245,6 @@ def _start_twists(
     for number, axis in enumerate(axes):
         if axis.kind == "linear":
             twists[number, :3] = 0.0
-        if still[number] and axis.direction is None:
-            twists[number] = 0.0
     return twists
 
 
@@ -242,8 +255,9 @@ class _Chain:
         self._observations, self._tracking, self._twists = observations, tracking, twists
         self.targets = {number: known.pose for number, known in observations.targets.items()}
         self.base: dict[int, FloatArray] = {}
+        self._first = min((place.orientation for place in observations.places.values()), default=0)
         if observations.device_from_camera is not None:
-            self.base[0] = observations.device_from_camera.pose
+            self.base[self._first] = observations.device_from_camera.pose
         self.free: dict[str, FloatArray] = {}
         self.visited: list[str] = []
 
@@ -286,8 +300,15 @@ class _Chain:
             None if place.reading is None else stage_motion(self._twists, place.reading - self._observations.travel[0])
         )
         known = self.free.get(str(view.place)) if stage is None else self.base.get(place.orientation)
+        if stage is not None and place.orientation != self._first:
+            if self._first not in self.base:
+                return False
+            first = self.base[self._first]
+            stage = first @ stage @ transforms.inverse(first)  # as the device sees the motion of the carriage
         if known is not None:
-            device_from_camera = known if stage is None else known @ stage
+            device_from_camera = known
+            if stage is not None:
+                device_from_camera = known @ stage if place.orientation == self._first else stage @ known
             self.targets.setdefault(target, device_from_camera @ camera_from_board)
             return True
         if target not in self.targets:
@@ -295,8 +316,10 @@ class _Chain:
         device_from_camera = self.targets[target] @ transforms.inverse(camera_from_board)
         if stage is None:
             self.free[str(view.place)] = device_from_camera
+        elif place.orientation == self._first:
+            self.base[self._first] = device_from_camera @ transforms.inverse(stage)
         else:
-            self.base[place.orientation] = device_from_camera @ transforms.inverse(stage)
+            self.base[place.orientation] = transforms.inverse(stage) @ device_from_camera
         return True
 
 

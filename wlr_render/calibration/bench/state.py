@@ -1,8 +1,9 @@
 """Values of all unknowns of a bench, what each view sees by them, and the derivatives.
 
-The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset). `base` is its pose at the
-middle of the readings, one for each mounting of the camera. `stage` carries it along its axes, a product of
-exponentials in the order of the axes (F. C. Park, "Computational aspects of the product-of-exponentials formula",
+The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset) @ mount. `base` is its pose
+at the middle of the readings in its first mounting, and `mount` how another mounting holds it beside that one. `stage`
+carries it along its axes, a product of exponentials in the order of the axes (F. C. Park,
+"Computational aspects of the product-of-exponentials formula",
 IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: smooth in the readings (pitch, yaw, roll
 and straightness, Legendre polynomials), and random in every visit.
 
@@ -19,6 +20,7 @@ from numpy.polynomial import legendre
 
 from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.poses import adjoint, cross_matrix, motion_between, small_motion
+from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
@@ -119,7 +121,8 @@ class BenchState:
             warms up, is not quite the same.
         targets: device_from_target by number.
         device_from_tracking: (4, 4); None without a tracking camera.
-        base: device_from_camera at the middle of the readings, by orientation.
+        base: device_from_camera at the middle of the readings, by orientation; axes and errors of the stage are in the
+            camera's frame of the lowest one.
         twists: (axes, 6) rotation and translation, camera frame, per unit of reading.
         smooth: (terms, 6) of the stage's smooth error by `smooth_terms`.
         offsets: (6,) random error by place, camera frame. free: device_from_camera by place, of places without reading.
@@ -148,6 +151,17 @@ class BenchState:
         middle, half_range = self.observations.travel
         return StageModel(middle, half_range, self.twists, self.smooth)
 
+    @property
+    def first_mounting(self) -> int:
+        """The orientation in whose camera frame the stage's axes and errors are."""
+        return min(self.base)
+
+    def mount(self, orientation: int) -> FloatArray:
+        """(4, 4) camera of the first mounting from the camera of another one."""
+        if orientation == self.first_mounting:
+            return np.eye(4)
+        return np.asarray(transforms.inverse(self.base[self.first_mounting]) @ self.base[orientation])
+
     def device_from_camera(self, place: str) -> FloatArray:
         """(4, 4) of the eyeball camera at a place; the expected pose where no view measured it."""
         if place in self.free:
@@ -156,7 +170,8 @@ class BenchState:
         assert each.reading is not None
         stage = self.stage
         offset = stage.smooth_error(each.reading) + self.offsets.get(place, np.zeros(6))
-        return np.asarray(self.base[each.orientation] @ stage.nominal(each.reading) @ small_motion(offset))
+        carried = self.base[self.first_mounting] @ stage.nominal(each.reading) @ small_motion(offset)
+        return np.asarray(carried @ self.mount(each.orientation))
 
     def device_from_any(self, view: BoardView) -> FloatArray:
         """(4, 4) of the camera of a view of a target."""
@@ -193,7 +208,8 @@ class BenchState:
         own = stage.smooth_error(each.reading) + self.offsets.get(place, np.zeros(6))
         back = adjoint(transforms.inverse(small_motion(own)))
         carried = adjoint(transforms.inverse(stage.nominal(each.reading)))
-        blocks: dict[Key, FloatArray] = {("base", each.orientation): back @ carried}
+        first = self.first_mounting
+        blocks: dict[Key, FloatArray] = {("base", first): back @ carried}
         after = np.eye(6)
         for axis in range(len(travel) - 1, -1, -1):
             twist = self.twists[axis] * travel[axis]
@@ -204,7 +220,12 @@ class BenchState:
             blocks["smooth", number] = term * np.eye(6)
         if place in self.offsets:
             blocks["offset", place] = np.eye(6)
-        return blocks
+        if each.orientation == first:
+            return blocks
+        mounted = adjoint(transforms.inverse(self.mount(each.orientation)))
+        blocks = {key: mounted @ columns for key, columns in blocks.items()}
+        blocks["base", first] = blocks["base", first] - mounted
+        return blocks | {("base", each.orientation): np.eye(6)}
 
     def board_motion(self, view: BoardView) -> dict[Key, FloatArray]:
         """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board in a view."""
@@ -232,13 +253,10 @@ class BenchState:
             return _motion_after(given.pose, self.targets[int(which)])
         if kind == "extrinsics" and seen.device_from_tracking is not None and self.device_from_tracking is not None:
             return _motion_after(seen.device_from_tracking.pose, self.device_from_tracking)
-        if kind == "base" and which == 0 and seen.device_from_camera is not None:
-            return _motion_after(seen.device_from_camera.pose, self.base[0])
-        if kind == "axis" and (direction := seen.axes[int(which)].direction) is not None:
-            part = AXIS_PARTS[seen.axes[int(which)].kind]
-            away = np.zeros(6)
-            away[part] = self.twists[int(which), part] - self.base[0][:3, :3].T @ direction
-            return away
+        if kind == "base" and which == self.first_mounting and seen.device_from_camera is not None:
+            return _motion_after(seen.device_from_camera.pose, self.base[self.first_mounting])
+        if kind == "axis":
+            return self._off_stated(int(which))
         if kind == "focus":
             return np.array([self.focus[int(which)]])
         if kind == "smooth":
@@ -248,6 +266,16 @@ class BenchState:
         if kind == "stretch":
             return self.stretches[str(which)]
         return np.zeros(6)
+
+    def _off_stated(self, number: int) -> FloatArray:
+        """(6,) difference of an axis' twist from what is stated of it."""
+        axis, off = self.observations.axes[number], np.zeros(6)
+        if axis.direction is None:
+            return off
+        stated = stated_twist(axis, self.base[self.first_mounting])
+        for part in (AXIS_PARTS[axis.kind], *([] if axis.pivot is None else [slice(3, 6)])):
+            off[part] = self.twists[number, part] - stated[part]
+        return off
 
     def moved(self, step: Mapping[Key, FloatArray]) -> "BenchState":
         """The state after a step of every block of unknowns."""
@@ -279,6 +307,20 @@ class BenchState:
             boards={name: small_motion(step["board pose", name]) @ pose for name, pose in self.boards.items()},
             stretches={name: stretch + step["stretch", name] for name, stretch in self.stretches.items()},
         )
+
+
+def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
+    """(6,) twist of an axis in the camera's frame by its stated direction and pivot; zero where they are not stated.
+
+    Args:
+        axis: of the stage. base: (4, 4) device_from_camera at the stage's reference.
+    """
+    twist = np.zeros(6)
+    if axis.direction is not None:
+        twist[AXIS_PARTS[axis.kind]] = base[:3, :3].T @ axis.direction
+    if axis.direction is not None and axis.pivot is not None:
+        twist[3:] = np.cross(transforms.apply(transforms.inverse(base), axis.pivot), twist[:3])
+    return twist
 
 
 def _each(values: list[FloatArray], shape: tuple[int, ...]) -> FloatArray:
