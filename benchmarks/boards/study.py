@@ -1,5 +1,6 @@
 """Our detectors of boards beside OpenCV's on published photographs: what is found, and how well a camera fits it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -7,8 +8,9 @@ from typing import Annotated
 import cv2
 import numpy as np
 
+from benchmarks.boards.adjusted import adjusted_row
 from benchmarks.boards.sets import SETS, PhotographSet
-from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
 from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.markers import dictionary_of
 from wlr_render.captures.photographs import Photograph, as_bytes, read_photograph
@@ -48,28 +50,45 @@ def run(options: BoardsOptions, *, progress: ProgressArgument = SILENT) -> Repor
     present = [each for each in SETS if (options.folder / each.name).is_dir()]
     if not present:
         raise BadInputError(f"{options.folder}: holds none of {', '.join(each.name for each in SETS)}.")
-    rows = [_row(each, options.folder) for each in present]
+    found_in = {each.title: _found(each, options.folder) for each in present}
+    rows = [_row(each, options.folder, found_in[each.title][0]) for each in present]
     cells = [list(row.values()) for row in rows]
     notes = ("rms: of cv2.calibrateCamera with the corners of each detector, per corner over both axes.",)
     table = ReportTable("Boards found, and calibration", list(rows[0]), cells, notes)
     pictures, found = (sum(int(row[key] or 0) for row in rows) for key in ("pictures", "found, ours"))
-    report = Report("Boards", f"{found} of {pictures} boards were found.", blocks=[table], inputs=[options.folder])
+    fits = [adjusted_row(each, *found_in[each.title]) for each in present]
+    notes = (
+        "halves: rms over random splits of the difference of two halves over its stated sigma; about 1 if sigmas are true.",
+        "bow: of the middle against the edge, into the board; stretch: of each photograph, relative.",
+    )
+    joint = ReportTable("The joint adjustment", list(fits[0]), [list(each.values()) for each in fits], notes)
+    report = Report(
+        "Boards", f"{found} of {pictures} boards were found.", blocks=[table, joint], inputs=[options.folder]
+    )
     return save_report(report, output_folder(options.out), "boards")
 
 
-def _row(of: PhotographSet, root: Path) -> dict[str, Cell]:
+def _found(of: PhotographSet, root: Path) -> tuple[list[BoardObservation], tuple[int, int]]:
+    """What our detector finds, and the size of the photographs."""
+    found, size = [], (0, 0)
+    for path in of.photographs(root):
+        image = read_photograph(path)
+        size = image.shape[1], image.shape[0]
+        try:
+            found.append(of.board.find(image, path.name))
+        except BoardNotFoundError:
+            continue
+    return found, size
+
+
+def _row(of: PhotographSet, root: Path, found: Sequence[BoardObservation]) -> dict[str, Cell]:
     paths = of.photographs(root)
-    ours: list[Corners] = []
+    ours: list[Corners] = [(seen.index, seen.pixel) for seen in found]
     theirs: list[Corners] = []
     size = (0, 0)
     for path in paths:
         image = read_photograph(path)
         size = image.shape[1], image.shape[0]
-        try:
-            seen = of.board.find(image, path.name)
-            ours.append((seen.index, seen.pixel))
-        except BoardNotFoundError:
-            pass
         corners = _opencv_corners(of, image)
         if corners is not None:
             theirs.append(corners)
