@@ -1,4 +1,4 @@
-"""A lens and a board's shape by the joint adjustment, from photographs of a board held by hand, and by halves of them."""
+"""A lens and a board's shape by the joint adjustment of hand-held photographs, and of halves of them."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ _SPLITS = 6
 
 
 def adjusted_row(of: PhotographSet, seen: Sequence[BoardObservation], size_px: tuple[int, int]) -> dict[str, Cell]:
-    """Values and stated sigmas, and how far fits to random halves are apart over their sigmas, rms over fx, fy, cx, cy."""
+    """Values with stated sigmas; and the difference between fits to random halves over its sigma, rms over splits."""
     every = max(1, round(float(np.median([len(each) for each in seen])) / _FEATURES))
     views = []
     for number, each in enumerate(seen):
@@ -42,16 +42,13 @@ def adjusted_row(of: PhotographSet, seen: Sequence[BoardObservation], size_px: t
     shape_sigma = 1e3 * np.sqrt(np.diag(whole.covariance_of([("shape", "board")])))
     pairs = zip(("fx", "fy", "cx", "cy"), value, sigma, strict=True)
     bows = zip(("bow x", "bow y", "twist"), shape, shape_sigma, strict=False)
+    ratios = ", ".join(f"{each:.1f}" for each in np.sqrt(np.mean(np.square(apart), axis=0)))
     return (
         {"set": of.title, "lens": kind}
         | {f"{name} (px)": f"{each:.2f} +- {own:.2f}" for name, each, own in pairs}
         | {f"{name} (mm)": f"{each:.2f} +- {own:.2f}" for name, each, own in bows}
         | {"stretch": f"{whole.sizes.stretch:.1e}"}
-        | {
-            "halves, fx fy cx cy (sigma)": ", ".join(
-                f"{each:.1f}" for each in np.sqrt(np.mean(np.square(apart), axis=0))
-            )
-        }
+        | {"halves, fx fy cx cy (sigma)": ratios}
     )
 
 

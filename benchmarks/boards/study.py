@@ -57,11 +57,11 @@ def run(options: BoardsOptions, *, progress: ProgressArgument = SILENT) -> Repor
     table = ReportTable("Boards found, and calibration", list(rows[0]), cells, notes)
     pictures, found = (sum(int(row[key] or 0) for row in rows) for key in ("pictures", "found, ours"))
     fits = [adjusted_row(each, *found_in[each.title]) for each in present]
-    notes = (
-        "halves: rms over random splits of the difference of two halves over its stated sigma; about 1 if sigmas are true.",
+    about_fits = (
+        "halves: rms over random splits of the halves' difference over its stated sigma; about 1 if sigmas are true.",
         "bow: of the middle against the edge, into the board; stretch: of each photograph, relative.",
     )
-    joint = ReportTable("The joint adjustment", list(fits[0]), [list(each.values()) for each in fits], notes)
+    joint = ReportTable("The joint adjustment", list(fits[0]), [list(each.values()) for each in fits], about_fits)
     report = Report(
         "Boards", f"{found} of {pictures} boards were found.", blocks=[table, joint], inputs=[options.folder]
     )
