@@ -180,7 +180,7 @@ def _read_pair(reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -
 
 
 def _take_checked(reader: PhotographReader, light: PanelLight) -> Grey | None:
-    image = reader.take_if_there()
+    image = reader.take()
     if image is not None:
         check_range(image, light, reader)
     return image
@@ -359,7 +359,7 @@ def bit_strengths(
     strengths = []
     earlier: Grey | None = light.middle
     for number, name in enumerate(names[2:], start=2):
-        image = reader.take_if_there()
+        image = reader.take()
         if name == names[number - 1] + INVERSE and image is not None and earlier is not None:
             strength = np.abs(image - earlier)[well_lit] / full
             strengths.append(_judged(names[number - 1], strength, options.min_confidence))

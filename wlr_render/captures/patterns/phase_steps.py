@@ -111,7 +111,7 @@ def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelLight) -
         steady += value
 
     for step in range(axis.steps):
-        image = reader.take_if_there()
+        image = reader.take()
         if image is None:
             _check_gap(axis, missing, step, reader, first)
             missing = step

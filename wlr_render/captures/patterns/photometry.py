@@ -46,19 +46,8 @@ class PhotographReader:
         """Name of a photograph in messages: photograph 12 ('u bit 5')."""
         return f"photograph {index} ('{self._names[index]}')"
 
-    def take(self) -> Grey:
-        """The next photograph, (h, w) float32 grey values.
-
-        Raises:
-            BadInputError: there is none, or it has another size or depth than those before.
-        """
-        image = self.take_if_there()
-        if image is None:
-            raise BadInputError(f"{self.label(self.taken - 1)} is missing, and no other photograph replaces it.")
-        return image
-
-    def take_if_there(self) -> Grey | None:
-        """The next photograph as `take` returns it; None where the set has a gap.
+    def take(self) -> Grey | None:
+        """The next photograph, (h, w) float32 grey values; None where the set has a gap.
 
         Raises:
             BadInputError: there is none left, or it has another size or depth than those before.
@@ -74,7 +63,7 @@ class PhotographReader:
         Raises:
             BadInputError: both are missing, or no bit with its inverse follows.
         """
-        first = [self.take_if_there(), self.take_if_there()]
+        first = [self.take(), self.take()]
         if first[0] is not None and first[1] is not None:
             return first[0], first[1]
         missing = next(number for number in (0, 1) if first[number] is None)
