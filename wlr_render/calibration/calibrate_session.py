@@ -9,6 +9,7 @@ import numpy as np
 from wlr_render.calibration.bench.bench_file import save_station
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.checks import refuse_contradictions
+from wlr_render.calibration.bench.faults import SINGLE
 from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
@@ -79,7 +80,8 @@ class SessionCalibration:
     @property
     def faults(self) -> tuple[str, ...]:
         """Names of what is not as session.toml says; the results were made without it."""
-        return tuple(each.name for each in self._excluded if each.fault)
+        faulty = [each.name for each in self._excluded if each.fault]
+        return (*faulty, *(name for fault in self.bench.faults if fault.kind in SINGLE for name in fault.names))
 
     @property
     def all_excluded(self) -> tuple[tuple[str, str], ...]:

@@ -65,7 +65,8 @@ class CalibratedBench:
         found = {name: reason for each in self.lenses.values() for name, reason in each.rejected.items()}
         for fault in self.faults:
             if fault.kind in SINGLE:
-                found |= {name: "it lies off its place by the other photographs" for name in fault.names}
+                reason = "its stage reading looks exchanged" if fault.kind == "exchange" else "it lies off its place"
+                found |= {name: f"{reason}, by the other photographs" for name in fault.names}
         return found
 
     @property

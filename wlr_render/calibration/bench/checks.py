@@ -261,7 +261,7 @@ def _scale_sentence(axis: str, length: float, ok: bool) -> str:
         )
     return (
         f"1 mm of the stage's axis {axis} is {length:.4g} mm by the board's printed pitch; measure the pitch over many "
-        "dots with a rule (printers scale to fit the page), or correct the scale of the stage"
+        "features with a rule (printers scale to fit the page), or correct the scale of the stage"
     )
 
 

@@ -151,12 +151,12 @@ def sweep_check(
         return None if tracked is None else tracked.check(step, "the tracking camera sees the target where it was")
     culprit = "the camera or its stage" if tracked else "the target, the camera or its stage"
     sentence = (
-        f"{culprit} moved between {largest.names[0]} and {largest.names[1]}: dots are displaced by "
+        f"{culprit} moved between {largest.names[0]} and {largest.names[1]}: features are displaced by "
         f"{largest.median_arcmin:.2g}' at one stage reading; repeat this sweep"
     )
     return Check(
         step,
-        "displacement of dots at one stage reading, arcmin",
+        "displacement of features at one stage reading, arcmin",
         largest.median_arcmin,
         largest.sigma_arcmin,
         NEGLIGIBLE_ARCMIN,

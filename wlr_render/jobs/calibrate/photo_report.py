@@ -89,6 +89,7 @@ def _read_table(found: SessionCalibration) -> ReportTable:
         ("target without the headset", session.bare),
         ("target by the tracking camera", session.tracking),
         ("target through the optics", session.see_through),
+        *((("target past the optics", session.beside),) if session.beside else ()),
     ):
         dots = [len(observation) for _, observation in reading.seen(photographs)]
         sigma = [float(np.median(observation.sigma_px)) for _, observation in reading.seen(photographs)]
@@ -96,10 +97,10 @@ def _read_table(found: SessionCalibration) -> ReportTable:
     samples = [each.samples for _, each in reading.decoded(session.display)]
     sigma_px = float(np.median(np.concatenate([each.sigma_px for each in samples]))) if samples else None
     rows.append(["panel", len(session.display), len(samples), sum(len(each) for each in samples), sigma_px])
-    columns = ["photographs of", "given", "read", "dots or samples", "sigma per reading (px)"]
+    columns = ["photographs of", "given", "read", "features or samples", "sigma per reading (px)"]
     notes = (
         "Dots: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",
-        "Dots beyond the panel's field, and dots that lie off their position (outliers), are not fitted.",
+        "Features beyond the panel's field, and features that lie off their position (outliers), are not fitted.",
     )
     return ReportTable("What was read", columns, rows, notes)
 
@@ -277,7 +278,7 @@ def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
         world.plot(
             [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]], "k-", label="panel"
         )
-    world.set(xlabel="to the right (degrees)", ylabel="up (degrees)", title="where dots were seen", aspect="equal")
+    world.set(xlabel="to the right (degrees)", ylabel="up (degrees)", title="where features were seen", aspect="equal")
     world.legend(fontsize=7, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
     return write_figure(path, figure, 110)
 
