@@ -99,7 +99,7 @@ def _read_table(found: SessionCalibration) -> ReportTable:
     rows.append(["panel", len(session.display), len(samples), sum(len(each) for each in samples), sigma_px])
     columns = ["photographs of", "given", "read", "features or samples", "sigma per reading (px)"]
     notes = (
-        "Dots: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",
+        "Features: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",
         "Features beyond the panel's field, and features that lie off their position (outliers), are not fitted.",
     )
     return ReportTable("What was read", columns, rows, notes)
