@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from command_line import refused
 
+from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.jobs import simulate
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
@@ -38,11 +39,20 @@ def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsy
     assert "pitch_mm = 10.0" in (tmp_path / "out" / "board.toml").read_text()
 
 
+def expose_less(folder):
+    """Pictures as a camera takes them: white is below the end of the scale."""
+    for path in folder.glob("*.png"):
+        image = (0.8 * read_photograph(path)).astype(np.uint8)
+        path.unlink()
+        write_photograph(path, image)
+
+
 @pytest.mark.parametrize("code", ["gray", "fringes", "gray-fringes"])
-def test_pictures_of_a_code_taken_for_photographs_decode_to_themselves(code, tmp_path, capsys):
+def test_well_exposed_pictures_of_a_code_decode_to_themselves(code, tmp_path, capsys):
     panel = ["--panel", "160x100", "--pattern", code]
     assert main(["pattern", *panel, "--out", str(tmp_path / "shown")]) == 0
     assert "show.html" in capsys.readouterr().out
+    expose_less(tmp_path / "shown")
     assert main(["decode", str(tmp_path / "shown"), *panel, "--out", str(tmp_path / "out")]) == 0
     assert "Written: " in capsys.readouterr().out
     decoded = np.load(tmp_path / "out" / "decoded.npz")
@@ -50,6 +60,14 @@ def test_pictures_of_a_code_taken_for_photographs_decode_to_themselves(code, tmp
     assert accepted.mean() > 0.9
     centres = np.stack(np.meshgrid(np.arange(160) + 0.5, np.arange(100) + 0.5), axis=-1)
     assert np.abs(decoded["pixel"] - centres)[accepted].max() < 0.02
+
+
+def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(tmp_path, capsys):
+    """Nothing tells the pictures themselves from photographs that are clipped."""
+    assert main(["pattern", "--panel", "64x40", "--out", str(tmp_path / "shown")]) == 0
+    capsys.readouterr()
+    decode = ["decode", str(tmp_path / "shown"), "--panel", "64x40", "--out", str(tmp_path / "out")]
+    assert "('white') is over-exposed: 100% of it is at the end of the scale (255)" in refused(decode, capsys)
 
 
 PHOTOGRAPH_FAULTS = {

@@ -2,6 +2,7 @@
 
 import json
 import os
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,11 @@ from wlr_render.captures.photographs import read_photograph
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.jobs.verify import session as verify
 from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
+from wlr_render.simulation.photographs.take_photographs import take
+from wlr_render.toml_files import write_toml
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -76,6 +80,32 @@ def test_an_error_of_the_display_model_is_measured(options, photo_session):
     medians = [row[4] for row in result.tables[1].rows]
     # The field reaches 18 degrees: a tangent there is 0.9 of an angle.
     assert medians == pytest.approx([0.005 / ARCMIN] * 2, rel=0.1)
+
+
+def test_photographs_are_taken_on_the_bench_as_it_is(options, photo_session, monkeypatch):
+    """The camera misses its reading by the stage's errors at each visit; photographs are blurred and hazy."""
+    taken = []
+    monkeypatch.setattr(verify, "take", lambda pose: taken.append(pose) or take(pose))
+    verify_session(options)
+    tracking, *eyeball = taken
+    sizes = photo_session.bench.options.imperfections
+    assert {(each.vibration_px, each.stray_light) for each in taken} == {(sizes.vibration_px, sizes.stray_light)}
+    assert tracking.optics is None
+    nominal = photo_session.bench.camera_at(np.zeros(3))[:3, 3]
+    off_um = 1e6 * np.linalg.norm(eyeball[0].frame_from_camera[:3, 3] - nominal)
+    assert 1 < off_um < 5 * sizes.repeatability_um
+
+
+def test_a_stage_that_became_loose_since_the_session_shows(options, photo_session):
+    """Display and target are 0.1 m apart: a millimetre aside moves one over the other by an arcminute."""
+    medians = [row[2] for row in verify_session(options).tables[0].rows]
+    path = photo_session.folder / "simulation.toml"
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content["bench"]["imperfections"]["repeatability_um"] = 1000.0
+    path.unlink()
+    write_toml(path, content)
+    loose = [row[2] for row in verify_session(options).tables[0].rows]
+    assert min(loose) > max(medians) + 0.3
 
 
 def without(name):

@@ -520,11 +520,24 @@ def _stepped(
     away = float(np.max(np.abs(vector - before) / sigma))
     for _ in range(_HALVINGS):
         tried = state.moved(step)
-        now = Normal(tried, layout, sizes, {})
-        if _cost(tried, layout, width, sizes, now) <= cost * (1.0 + _ROUNDING):
+        now = _sound(tried, layout, sizes)
+        # Features that a step carries out of a camera's sight cost nothing, and are no gain.
+        if (
+            now is not None
+            and now.count >= normal.count
+            and _cost(tried, layout, width, sizes, now) <= cost * (1.0 + _ROUNDING)
+        ):
             return tried, now, found, away
         step = {key: 0.5 * each for key, each in step.items()}
     return state, normal, found, 0.0
+
+
+def _sound(state: BenchState, layout: Layout, sizes: Sizes) -> Normal | None:
+    """The normal equations; None where a board is so near a camera that they are not finite."""
+    try:
+        return Normal(state, layout, sizes, {})
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _solved(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray) -> Posterior:

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
-from wlr_render.calibration.bench.adjustment import USUAL_DIFFER, USUAL_SIZES, Adjustment
+from wlr_render.calibration.bench.adjustment import USUAL_DIFFER, USUAL_SIZES, Adjustment, residuals_of
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
-from wlr_render.calibration.bench.observations import EYEBALL
+from wlr_render.calibration.bench.observations import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import Key
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
@@ -24,6 +24,7 @@ _SCALE, _REFUSED_SCALE = 0.002, 0.02  # 1 mm and 10 mm in the distance of a targ
 _SKEW_DEG = 1.0
 _UNIT = 0.1  # how far, in powers of ten, a factor may be from 1000 to be a mistaken unit
 _NOISE_DIFFERS = 0.7  # standard deviation of the logarithm of the stated noise: by a factor of 2
+_NAMED = 2  # photographs that fit worst
 _CAMERAS = {EYEBALL: "eyeball camera", "tracking": "tracking camera"}
 
 
@@ -96,10 +97,10 @@ def bench_checks(adjustment: Adjustment, faults: Sequence[Fault]) -> list[Check]
     """Check an adjusted bench."""
     return [
         *(_fault_check(fault) for fault in faults if fault.kind != "tracking"),
+        *(_noise_check(adjustment, name) for name in _by_noise(adjustment)),
         *_stage_checks(adjustment),
         *_scales(adjustment),
         *_angles(adjustment),
-        *(_noise_check(adjustment, name) for name in adjustment.state.lens),
         *(_pull_check(pull) for pull in prior_pulls(adjustment)),
     ]
 
@@ -286,6 +287,23 @@ def _angles(adjustment: Adjustment) -> list[Check]:
     return checks
 
 
+def _by_noise(adjustment: Adjustment) -> list[str]:
+    """Names of the cameras; that of the worst photographs is first."""
+    return sorted(adjustment.state.lens, key=lambda name: -adjustment.sizes.noise[name])
+
+
+def _worst_views(adjustment: Adjustment, camera: str) -> list[str]:
+    """Names of the two photographs that fit worst."""
+    state = adjustment.state
+    views = [view for view in state.observations.views if view.camera == camera]
+
+    def misfit(view: BoardView) -> float:
+        residual = residuals_of(state, view).residual / view.sigma_px[:, None]
+        return float(np.sqrt(np.mean(np.where(np.isfinite(residual), residual, np.inf) ** 2)))
+
+    return [view.name for view in sorted(views, key=misfit)[: -_NAMED - 1 : -1]]
+
+
 def _noise_check(adjustment: Adjustment, name: str) -> Check:
     """The features' noise against what the detector states."""
     noise = adjustment.sizes.noise[name]
@@ -297,11 +315,21 @@ def _noise_check(adjustment: Adjustment, name: str) -> Check:
     sentence = f"features of the {_CAMERAS[name]} scatter by {noise * rms:.2g} px, {noise:.2f} times their stated sigma"
     if not ok:
         sentence += (
-            "; focal length, centre or distortion are not this camera's, its kind of lens does not fit it, or the "
-            "board is not the one in the board file"
+            f"; {' and '.join(_worst_views(adjustment, name))} fit worst: are they of the target pose and stage "
+            "reading that session.toml states? Or focal length, centre or distortion are not this camera's, its kind "
+            "of lens does not fit it, or the board is not the one in the board file"
         )
     sigma = noise / float(np.sqrt(2.0 * adjustment.normal.values[name]))
-    return Check(f"photographs by the {_CAMERAS[name]}", "noise over stated sigma", noise, sigma, limit, sentence, ok)
+    return Check(
+        f"photographs by the {_CAMERAS[name]}",
+        "noise over stated sigma",
+        noise,
+        sigma,
+        limit,
+        sentence,
+        ok,
+        noise > 2.0 * limit,
+    )
 
 
 def _pull_check(pull: Pull) -> Check:

@@ -19,6 +19,7 @@ from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 
 _RESULTS = (("captures", ".npz"), ("station", ".json"))
+_REPORT = ("report.html", "report.md", "report.json", "coverage.png", "decoding.png")
 READ = "read"
 """Folder, in the output folder, of what was read from photographs, so that a later run reads only what is new."""
 
@@ -50,8 +51,8 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
     for eye in session.eyes:  # a faulty prescription is refused before anything is read
         options.fit.prescription_of(eye)
     folder = output_folder(options.out)
-    reading = read_session(session, folder / READ, options.workers, progress)
     _remove_results(folder, session.eyes)
+    reading = read_session(session, folder / READ, options.workers, progress)
     progress.say("calibrating the bench, fitting the models")
     return calibrate_session(session, reading, folder, options.fit.fit)
 
@@ -59,9 +60,9 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
     """Results of an earlier run must not stand beside those of one that is refused."""
     remove_eye_models(folder / MODEL_FILE, eyes)
-    for eye in eyes:
-        for kind, suffix in _RESULTS:
-            (folder / f"{kind}-{eye}{suffix}").unlink(missing_ok=True)
+    names = [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in _RESULTS]
+    for name in (*names, *_REPORT, *(f"coverage-{eye}.png" for eye in eyes)):
+        (folder / name).unlink(missing_ok=True)
 
 
 def _record(found: SessionCalibration) -> dict[str, Any]:

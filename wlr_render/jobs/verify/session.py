@@ -1,8 +1,9 @@
 """Verify a calibration on the simulated bench of its session, as on a real one.
 
-The target is drawn where it was seen to stand and photographed with the display off and on. It is drawn by the fitted
-models, for the camera position that the stage reports and the target pose that the tracking camera sees; photographs
-show the truth, of which nothing goes into the judgement.
+The target is drawn over itself and photographed with the display off and on. It is drawn by the fitted models, for the
+camera position that the stage's reading gives and the target pose that the tracking camera sees. Photographs show the
+true bench: each visit of the stage has its own random errors, and photographs are blurred, hazy and noisy as those of
+the session. Nothing of the truth goes into the judgement.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +38,9 @@ from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
+from wlr_render.simulation.photographs.photo_plan import Visit, later_visits
 from wlr_render.simulation.photographs.recipe import load_recipe
+from wlr_render.simulation.photographs.simulate_photo_session import poses_on
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
@@ -89,18 +92,18 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     box = bench.optics.eye_box
     rng = np.random.default_rng([options.seed, 2])
     others = random_in_eye_box(box, options.viewpoints, rng)[1:] - box.centre
-    stage = np.round(np.concatenate([np.zeros((1, 3)), others]), 6)
-    viewpoints = np.stack([station.device_from_camera(reading)[:3, 3] for reading in stage])
-    targets = _track_targets(bench, station, options.depths_m, photographs)
-    total = len(targets) * len(stage)
+    visits = later_visits(bench, np.round(np.concatenate([np.zeros((1, 3)), others]), 6), rng)
+    viewpoints = np.stack([_camera_of(station, visit)[:3, 3] for visit in visits])
+    targets = _track_targets(bench, station, options.depths_m, photographs, options.seed)
+    total = len(targets) * len(visits)
     drawn = progress(
         (frames for pose in targets for frames in _draw(models, bench, pose, viewpoints, options.backend)),
         total,
         "frames",
     )
     flat = list(drawn)
-    frames = [flat[len(stage) * k : len(stage) * (k + 1)] for k in range(len(targets))]
-    _photograph(bench, stage, options.depths_m, frames, photographs, options.seed, progress, options.workers)
+    frames = [flat[len(visits) * k : len(visits) * (k + 1)] for k in range(len(targets))]
+    _photograph(bench, visits, options.depths_m, frames, photographs, options.seed, progress, options.workers)
     judged = [
         one
         for depth, target in zip(options.depths_m, targets, strict=True)
@@ -143,8 +146,13 @@ class _Frames:
         return self.images[index]
 
 
+def _camera_of(station: SavedStation, visit: Visit) -> FloatArray:
+    assert visit.reading is not None  # of a bench with a stage, which alone is rendered
+    return station.device_from_camera(visit.reading)
+
+
 def _track_targets(
-    bench: PhotoBench, station: SavedStation, depths_m: Sequence[float], folder: Path
+    bench: PhotoBench, station: SavedStation, depths_m: Sequence[float], folder: Path, seed: int
 ) -> list[FloatArray]:
     """Where the tracking camera sees the target at each distance: device_from_target (4, 4) each.
 
@@ -154,7 +162,8 @@ def _track_targets(
     if station.tracking_camera is None or station.device_from_tracking is None:
         raise BadInputError("the calibrated bench has no tracking camera, which says where the target stands.")
     shots = tuple(BoardShot(folder / f"tracking_{_name(depth)}.png", target_at(bench, depth)) for depth in depths_m)
-    _retake(CameraPose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, bench.printed, shots))
+    pose = poses_on(bench, seed)
+    _retake(pose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, boards=shots))
     poses = []
     for shot in shots:
         observation = bench.board.find(read_photograph(shot.path), shot.path.name)
@@ -181,7 +190,7 @@ def _draw(
 
 def _photograph(
     bench: PhotoBench,
-    stage: FloatArray,
+    visits: Sequence[Visit],
     depths_m: Sequence[float],
     frames: Sequence[Sequence[dict[str, NDArray[np.uint8]]]],
     folder: Path,
@@ -189,9 +198,9 @@ def _photograph(
     progress: Progress,
     workers: int | None,
 ) -> None:
-    """Take the photographs at stage readings (n, 3), with the display off and showing `frames[depth][viewpoint]`."""
-    places = []
-    for number, reading in enumerate(stage):
+    """Take the photographs of each visit, with the display off and showing `frames[depth][viewpoint]`."""
+    pose, places = poses_on(bench, seed), []
+    for number, visit in enumerate(visits):
         boards = [BoardShot(_off_path(folder, depth, number), target_at(bench, depth)) for depth in depths_m]
         panels = [
             PanelShots(
@@ -200,16 +209,13 @@ def _photograph(
             for depth, drawn in zip(depths_m, frames, strict=True)
         ]
         places.append(
-            CameraPose(
+            pose(
                 bench.eyeball,
                 bench.eyeball_sensor,
-                bench.camera_at(reading),
+                visit.device_from_camera,
                 bench.optics,
-                bench.printed,
-                boards,
-                panels,
-                seed,
-                bench.eye,
+                boards=boards,
+                panels=panels,
             )
         )
     for _ in progress(as_finished(_retake, places, workers), len(places), "viewpoints"):

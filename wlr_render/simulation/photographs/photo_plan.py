@@ -139,20 +139,34 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     drawn = np.concatenate([drawn, np.arange(bare_count + places, len(commanded))])
 
     sizes, seed, left = bench.options.imperfections, bench.options.seed, int(bench.eye == "left")
-    place, turn, reading, creep = (
-        np.random.default_rng([seed, stream, left]) for stream in (_PLACES, _TURNS, _READINGS, _CREEP)
-    )
+    place, turn, reading = (np.random.default_rng([seed, stream, left]) for stream in (_PLACES, _TURNS, _READINGS))
     position = commanded.copy()
     position[drawn] += place.normal(0.0, 1e-6 * sizes.repeatability_um, commanded.shape)
-    direction = creep.standard_normal(3)
-    error = np.concatenate([turn.normal(0.0, 1e-6 * sizes.turn_jitter_urad, commanded.shape), commanded * 0.0], axis=1)
-    error[:, 3:] = np.outer(_creep(taken), 1e-6 * sizes.creep_um * direction / np.linalg.norm(direction))
+    turns = turn.normal(0.0, 1e-6 * sizes.turn_jitter_urad, commanded.shape)
+    error = np.concatenate([turns, np.outer(_creep(taken), _whole_creep(bench))], axis=1)
     stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
     visits = tuple(
         Visit(own[:axes], bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True)
     )
     through = visits[bare_count:]
     return SessionVisits(visits[:bare_count], through, through[:places])
+
+
+def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Generator) -> tuple[Visit, ...]:
+    """Visits of the stage to commanded positions (n, 3) after the session, with random errors of the session's sizes.
+
+    Axes that the stage does not have stand still. The creep stays as it was at the session's end.
+    """
+    sizes, axes = bench.options.imperfections, stage_axis_count(bench)
+    commanded = commanded * (np.arange(3) < axes)
+    place, turn, reading = 1e-6 * rng.standard_normal((3, *commanded.shape))
+    position = commanded + sizes.repeatability_um * place
+    stated = commanded + np.round(sizes.readback_um * reading, _READING_DIGITS)
+    creep = np.broadcast_to(_whole_creep(bench), commanded.shape)
+    error = np.concatenate([sizes.turn_jitter_urad * turn, creep], axis=1)
+    return tuple(
+        Visit(own[:axes], bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True)
+    )
 
 
 def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
@@ -164,6 +178,12 @@ def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
             pose_of_hand = transforms.rigid(turn @ bench.device_from_camera[:3, :3], viewpoint)
             visits.append(Visit(None, pose_of_hand, f"target {pose}, place {number}"))
     return SessionVisits((), tuple(visits), tuple(visits[:count]))
+
+
+def _whole_creep(bench: PhotoBench) -> FloatArray:
+    """(3,) displacement of the stage by temperature, metres, from the first photograph to the last."""
+    direction = np.random.default_rng([bench.options.seed, _CREEP, int(bench.eye == "left")]).standard_normal(3)
+    return np.asarray(1e-6 * bench.options.imperfections.creep_um * direction / np.linalg.norm(direction))
 
 
 def _creep(taken: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@
 take more photographs on the same bench. Calibration never opens it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -77,15 +77,7 @@ def camera_poses(
     session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits
 ) -> Iterator[CameraPose]:
     """All photographs; those that the eyeball camera takes from one pose with one lens are traced together."""
-    sizes = bench.options.imperfections
-    pose = partial(
-        CameraPose,
-        board=bench.printed,
-        seed=bench.options.seed,
-        eye=bench.eye,
-        vibration_px=sizes.vibration_px,
-        stray_light=sizes.stray_light,
-    )
+    pose = poses_on(bench, bench.options.seed)
     eyeball = partial(pose, bench.eyeball, bench.eyeball_sensor)
     tracking = partial(pose, bench.tracking, bench.tracking_sensor, optics=None)
     together: dict[bytes, CameraPose] = {}
@@ -107,6 +99,19 @@ def camera_poses(
     yield tracking(bench.device_from_tracking, boards=[_on_bench(each, bench) for each in session.tracking])
     if session.tracking_camera is not None:
         yield tracking(np.eye(4), boards=_shots(session.tracking_camera, plan.tracking_boards))
+
+
+def poses_on(bench: PhotoBench, seed: int) -> Callable[..., CameraPose]:
+    """`CameraPose` with the board, vibration and stray light of a bench, and the seed of the noise."""
+    sizes = bench.options.imperfections
+    return partial(
+        CameraPose,
+        board=bench.printed,
+        seed=seed,
+        eye=bench.eye,
+        vibration_px=sizes.vibration_px,
+        stray_light=sizes.stray_light,
+    )
 
 
 def _on_bench(photograph: BoardPhotograph, bench: PhotoBench) -> BoardShot:
