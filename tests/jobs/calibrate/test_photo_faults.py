@@ -322,8 +322,14 @@ def test_one_target_depth_is_refused_with_what_is_missing(photo_session):
     assert "all real points are of one target pose" in photo_session.refusal()
 
 
-def test_two_camera_positions_are_fitted_and_the_report_says_what_one_more_row_brings(photo_session, capsys):
-    photo_session.edit(lambda content: content.update(display=content["display"][:2]))
+def test_three_camera_positions_are_fitted_and_the_report_says_what_one_more_row_brings(photo_session, capsys):
+    photo_session.edit(lambda content: content.update(display=content["display"][:3]))
     status, out, _ = command_line(photo_session, capsys)
     assert status == 0
     assert "What one more row of positions would bring" in out
+
+
+def test_two_camera_positions_are_refused_where_the_stage_turns(photo_session):
+    """The motions of two cameras explain whatever the display does."""
+    photo_session.edit(lambda content: content.update(display=content["display"][:2]))
+    assert "display" in photo_session.refusal()
