@@ -154,3 +154,11 @@ def test_copies_are_visits_of_their_own_that_move_as_much(visit):
     size = copied.motion.of(names).size[visit]
     np.testing.assert_array_equal(size[3:5], SIZES[[0, 0]])
     np.testing.assert_array_equal(size[6], SIZES[1])
+
+
+def test_copies_are_numbered_apart_from_captures_that_were_left_out():
+    motion = CaptureMotionPrior(np.array([0, 1, 2]), np.concatenate([SIZES, 9.0 * SIZES[:1]]), 0.1)
+    captures = see_through(motion=motion)
+    copied = with_copies(captures, np.array([0]), np.array([0]))
+    names, visit = copied.visits
+    np.testing.assert_array_equal(copied.motion.of(names).size[visit[-1]], SIZES[0])

@@ -1,7 +1,7 @@
 """Calibrate the eyes of a headset from the photographs of a session: bench, captures in the device frame, models."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,9 @@ from wlr_render.calibration.photograph_captures import (
 )
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import CaptureMotionPrior, EyeCaptures, SeeThroughCaptures, select
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession
+from wlr_render.captures.decoded import DecodedSamples
+from wlr_render.captures.observation_table import observation_table
+from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -43,12 +45,15 @@ class EyeCalibration:
         captures: what the fit takes.
         kinds: the models, of one kind or of several that were compared.
         excluded: photographs that contradict the others, and why.
+        primaries: where the panel was photographed in several colours, the models of the others, by colour: each is of
+            its display; see-through has no colour.
     """
 
     session: PhotoSession
     captures: EyeCaptures
     kinds: KindComparison
     excluded: tuple[Excluded, ...]
+    primaries: Mapping[str, EyeFit] = field(default_factory=dict)
 
     @property
     def eye(self) -> str:
@@ -130,8 +135,26 @@ def _calibrated(
         own = session.for_eye(eye)
         captures, excluded = sound_captures(own, reading, bench)
         save_captures(folder / f"captures-{eye}.npz", captures)
-        eyes[eye] = EyeCalibration(own, captures, fit(captures), excluded)
+        eyes[eye] = _fitted(own, captures, excluded, fit)
     return SessionCalibration(session, reading, bench, eyes)
+
+
+def _fitted(
+    session: PhotoSession,
+    captures: EyeCaptures,
+    excluded: tuple[Excluded, ...],
+    fit: Callable[[EyeCaptures], KindComparison],
+) -> EyeCalibration:
+    """Fit the models of one eye to green, white or the first colour, and to each other colour that was photographed."""
+    table = observation_table(captures.display, captures.see_through)
+    main, primaries = table.captures(), {}
+    kinds = fit(main)
+    shown = main.display.conditions if main.display is not None else None
+    for number, name in enumerate(CHANNELS):
+        display = table.display(number)
+        if display is not None and shown is not None and shown.channel[0] != number:
+            primaries[name] = fit(EyeCaptures(display, main.see_through)).chosen
+    return EyeCalibration(session, main, kinds, excluded, primaries)
 
 
 def sound_captures(
@@ -144,12 +167,16 @@ def sound_captures(
     """
     headset = Headset(session.device, session.eye, session.eye_box)
     sets, display, excluded = reading.decoded(session.display), None, []
-    panels = [PanelView(bench.device_from_camera(each), found.samples, recorded_of(each)) for each, found in sets]
+    panels = [
+        PanelView(bench.device_from_camera(each), _of_primary(session, each, found.samples), recorded_of(each))
+        for each, found in sets
+    ]
     if session.display:
         display = display_captures(headset, session.pattern.panel, bench.eyeball, panels)
         display = replace(display, motion=_motion_prior(bench, [each for each, _ in sets]))
         _refuse_far_places(session, display.viewpoint)
-        moved = display_outliers(display)
+        colour = np.array([each.channel or "" for each, _ in sets])[display.capture]
+        moved = [each for name in np.unique(colour) for each in display_outliers(select(display, colour == name))]
         excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
         display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
     through = reading.seen(session.see_through)
@@ -173,6 +200,12 @@ def sound_captures(
     excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
     see_through = select(see_through, ~np.isin(_visits(see_through), [each.group for each in gone]))
     return EyeCaptures(display, see_through), tuple(excluded)
+
+
+def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
+    """Samples at the places on the panel where the primary that was shown lies in its pixels."""
+    offset = session.primary_offsets.get(entry.channel or "")
+    return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
 
 
 def _motion_prior(bench: CalibratedBench, entries: Sequence[BoardPhotograph | CodeSet]) -> CaptureMotionPrior:

@@ -330,8 +330,9 @@ def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> An
         changes["conditions"] = replace(whole.conditions, visit=np.append(number, new[row.reshape(-1)]))
     if (known := captures.motion) is not None:
         new, first = np.unique(new, return_index=True)
-        size = np.concatenate([known.size, known.of(names[copied[first, 1]]).size])
-        changes["motion"] = CaptureMotionPrior(np.append(known.capture, new), size, known.log_sigma)
+        here = np.isin(known.capture, names)  # it may also name captures that were left out
+        size = np.concatenate([known.size[here], known.of(names[copied[first, 1]]).size])
+        changes["motion"] = CaptureMotionPrior(np.append(known.capture[here], new), size, known.log_sigma)
     return replace(whole, **changes)
 
 

@@ -399,7 +399,8 @@ class Adjustment:
         sizes: variance components found.
         normal: the equations at the solution.
         hyper: logarithms of the hyperparameters.
-        chi_square: by camera, reduced: sum of squares in units of the stated sigmas, over readings less unknowns.
+        chi_square: by camera that saw a board, reduced: sum of squares in units of the stated sigmas, over readings
+            less unknowns.
     """
 
     state: BenchState
@@ -478,7 +479,7 @@ def adjust(start: BenchState) -> Adjustment:
         if away > _ROUGH and number < _ROUNDS - 1:
             continue
         before = sizes
-        if layout.has_sizes:
+        if layout.has_sizes and normal.count:
             hyper = _best_hyper(normal, layout, prior, hyper, everywhere=number < 3)
         feature_m = {name: _feature_size(state, name, normal, sizes) for name in state.shape}
         sizes = _sizes(hyper, feature_m, _noise(normal, sizes, found))
@@ -487,7 +488,7 @@ def adjust(start: BenchState) -> Adjustment:
             break
     found = _solved(normal, layout, prior, hyper)
     covariance = layout.size[:, None] * found.side_covariance * layout.size
-    chi_square = {name: float(value**2) for name, value in _noise(normal, sizes, found).items()}
+    chi_square = {name: float(value**2) for name, value in _noise(normal, sizes, found).items() if normal.values[name]}
     return Adjustment(state, layout, covariance, sizes, normal, hyper, chi_square)
 
 
@@ -562,6 +563,8 @@ def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
         name: float(
             sizes.noise[name] * np.sqrt(max(normal.chi_square[name], 1e-12) / max(free * normal.values[name], 1.0))
         )
+        if normal.values[name]
+        else sizes.noise[name]
         for name in normal.chi_square
     }
 

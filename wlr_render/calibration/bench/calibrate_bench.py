@@ -82,6 +82,16 @@ class CalibratedBench:
         """device_from_camera at an entry of the session, with its covariance."""
         return self.adjustment.camera_pose(place_key(self.session, entry))
 
+    def relative_sigma(self, one: BoardPhotograph | CodeSet, other: BoardPhotograph | CodeSet) -> FloatArray:
+        """(6,) sigmas of the pose of the camera at one entry against that at another, device frame.
+
+        Rotation (rad), then position (m) of the pupil. Errors that both poses share are not in them.
+        """
+        poses, covariance = self.adjustment.camera_poses([place_key(self.session, each) for each in (one, other)])
+        about = [adjoint(transforms.rigid(np.eye(3), -pose[:3, 3])) for pose in poses]
+        apart = np.concatenate([about[0], -about[1]], axis=1)
+        return np.sqrt(np.diag(apart @ covariance @ apart.T))
+
     def target_points(self, target_pose: int, observation: BoardObservation) -> FloatArray:
         """(n, 3) true places of a board's features in the target's frame."""
         nominal = self.session.board_of(target_pose).point_of(observation.index)

@@ -288,8 +288,8 @@ def _angles(adjustment: Adjustment) -> list[Check]:
 
 
 def _by_noise(adjustment: Adjustment) -> list[str]:
-    """Names of the cameras; that of the worst photographs is first."""
-    return sorted(adjustment.state.lens, key=lambda name: -adjustment.sizes.noise[name])
+    """Names of the cameras that saw a board; that of the worst photographs is first."""
+    return sorted(adjustment.chi_square, key=lambda name: -adjustment.sizes.noise[name])
 
 
 def _worst_views(adjustment: Adjustment, camera: str) -> list[str]:

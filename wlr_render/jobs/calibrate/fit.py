@@ -104,8 +104,8 @@ OutputFolder = Annotated[
 ]
 
 
-def save_models(folder: Path, fits: Sequence[EyeFit]) -> tuple[Path, tuple[str, ...]]:
-    """Write model.json; returns its path, and a sentence if another eye of an earlier run stays in it."""
-    path = folder / MODEL_FILE
+def save_models(folder: Path, fits: Sequence[EyeFit], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
+    """Write a model file; returns its path, and a sentence if another eye of an earlier run stays in it."""
+    path = folder / name
     kept = add_eye_models(path, [fit.model() for fit in fits])
     return path, tuple(f"{path} also holds the {eye} eye, from an earlier run." for eye in kept)

@@ -11,6 +11,7 @@ from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCali
 from wlr_render.calibration.poses import Pose
 from wlr_render.captures.decoded import Rejection
 from wlr_render.files import write_figure
+from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, ReportTable, Section
@@ -63,9 +64,12 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
         _chi_squared_table(found),
         _checks_table(found),
     ]
+    if len(found.eyes) > 1:
+        blocks += [Section("Both eyes"), binocular_table(found)]
     for eye, each in found.eyes.items():
         blocks.append(Section("The models" if len(found.eyes) == 1 else f"The models of the {eye} eye"))
         blocks += fit_blocks(each.kinds, each.captures, set_names(found, each))
+        blocks += [primaries_table(each)] if each.primaries else []
     return blocks
 
 
@@ -115,7 +119,7 @@ def _decoded_table(found: SessionCalibration) -> ReportTable:
     for each, panel in found.reading.decoded(found.session.display):
         share = panel.counts / panel.counts.sum()
         low, high = panel.extent
-        covered = float(np.prod((high - low) / found.session.pattern.panel.size_px))
+        covered = float(np.prod((high - low) / found.session.panels[each.eye].pattern.panel.size_px))
         rejected: Counter[str] = Counter(
             {
                 reason.name.lower().replace("_", " "): float(share[reason])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
+from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.files import output_folder
@@ -18,6 +19,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 
+_MODELS_OF_PRIMARIES = {name: f"model-{name}.json" for name in CHANNELS}
 _RESULTS = (("captures", ".npz"), ("station", ".json"))
 _REPORT = ("report.html", "report.md", "report.json", "coverage.png", "decoding.png")
 READ = "read"
@@ -59,7 +61,8 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
     """Results of an earlier run must not stand beside those of one that is refused."""
-    remove_eye_models(folder / MODEL_FILE, eyes)
+    for name in (MODEL_FILE, *_MODELS_OF_PRIMARIES.values()):
+        remove_eye_models(folder / name, eyes)
     names = [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in _RESULTS]
     for name in (*names, *_REPORT, *(f"coverage-{eye}.png" for eye in eyes)):
         (folder / name).unlink(missing_ok=True)
@@ -74,6 +77,10 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
     """Write model.json, pictures and the report of a calibration."""
     session, folder = found.session, output_folder(options.out)
     model, notes = save_models(folder, [each.fit for each in found.eyes.values()])
+    models = [model]
+    for primary, name in _MODELS_OF_PRIMARIES.items():
+        if fits := [each.primaries[primary] for each in found.eyes.values() if primary in each.primaries]:
+            models.append(save_models(folder, fits, name)[0])
     warnings = [warning for each in found.eyes.values() for warning in fit_warnings(each.fit, set_names(found, each))]
     report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye",
@@ -82,7 +89,7 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
         warnings=[*warnings, *found.reading.notes, *notes],
         blocks=session_blocks(found, folder),
         inputs=[options.session, *options.fit.inputs],
-        files=[model, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in _RESULTS)],
+        files=[*models, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in _RESULTS)],
         faults=found.faults,
         record={"options": options, "device": session.device, **_record(found)},
     )

@@ -1,0 +1,167 @@
+"""Sessions of other kinds than the usual one, from readings to report: one mapping, both eyes, primaries, one axis."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wlr_render.calibration.calibrate_session import calibrate_session
+from wlr_render.calibration.poses import motion_between
+from wlr_render.captures.photo_session import SessionPanel, StageAxis, StageDescription
+from wlr_render.captures.session_reading import Reading
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import arcmin_between
+from wlr_render.jobs.calibrate.fit import FitOptions
+from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, report_of
+from wlr_render.models.model_file import load_eye_model, load_eye_models
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
+
+pytestmark = pytest.mark.slow  # a session takes some ten seconds
+
+FIT = FitOptions()
+FEW = ReadingOptions(most_dots=250, panel_samples=500)
+
+
+def simulated(**bench):
+    return simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=PhotoBenchOptions(**bench)), FEW)
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return simulated()
+
+
+def calibrated(session, reading, folder):
+    found = calibrate_session(session, reading, folder, FIT.fit)
+    return found, report_of(found, CalibratePhotosOptions(session.folder, fit=FIT, out=folder))
+
+
+def rows_of(report, title):
+    (table,) = (block for block in report.blocks if getattr(block, "title", "") == title)
+    return {row[0]: row[1:] for row in table.rows}
+
+
+def assert_poses(found, entries, places):
+    off = [
+        motion_between(found.bench.camera_pose(each).b_from_a, true) for each, true in zip(entries, places, strict=True)
+    ]
+    sigma = [np.sqrt(np.diag(found.bench.camera_pose(each).covariance)) for each in entries]
+    assert np.sqrt(np.mean(np.square(np.array(off) / sigma))) < 2.0
+
+
+def test_see_through_alone(usual, tmp_path):
+    session = replace(usual.session, display=())
+    found, report = calibrated(session, usual.reading, tmp_path)
+    assert found.eyes["right"].captures.display is None
+    assert "display" not in report.verdict
+    model = load_eye_model(tmp_path / "model.json").mappings
+    with pytest.raises(BadInputError, match="no display mapping"):
+        model.display.pixel_of_view_dir(np.array([0.0, 0.0, -1.0]), model.eye_box.centre)
+
+
+@pytest.mark.parametrize("known_lens", [False, True])
+def test_display_alone_in_the_frame_of_the_camera(usual, tmp_path, known_lens):
+    bench = usual.truth.bench
+    gauge = transforms.OPENXR_FROM_OPENCV @ bench.device_from_camera[:3, :3].T
+    axes = tuple(StageAxis("linear", gauge @ (axis / np.linalg.norm(axis)), 5e-3) for axis in bench.stage_axes.T)
+    session = replace(
+        usual.session,
+        see_through=(),
+        bare=(),
+        tracking=(),
+        tracking_camera=None,
+        device_from_tracking=None,
+        tracking_sigma=None,
+        gauge="camera",
+        stage=StageDescription(axes),
+    )
+    if known_lens:  # then no board was ever photographed
+        camera = replace(session.eyeball_camera, intrinsics=(), known=bench.eyeball.camera)
+        session = replace(session, eyeball_camera=camera)
+    found, report = calibrated(session, usual.reading, tmp_path)
+    assert "see-through" not in report.verdict
+    readings = np.array([each.stage for each in session.display])
+    middle = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
+    own = transforms.rigid(transforms.OPENXR_FROM_OPENCV, session.eye_box.centre)
+    own = own @ transforms.inverse(bench.camera_at(middle))
+    true = [own @ pose for pose in usual.truth.display]
+    assert_poses(found, session.display, true)
+
+
+def test_both_eyes_have_one_bench_and_their_alignment_is_stated(usual, tmp_path):
+    """The left eye is the right one photographed again: both displays agree within what is stated."""
+
+    def of_left(path):
+        return path.with_name(f"left_{path.name}")
+
+    one, box = usual.session, usual.session.eye_box
+    display = tuple(replace(each, folder=of_left(each.folder), eye="left") for each in one.display)
+    through = tuple(replace(each, name=f"left_{each.name.replace('/', '_')}", eye="left") for each in one.see_through)
+    boards = dict(usual.reading.boards)
+    boards |= {new.path: boards[old.path] for new, old in zip(through, one.see_through, strict=True)}
+    panels = usual.reading.panels | {of_left(each.folder): usual.reading.panels[each.folder] for each in one.display}
+    session = replace(
+        one,
+        eyes=("left", "right"),
+        eye_boxes={"left": box, "right": box},
+        panels={eye: SessionPanel(one.pattern) for eye in ("left", "right")},
+        display=one.display + display,
+        see_through=one.see_through + through,
+    )
+    _, report = calibrated(session, Reading(boards, panels), tmp_path)
+    assert set(load_eye_models(tmp_path / "model.json")) == {"left", "right"}
+    alignment = rows_of(report, "Binocular alignment")
+    for name in ("vertical (arcmin)", "horizontal (arcmin)", "roll (arcmin)"):
+        apart, sigma = alignment[name]
+        assert abs(apart) < 0.1
+        # Two visits of one stage place: its repeatability, and nothing of the tracking camera's pose (3').
+        assert 0.005 < sigma < 0.5
+    assert alignment["position along x (mm)"][1] < 0.05
+
+
+def test_every_primary_has_its_display_model(usual, tmp_path):
+    offsets = {"red": np.array([-0.333, 0.0]), "blue": np.array([0.333, 0.0])}
+    one = usual.session
+    colours = ("red", "green", "blue")
+    display, panels = [], {}
+    for each in one.display:
+        for colour in colours:
+            own = replace(each, folder=Path(f"{each.folder}_{colour}"), channel=colour)
+            display.append(own)
+            read = usual.reading.panels[each.folder]
+            # The primary lies beside the middle of its pixel, which decoding takes it for; red is magnified more.
+            place = read.samples.panel_pixel - offsets.get(colour, 0.0)
+            place = place if colour != "red" else place + 1e-3 * (place - 900.0)
+            panels[own.folder] = replace(read, samples=replace(read.samples, panel_pixel=place))
+    session = replace(one, display=tuple(display), panels={"right": SessionPanel(one.pattern, primary_offsets=offsets)})
+    found, report = calibrated(session, replace(usual.reading, panels=panels), tmp_path)
+    assert (
+        set(found.eyes["right"].primaries) == set(rows_of(report, "Models of the other primaries")) == {"red", "blue"}
+    )
+    models = {
+        colour: load_eye_model(tmp_path / ("model.json" if colour == "green" else f"model-{colour}.json")).mappings
+        for colour in colours
+    }
+    pixel, eye = np.array([[300.0, 300.0], [1500.0, 800.0]]), one.eye_box.centre
+    seen = {colour: model.display.view_dir_of_pixel(pixel, eye).value for colour, model in models.items()}
+    assert arcmin_between(seen["blue"], seen["green"]).max() < 0.02  # a third of a pixel is 0.4'
+    assert arcmin_between(seen["red"], seen["green"]).min() > 0.3
+    assert len(found.eyes["right"].captures.display) * 3 == sum(len(each.samples) for each in panels.values())
+
+
+def test_a_stage_of_one_axis(tmp_path):
+    made = simulated(stage="x")
+    found, report = calibrated(made.session, made.reading, tmp_path)
+    assert_poses(found, made.session.display, made.truth.display)
+    assert any("one more row or column" in warning for warning in report.warnings)
+
+
+def test_a_camera_in_the_hand(tmp_path):
+    made = simulated(stage="hand", target_depths_m=(0.3, 0.5))
+    found, _ = calibrated(made.session, made.reading, tmp_path)
+    assert_poses(found, made.session.display, made.truth.display)
+    assert found.all_excluded == ()
