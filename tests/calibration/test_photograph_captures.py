@@ -46,7 +46,7 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     assert np.max(arcmin_between(captures.view_dir, straight)) < 1e-6
     assert set(captures.target_pose) == {3}
     assert set(captures.capture) == {5}
-    assert captures.sigma_arcmin == pytest.approx(np.hypot(0.07, 0.02) / 700 / ARCMIN)
+    assert captures.sigma_arcmin == pytest.approx(np.hypot(0.07, 0.01) / 700 / ARCMIN)
     assert np.allclose(captures.viewpoint, [0.002, 0.001, 0.03])
     np.testing.assert_allclose(captures.target_point, board.point_of(index))
 
@@ -71,7 +71,7 @@ def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():
     views = [PanelView(POSE, samples), PanelView(POSE, samples)]
     captures = display_captures(HEADSET, Panel(20, 10), CAMERA, views)
     # 0.1 panel pixels at 2 panel pixels a camera pixel are 0.05 camera pixels.
-    assert captures.sigma_arcmin[:2] == pytest.approx(np.hypot([0.05, 0.1], 0.02) / 700 / ARCMIN)
+    assert captures.sigma_arcmin[:2] == pytest.approx(np.hypot([0.05, 0.1], 0.01) / 700 / ARCMIN)
     assert captures.capture.tolist() == [0, 0, 1, 1]
     assert np.allclose(captures.view_dir[1], POSE[:3, 2])  # the middle of the picture is the optical axis
     assert captures.pixel.tolist() == [[5, 6], [7, 8], [5, 6], [7, 8]]

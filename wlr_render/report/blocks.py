@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,11 @@ class ReportTable:
     def text_rows(self) -> list[list[str]]:
         """Cells as text, numbers with three significant digits."""
         return [[cell_text(cell) for cell in row] for row in self.rows]
+
+    @cached_property
+    def word_columns(self) -> list[bool]:
+        """Which columns hold words: they are aligned to the left, numbers to the right."""
+        return [any(isinstance(row[k], str) for row in self.rows) for k in range(len(self.columns))]
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ def test_the_report_tells_everything_in_the_order_of_the_procedure(found, photo_
     assert "Excluded" not in titles  # nothing was, and an empty table says nothing
     assert titles[0] == "What was read"
     sections = [block.title for block in report.blocks if isinstance(block, Section)]
-    assert sections == ["What was read", "The bench", "The models"]
+    assert sections == ["Photographs", "The bench", "The models"]
     assert titles[titles.index("Lenses") : titles.index("Fit")] == [
         "Lenses",
         "Poses in the device frame",
@@ -166,6 +166,7 @@ def test_the_report_tells_everything_in_the_order_of_the_procedure(found, photo_
     assert record["eye"] == "right"
     assert "every check of the bench passed" in report.verdict
     assert report.faults == ()
+    assert not any("state a smaller sigma" in warning for warning in report.warnings)  # nobody stated one
 
 
 def test_residuals_of_each_photograph_are_plotted(found, right, photo_session):

@@ -1,10 +1,11 @@
-"""Dots that the panel's edge would cut are not judged."""
+"""The target as it is drawn: of the shape found; dots that the panel's edge would cut are not judged."""
 
 import numpy as np
 
+from wlr_render.calibration.bench.state import BoardShape
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.geometry import transforms
-from wlr_render.jobs.verify.session import wholly_shown
+from wlr_render.jobs.verify.session import target_scene, wholly_shown
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -31,3 +32,24 @@ def test_a_dot_is_whole_where_its_rim_is_on_the_panel():
     assert shown[centre_row][clearly[centre_row]].all()
     centre_seen = (tangent > low) & (tangent < high)
     assert np.any(whole[centre_row] != centre_seen[centre_row])  # some dots are cut
+
+
+def test_the_target_is_drawn_in_the_shape_that_calibration_found():
+    board = design_board(9, 7, 0.02)
+    index = board.indices()
+    nominal = board.point_of(index)
+    own = np.random.default_rng(2).normal(0.0, 1e-5, nominal.shape)
+    low = np.array([2e-4, -1e-4, 5e-5, 3e-4, -4e-4])
+    order = np.lexsort((index[:, 1], index[:, 0]))
+    shape = BoardShape(np.abs(nominal[:, :2]).max(axis=0), low, index[order], own[order])
+    pose = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.array([0.0, 0.0, -0.5]))
+    scene = target_scene(board, shape, pose)
+    (mesh,), (instance,) = scene.meshes, scene.instances
+    vertex = transforms.apply(instance.world_from_mesh, mesh.position.astype(float))
+    # A vertex lies at each dot's centre: the texture's place says which.
+    at = (mesh.uv - 0.5) * board.size_m
+    nearest = np.argmin(np.linalg.norm(at[:, None] - nominal[:, :2], axis=-1), axis=0)
+    np.testing.assert_allclose(at[nearest], nominal[:, :2], atol=1e-7)
+    expected = transforms.apply(pose, shape.point_of(index, nominal))
+    np.testing.assert_allclose(vertex[nearest], expected, atol=1e-7)
+    assert np.linalg.norm(vertex[nearest] - transforms.apply(pose, nominal), axis=-1).max() > 1e-4

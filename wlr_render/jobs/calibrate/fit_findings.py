@@ -69,19 +69,22 @@ def _agreement(motions: MotionAgreement) -> str:
     return f"{stated} from the bench, the readings {'agree' if agree else 'disagree'}: {factors}"
 
 
-def fit_warnings(fit: EyeFit, display_names: Sequence[str] = ()) -> list[str]:
+def fit_warnings(fit: EyeFit, display_names: Sequence[str] = (), *, sigma_is_given: bool = True) -> list[str]:
     """Differences from what the captures state, and what limits the models.
 
     Args:
         fit: the models.
         display_names: names of the display's camera positions; empty to number them.
+        sigma_is_given: whether the user states the noise of the captures, and can state another.
     """
     return [
-        warning for name, side in fit.sides.items() for warning in _warnings(name.capitalize(), side, display_names)
+        warning
+        for name, side in fit.sides.items()
+        for warning in _warnings(name.capitalize(), side, display_names, sigma_is_given)
     ]
 
 
-def _warnings(title: str, side: _AnyFit, display_names: Sequence[str]) -> list[str]:
+def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_given: bool) -> list[str]:
     report, found = side.report, []
     names = _position_names(side.captures, display_names)
     _, first = np.unique(side.smooth.readings.capture, return_index=True)
@@ -98,7 +101,7 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str]) -> list[s
             f"{title}: the noise found is {report.noise_arcmin / stated:.1f} times the stated one {beside}: the "
             "stated sigma is too small, or the readings have errors other than noise (lens, decoding, target)."
         )
-    if stated is not None and report.noise_arcmin < stated / AS_STATED:
+    if sigma_is_given and stated is not None and report.noise_arcmin < stated / AS_STATED:
         found.append(
             f"{title}: the stated noise is {stated / report.noise_arcmin:.1f} times the one found {beside}: state "
             "a smaller sigma."

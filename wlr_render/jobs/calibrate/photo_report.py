@@ -51,7 +51,7 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     """Tables, pictures (written into `folder`) and plots, in the order of the procedure."""
     read = [_read_table(found), _excluded_table(found), _decoded_table(found)]
     blocks: list[Block] = [
-        Section("What was read"),
+        Section("Photographs"),
         *(table for table in read if table.rows),
         *(_coverage(folder, each, len(found.eyes) > 1) for each in found.eyes.values()),
         *_decoding(folder, found),
@@ -186,7 +186,9 @@ def _poses_table(found: SessionCalibration) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, pose in _poses(found).items():
         place = ", ".join(f"{1e3 * length:.3f}" for length in pose.b_from_a[:3, 3])
-        turn, shift = (" / ".join(f"{one:.2g}" for one in sigma) for sigma in (pose.sigma_arcmin, pose.sigma_mm))
+        turn, shift = (
+            " / ".join(f"{one:#.2g}".rstrip(".") for one in sigma) for sigma in (pose.sigma_arcmin, pose.sigma_mm)
+        )
         rows.append([name, place, shift, turn])
     columns = ["pose", "origin (mm)", "its sigma x / y / z (mm)", "sigma of rotation about x / y / z (arcmin)"]
     notes = ("Device frame with OpenXR's axes (x right, y up, z backward), whatever axes session.toml has.",)
@@ -237,13 +239,15 @@ def _checks_table(found: SessionCalibration) -> ReportTable:
             check.step,
             check.quantity,
             float(check.value),
+            float(check.sigma),
             float(check.limit),
             check.sentence,
         ]
         for check in sorted(found.bench.checks, key=lambda check: check.ok)
     ]
-    columns = ["check", "step", "quantity", "value", "limit", "what it says"]
-    return ReportTable("Checks of the bench", columns, rows, tuple(found.bench.unchecked))
+    columns = ["check", "step", "quantity", "value", "sigma", "limit", "what it says"]
+    notes = ("A value beyond its limit by no more than a few sigma passes.", *found.bench.unchecked)
+    return ReportTable("Checks of the bench", columns, rows, notes)
 
 
 def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
@@ -283,7 +287,7 @@ def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
             [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]], "k-", label="panel"
         )
     world.set(xlabel="to the right (degrees)", ylabel="up (degrees)", title="where features were seen", aspect="equal")
-    world.legend(fontsize=7, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3)
+    world.legend(fontsize=7, markerscale=8, loc="upper center", bbox_to_anchor=(0.5, -0.32), ncols=3)
     return write_figure(path, figure, 110)
 
 

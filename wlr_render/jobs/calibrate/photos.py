@@ -81,7 +81,11 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
     for primary, name in _MODELS_OF_PRIMARIES.items():
         if fits := [each.primaries[primary] for each in found.eyes.values() if primary in each.primaries]:
             models.append(save_models(folder, fits, name)[0])
-    warnings = [warning for each in found.eyes.values() for warning in fit_warnings(each.fit, set_names(found, each))]
+    warnings = [
+        warning
+        for each in found.eyes.values()
+        for warning in fit_warnings(each.fit, set_names(found, each), sigma_is_given=False)
+    ]
     report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye",
         verdict=headline(found),

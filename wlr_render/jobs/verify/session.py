@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.bench.bench_file import SavedStation, load_station
 from wlr_render.calibration.bench.observations import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
+from wlr_render.calibration.bench.state import BoardShape
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
@@ -97,7 +98,11 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     targets = _track_targets(bench, station, options.depths_m, photographs, options.seed)
     total = len(targets) * len(visits)
     drawn = progress(
-        (frames for pose in targets for frames in _draw(models, bench, pose, viewpoints, options.backend)),
+        (
+            frames
+            for pose in targets
+            for frames in _draw(models, bench, station.shape, pose, viewpoints, options.backend)
+        ),
         total,
         "frames",
     )
@@ -176,10 +181,18 @@ def _track_targets(
 
 
 def _draw(
-    models: EyeMappings, bench: PhotoBench, target: FloatArray, viewpoints: FloatArray, backend: str
+    models: EyeMappings,
+    bench: PhotoBench,
+    shape: BoardShape | None,
+    target: FloatArray,
+    viewpoints: FloatArray,
+    backend: str,
 ) -> Iterator[dict[str, NDArray[np.uint8]]]:
-    """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method."""
-    scene = _target_scene(bench.board, target)
+    """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method.
+
+    The target has the shape that calibration found.
+    """
+    scene = target_scene(bench.board, shape, target)
     painters: dict[str, Painter] = {
         METHODS[0]: WarpedPainter(models, open_raster_backend(scene, backend), 2.0),
         METHODS[1]: TracedPainter(models, RayRenderer(scene), _SUPERSAMPLE),
@@ -254,16 +267,22 @@ def _name(depth_m: float) -> str:
     return f"{1e3 * depth_m:.0f}mm"
 
 
-def _target_scene(board: DotBoard, world_from_target: FloatArray) -> Scene:
-    """The board alone in the dark, evenly bright, at its pose (4, 4) in the world."""
+def target_scene(board: DotBoard, shape: BoardShape | None, world_from_target: FloatArray) -> Scene:
+    """Return the board alone in the dark, evenly bright.
+
+    Args:
+        board: the target.
+        shape: its true shape as calibration found it; None for a flat and exact board.
+        world_from_target: (4, 4) its pose.
+    """
     mesh_from_target = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.zeros(3))
     world_from_mesh = world_from_target @ transforms.inverse(mesh_from_target)
     ambient = np.ones(3, np.float32)
-    return Scene("target", (_mesh(board),), (Instance("target", 0, world_from_mesh),), (), ambient)
+    return Scene("target", (_mesh(board, shape),), (Instance("target", 0, world_from_mesh),), (), ambient)
 
 
-def _mesh(board: DotBoard) -> Mesh:
-    """A rectangle whose texture shows the board upright as seen from the front: x right, y up, facing +z."""
+def _mesh(board: DotBoard, shape: BoardShape | None) -> Mesh:
+    """The board upright as seen from the front: x right, y up, facing +z. Vertices are dots' centres and the edge."""
     width, height = board.size_m
     texel = max(board.pitch_m / _TEXELS_PER_PITCH, float(max(width, height)) / _LARGEST_TEXTURE_PX)
     columns, rows = (int(np.ceil(length / texel)) for length in (width, height))
@@ -271,7 +290,18 @@ def _mesh(board: DotBoard) -> Mesh:
     y = (np.arange(rows) + 0.5) / rows * height - 0.5 * height
     paint = board.reflectance(np.stack(np.meshgrid(x, y), axis=-1), texel)
     texture = encode_srgb(np.repeat(paint[..., None], 3, axis=-1).astype(np.float32))
-    return replace(construction.rectangle("target", float(width), float(height)), texture=texture)
+    column, row = (np.clip(np.arange(-1, count + 1), 0, count - 1) for count in (board.columns, board.rows))
+    index = np.stack(np.meshgrid(column, row), axis=-1)
+    nominal = board.point_of(index)
+    nominal[:, [0, -1], 0] = 0.5 * width * np.array([-1.0, 1.0])
+    nominal[[0, -1], :, 1] = 0.5 * height * np.array([[-1.0], [1.0]])
+    point = nominal
+    if shape is not None:
+        point = shape.point_of(index.reshape(-1, 2), nominal.reshape(-1, 3)).reshape(nominal.shape)
+    position = point @ transforms.OPENXR_FROM_OPENCV.T
+    mesh = construction.from_grid("target", position, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
+    uv = nominal[..., :2] / board.size_m + 0.5
+    return replace(mesh, uv=uv.reshape(-1, 2).astype(np.float32), texture=texture)
 
 
 def wholly_shown(
