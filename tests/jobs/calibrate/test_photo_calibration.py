@@ -161,7 +161,7 @@ def test_the_report_tells_everything_in_the_order_of_the_procedure(found, photo_
         "Reduced chi-squared",
         "Checks of the bench",
     ]
-    assert [row[1:3] for row in report.tables[0].rows] == [[22, 22], [4, 4], [10, 10], [4, 4]]
+    assert [row[1:3] for row in report.tables[0].rows] == [[30, 30], [4, 4], [10, 10], [4, 4]]
     record = json.loads((photo_session.out / "report.json").read_text(encoding="utf-8"))
     assert record["eye"] == "right"
     assert "every check of the bench passed" in report.verdict

@@ -88,7 +88,7 @@ def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(photo_sessi
     (aside,) = found.excluded
     assert (aside.name, aside.fault) == (SEEN, True)
     assert reason in aside.reason
-    assert len(found.boards) == 47
+    assert len(found.boards) == 55
 
 
 def paths(session):
