@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow  # the session that all of them copy takes some tw
 
 LEAST_PROBABILITY = 1e-4  # of 38 poses
 NEAREST_M = 0.4  # of the targets
-ALL = 22 + 4 + 10 + 2 * 6 + 4  # photographs of the board, and sets of the panel
+ALL = 30 + 4 + 10 + 2 * 6 + 4  # photographs of the board, and sets of the panel
 
 
 @pytest.fixture
