@@ -94,6 +94,12 @@ class Side(Generic[AnyCaptures, AnyModel]):
             smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
         except UndeterminedModelError as error:
             raise self.undetermined(kind, self.lacking(used, kind)) from error
+        except np.linalg.LinAlgError as error:
+            raise BadInputError(
+                f"the {self.name} captures of {captures.device} do not determine a {kind} model to the digits of the "
+                "machine: there are too few camera positions, or the motions between them explain all that they see; "
+                "add camera positions."
+            ) from error
         if degree is None:  # a limit may be why no polynomial follows
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
         used_limits = smooth.readings.limits

@@ -16,7 +16,6 @@ from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
     Trend,
-    UndeterminedModelError,
     free_part,
     motion_columns,
     polynomial_of,
@@ -400,18 +399,15 @@ class _Search:
         of_rough, curvature = replace(prior, own_offset=0.0), np.zeros(2)
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
-            try:
-                columns = motion_columns(readings, polynomial)
-                sums = sums_of(readings, start, columns, kept)
-                if round_ == 0:
-                    hyper = motion_start(sums.combined(rough), of_rough, hyper)
-                else:
-                    found = maximise(sums.combined(rough), of_rough, [hyper])
-                    hyper, curvature = dict(found.hyper), found.curvature[-2:]
-                found = posterior(sums, prior, np.array(list(hyper.values())))
-                polynomial = polynomial_of(readings, start, found)
-            except np.linalg.LinAlgError as error:
-                raise UndeterminedModelError("motions of so few captures follow whatever is read") from error
+            columns = motion_columns(readings, polynomial)
+            sums = sums_of(readings, start, columns, kept)
+            if round_ == 0:
+                hyper = motion_start(sums.combined(rough), of_rough, hyper)
+            else:
+                found = maximise(sums.combined(rough), of_rough, [hyper])
+                hyper, curvature = dict(found.hyper), found.curvature[-2:]
+            found = posterior(sums, prior, np.array(list(hyper.values())))
+            polynomial = polynomial_of(readings, start, found)
         return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, curvature)
 
 
