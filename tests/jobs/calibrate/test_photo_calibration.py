@@ -206,11 +206,15 @@ def test_a_second_run_reads_nothing_and_finds_the_same(found, photo_session):
 
 
 def test_a_photograph_that_changed_is_read_again_and_no_other(found, photo_session):
-    photo_session.repaint("see_through/pose0_02.png", np.copy)
+    name = "see_through/pose0_02.png"
+    photo_session.repaint(name, np.copy)
     again = photo_session.calibrate()
     assert again.reading.kept == ALL - 1
+    one, other = (each.reading.boards[each.session.folder / name] for each in (found, again))
+    np.testing.assert_array_equal(one.pixel, other.pixel)
+    # In another order of reading sums are rounded otherwise, and the searches end elsewhere within their tolerance.
     one, other = (each.eyes["right"].fit.see_through.report.residual_arcmin.rms for each in (found, again))
-    assert one == pytest.approx(other, rel=1e-5)
+    assert one == pytest.approx(other, rel=1e-4)
 
 
 def test_a_changed_session_file_is_read_by_what_it_says_now(photo_session):
@@ -236,7 +240,7 @@ def test_processes_find_what_one_finds(photo_session, monkeypatch, found):
         os.remove(photo_session.out / "read" / f"{name}.npz")
     again = calibrated(replace(photo_session.options, workers=1))
     assert again.reading.kept == ALL - 2
-    assert display_rms(again) == pytest.approx(display_rms(found), rel=1e-5)
+    assert display_rms(again) == pytest.approx(display_rms(found), rel=1e-4)
 
 
 def test_calibration_knows_nothing_of_how_photographs_were_made(photo_session, found):
@@ -244,5 +248,5 @@ def test_calibration_knows_nothing_of_how_photographs_were_made(photo_session, f
     (photo_session.folder / "simulation.toml").unlink()
     (photo_session.folder / "device.toml").unlink()
     again = photo_session.calibrate()
-    assert display_rms(again) == pytest.approx(display_rms(found), rel=1e-5)
+    assert display_rms(again) == pytest.approx(display_rms(found), rel=1e-4)
     assert read_toml(photo_session.folder / "session.toml").keys()[:4] == ["format", "version", "unit", "frame"]
