@@ -184,3 +184,14 @@ def test_significance_is_that_of_one_normal_variable():
     assert significance(9.0, 1) == pytest.approx(3.0)
     assert significance(6.0, 6) == pytest.approx(0.8, abs=0.1)
     assert 40 < significance(2500.0, 6) < 60
+
+
+def test_a_search_without_an_end_contradicts_the_bench():
+    """Two targets of the tracking camera exchanged half way: no bench fits, and the search says that it found none."""
+    sound = thinned(TrueBench(3).observations(lens_photographs=6), every=5)
+    exchanged = ("tracking/pose0_after.png", "tracking/pose1_after.png")
+    views = [replace(each, target=1 - each.target) if each.name in exchanged else each for each in sound.views]
+    assert adjusted(sound).is_settled
+    wrong = adjusted(replace(sound, views=views))
+    assert not wrong.is_settled
+    assert "search for the bench" in [each.quantity for each in bench_checks(wrong, []) if each.contradictory]

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.adjustment import _lens_sizes, layout_of, residuals_of
+from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.observations import EYEBALL, CameraSetup
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.bench.state import StageModel, smooth_orders
+from wlr_render.calibration.bench.unknowns import _lens_sizes, layout_of
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms

@@ -122,7 +122,7 @@ def test_the_report_states_places_photographs_and_errors(search, tmp_path, monke
     report = plan(replace(OPTIONS, out=tmp_path))
     count = len(search.recommended.design)
     assert report.verdict.startswith(
-        f"{count} camera places, {count * 46 + 2 * (count + 1) + 22 + 4 + 36} photographs, "
+        f"{count} camera places, {count * 46 + 2 * (count + 1) + 30 + 4 + 36} photographs, "
     )
     assert f"this reaches the wanted {ACCURACY:g}'" in report.verdict
     with (tmp_path / PLACES_FILE).open(newline="", encoding="utf-8") as file:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_photo_session import state_lenses
 
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
@@ -26,15 +27,16 @@ def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session):
     for name in LOST:
         (folder / name).unlink()
     made = simulate_photo_session(folder, photo_session.recipe)
-    assert made == (3, 180 - 3)
+    assert made == (3, 200 - 3)
+    photo_session.edit(state_lenses)  # as the copied session was edited
     assert {name: (folder / name).read_bytes() for name in LOST} == before
     assert kept.stat().st_mtime_ns == untouched.st_mtime_ns
 
 
 def test_a_finished_session_is_left_as_it_is(photo_session):
     made = simulate_photo_session(photo_session.folder, photo_session.recipe)
-    assert made == (0, 180)
-    assert photo_session.calibrate().reading.kept == 40
+    assert made == (0, 200)
+    assert photo_session.calibrate().reading.kept == 60
 
 
 def test_a_session_made_in_another_way_is_refused(photo_session):

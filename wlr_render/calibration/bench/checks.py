@@ -8,10 +8,12 @@ import numpy as np
 from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
-from wlr_render.calibration.bench.adjustment import USUAL_DIFFER, USUAL_SIZES, Adjustment, residuals_of
+from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
+from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.observations import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import Key
+from wlr_render.calibration.bench.unknowns import USUAL_DIFFER, USUAL_SIZES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
@@ -98,6 +100,7 @@ def bench_checks(adjustment: Adjustment, faults: Sequence[Fault]) -> list[Check]
     return [
         *(_fault_check(fault) for fault in faults if fault.kind != "tracking"),
         *(_noise_check(adjustment, name) for name in _by_noise(adjustment)),
+        *([] if adjustment.is_settled else [_unsettled_check()]),
         *_stage_checks(adjustment),
         *_scales(adjustment),
         *_angles(adjustment),
@@ -330,6 +333,15 @@ def _noise_check(adjustment: Adjustment, name: str) -> Check:
         ok,
         noise > 2.0 * limit,
     )
+
+
+def _unsettled_check() -> Check:
+    """The search for the bench ended without a minimum."""
+    sentence = (
+        "no cameras, lenses and poses fit the photographs: one that shows another target pose, or was taken at another "
+        "stage reading than session.toml states, does that; leave out half of them to find it"
+    )
+    return Check("all photographs", "search for the bench", np.nan, np.nan, np.nan, sentence, False, True)
 
 
 def _pull_check(pull: Pull) -> Check:

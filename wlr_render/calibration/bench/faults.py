@@ -2,7 +2,7 @@
 
 Each candidate is a small motion (6,) of the board in some views. By how much it would raise the evidence follows from
 the adjusted bench without a new adjustment. The best one is granted, if chance does not explain it and if it matters:
-its views are given a target or a mounting of their own, and the bench is adjusted again.
+single photographs are left out, later views get a target or a mounting of their own, and the bench is adjusted again.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,9 +11,11 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from wlr_render.calibration.bench.adjustment import Adjustment, Layout, Normal, layout_of, prior_of
+from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.normal_equations import Normal
 from wlr_render.calibration.bench.observations import APART, EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.bench.state import BenchState, Key
+from wlr_render.calibration.bench.unknowns import Layout, layout_of, prior_of
 from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
@@ -104,9 +106,10 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
     count = len(candidates)
     odds, motion = np.full(count, -np.inf), np.zeros((count, 6))
     without = -np.inf
-    for shrink in _SHRINKS:
+    turns, shifts = (np.array([part in name for name in prior.names], dtype=float) for part in ("turn", "shift"))
+    for turn, shift in _SHRINKS:
         # One fault makes the stage look worse than it is: its errors may be smaller once the fault is granted.
-        hyper = adjustment.hyper + np.array([shrink[0], shrink[1], shrink[0], shrink[1], 0.0, 0.0])
+        hyper = adjustment.hyper + turn * turns + shift * shifts
         width = layout.size * np.exp(prior.mixed_features @ hyper)
         gram, moment = noise * width[:, None] * normal.gram * width, noise * width * normal.moment
         inner = gram[:own, :own] + np.eye(own)

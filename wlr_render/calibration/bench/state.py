@@ -2,10 +2,9 @@
 
 The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset) @ mount. `base` is its pose
 at the middle of the readings in its first mounting, and `mount` how another mounting holds it beside that one. `stage`
-carries it along its axes, a product of exponentials in the order of the axes (F. C. Park,
-"Computational aspects of the product-of-exponentials formula",
-IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: smooth in the readings (pitch, yaw, roll
-and straightness, Legendre polynomials), and random in every visit.
+carries it along its axes, a product of exponentials in the order of the axes (F. C. Park, "Computational aspects of the
+product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: smooth in
+the readings (pitch, yaw, roll and straightness, Legendre polynomials), and random in every visit.
 
 The board's shape: bow along both sides, twist, x and y printed to other scales, and every feature off its place.
 """

@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.jobs.plan.prediction import DesignErrors, EyeTests, place_variance
-from wlr_render.jobs.plan.search import Search
+from wlr_render.jobs.plan.search import DesignSearch
 from wlr_render.mappings import EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
@@ -17,7 +17,7 @@ _CELLS = 25  # of the map, across the eye box
 _WORTH = 0.05  # part of the error that a change takes away, to be named
 
 
-def plan_report(search: Search, accuracy_arcmin: float, seconds: float) -> Report:
+def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) -> Report:
     """The report of a planned session; `seconds` each photograph takes."""
     bench, design = search.predictor.bench, search.recommended.design
     photographs = bench.photographs(len(design))
@@ -147,7 +147,7 @@ def _errors_table(predicted: DesignErrors, simulated: DesignErrors) -> ReportTab
     return ReportTable("Errors of the recommended design", columns, rows, notes)
 
 
-def _limits_table(search: Search) -> ReportTable:
+def _limits_table(search: DesignSearch) -> ReportTable:
     now = search.recommended.errors
     rows: list[list[Cell]] = [["as planned", now.registration.median, now.registration.p95, None, now.display.p95]]
     for name, errors in search.limits.items():
@@ -157,7 +157,7 @@ def _limits_table(search: Search) -> ReportTable:
     return ReportTable("What limits the accuracy", [*columns, "display, 95 % (arcmin)"], rows)
 
 
-def _designs_table(search: Search) -> ReportTable:
+def _designs_table(search: DesignSearch) -> ReportTable:
     rows: list[list[Cell]] = []
     for tried in search.tried.values():
         for each in sorted(tried, key=lambda one: len(one.design)):
@@ -173,7 +173,7 @@ def _designs_table(search: Search) -> ReportTable:
     return ReportTable("Designs", columns, rows, notes)
 
 
-def _curves(search: Search, accuracy_arcmin: float) -> Plot:
+def _curves(search: DesignSearch, accuracy_arcmin: float) -> Plot:
     lines = {}
     for family, tried in search.tried.items():
         sorted_ = sorted(tried, key=lambda one: len(one.design))
@@ -184,14 +184,14 @@ def _curves(search: Search, accuracy_arcmin: float) -> Plot:
     return curves(title, lines | {"wanted": wanted}, ("camera places", "95 % of the eye box (arcmin)"), log_y=True)
 
 
-def _gains(search: Search) -> list[tuple[float, str, float]]:
+def _gains(search: DesignSearch) -> list[tuple[float, str, float]]:
     """Relative gain, name and 95 % registration error of each change, the largest gain first."""
     now = search.recommended.p95
     found = [(1.0 - each.registration.p95 / now, name, each.registration.p95) for name, each in search.limits.items()]
     return sorted(found, reverse=True)
 
 
-def _advice(search: Search) -> list[str]:
+def _advice(search: DesignSearch) -> list[str]:
     steps = ["Drive the stage to the places of places.csv, measured from the centre of the eye box."]
     gains = [each for each in _gains(search) if each[0] > _WORTH]
     if not gains:
@@ -200,7 +200,7 @@ def _advice(search: Search) -> list[str]:
     return [*steps, f"Most would be gained by {first}" + (f", then by {others[0]}." if others else ".")]
 
 
-def _warnings(search: Search) -> Sequence[str]:
+def _warnings(search: DesignSearch) -> Sequence[str]:
     predicted, simulated = search.recommended.errors.registration.rms, search.simulated.registration.rms
     if simulated <= 1.5 * predicted:
         return []

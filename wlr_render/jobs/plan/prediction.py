@@ -107,7 +107,7 @@ class Scales:
 
 
 @dataclass(frozen=True, eq=False)
-class Predictor:
+class DesignPredictor:
     """Predicts the errors of designs from the fit of one simulated session, the pilot.
 
     The pilot says how smooth the optics are. The covariance of another design follows from its places, its readings and

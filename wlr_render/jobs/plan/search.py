@@ -19,9 +19,9 @@ from wlr_render.jobs.plan.designs import (
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.jobs.plan.prediction import (
     DesignErrors,
+    DesignPredictor,
     EyeTests,
     PlannedFit,
-    Predictor,
     Scales,
     place_variance,
     simulated_captures,
@@ -37,7 +37,7 @@ _AGREES = 1.1  # of the wanted accuracy: one session's own errors scatter by thi
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PredictedDesign:
     """A design with its predicted errors."""
 
     design: Design
@@ -50,7 +50,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class DesignSearch:
     """What was found.
 
     Attributes:
@@ -61,15 +61,15 @@ class Search:
         reaches: whether prediction and simulation reach the accuracy.
     """
 
-    predictor: Predictor
-    tried: Mapping[str, tuple[Candidate, ...]]
-    recommended: Candidate
+    predictor: DesignPredictor
+    tried: Mapping[str, tuple[PredictedDesign, ...]]
+    recommended: PredictedDesign
     simulated: DesignErrors
     limits: Mapping[str, DesignErrors]
     reaches: bool
 
 
-def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Callable[[str], object]) -> Search:
+def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Callable[[str], object]) -> DesignSearch:
     """Find the design with the fewest places that reaches an accuracy in prediction and in simulation.
 
     Args:
@@ -88,7 +88,7 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
 
     say("fitting the captures of a pilot session")
     pilot = PlannedFit.to(simulated_captures(bench, spread_of(min(_PILOT_PLACES, most)).unit, seed))
-    predictor = Predictor(bench, pilot, EyeTests.of(bench.truth, seed))
+    predictor = DesignPredictor(bench, pilot, EyeTests.of(bench.truth, seed))
     say("predicting designs")
     by_family = {
         SPREAD: _bisected(predictor, [spread_of(count) for count in range(LEAST_PLACES, most + 1)], accuracy_arcmin),
@@ -112,16 +112,18 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
         best = _predicted(predictor, spread_of(more))
         by_family[SPREAD] = (*by_family[SPREAD], best)
     say("predicting what limits the accuracy")
-    return Search(predictor, by_family, best, simulated, _limits(predictor, best.design), reaches)
+    return DesignSearch(predictor, by_family, best, simulated, _limits(predictor, best.design), reaches)
 
 
-def _predicted(predictor: Predictor, design: Design) -> Candidate:
-    return Candidate(design, predictor.errors(design.unit))
+def _predicted(predictor: DesignPredictor, design: Design) -> PredictedDesign:
+    return PredictedDesign(design, predictor.errors(design.unit))
 
 
-def _bisected(predictor: Predictor, designs: Sequence[Design], accuracy_arcmin: float) -> tuple[Candidate, ...]:
+def _bisected(
+    predictor: DesignPredictor, designs: Sequence[Design], accuracy_arcmin: float
+) -> tuple[PredictedDesign, ...]:
     """Predictions on the way to the first of the designs, smallest first, that reaches the accuracy."""
-    tried: dict[int, Candidate] = {}
+    tried: dict[int, PredictedDesign] = {}
 
     def reaches(number: int) -> bool:
         tried[number] = _predicted(predictor, designs[number])
@@ -136,20 +138,20 @@ def _bisected(predictor: Predictor, designs: Sequence[Design], accuracy_arcmin: 
     return tuple(sorted(tried.values(), key=lambda each: len(each.design)))
 
 
-def _smallest(by_family: Mapping[str, tuple[Candidate, ...]], accuracy_arcmin: float) -> int:
+def _smallest(by_family: Mapping[str, tuple[PredictedDesign, ...]], accuracy_arcmin: float) -> int:
     """Number of places of the smallest design that reaches the accuracy, or of the largest."""
     every = [each for tried in by_family.values() for each in tried]
     enough = [len(each.design) for each in every if each.p95 <= accuracy_arcmin]
     return min(enough) if enough else max(len(each.design) for each in every)
 
 
-def _chosen(predictor: Predictor, most: int, accuracy_arcmin: float) -> tuple[Candidate, ...]:
+def _chosen(predictor: DesignPredictor, most: int, accuracy_arcmin: float) -> tuple[PredictedDesign, ...]:
     """Chosen designs of growing size, up to the first that reaches the accuracy."""
     design, tried = first_chosen(), []
     batch = max(2, -(-(most - len(design)) // _BATCHES))
     while True:
         models = predictor.models(design.unit)
-        tried.append(Candidate(design, predictor.errors_of(*models)))
+        tried.append(PredictedDesign(design, predictor.errors_of(*models)))
         missing = min(batch, most - len(design))
         if tried[-1].p95 <= accuracy_arcmin or missing <= 0:
             return tuple(tried)
@@ -157,7 +159,7 @@ def _chosen(predictor: Predictor, most: int, accuracy_arcmin: float) -> tuple[Ca
         design = with_chosen(design, variance, missing)
 
 
-def _limits(predictor: Predictor, design: Design) -> dict[str, DesignErrors]:
+def _limits(predictor: DesignPredictor, design: Design) -> dict[str, DesignErrors]:
     """Predicted errors of the design with one thing changed."""
     bench, unit = predictor.bench, design.unit
     near, *_, far = sorted(bench.recipe.bench.target_depths_m)

@@ -1,0 +1,163 @@
+"""The unknowns of a bench: their places in one vector, and what is known of them before the photographs are read."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.calibration.bench.observations import TRACKING, CameraSetup, KnownPose
+from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders
+from wlr_render.captures.photo_session import StageAxis
+from wlr_render.geometry.lens import Lens
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.evidence import Prior
+
+FLAT, EXACT = 10.0, 1e-9
+"""Prior sizes of what is not known beforehand, and of what counts as exact: radians, metres, per unit."""
+USUAL_SIZES = {"turn": 1e-5, "shift": 3e-6, "smooth turn": 5e-5, "smooth shift": 3e-6, "stretch": 1e-4}  # ordinary
+USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
+_LEAST, _MOST = 1e-9, 1e-2
+_FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
+_PIVOT_M = 1e-3  # standard deviation of a stated pivot, about what a rule measures
+_DECAY = 0.5  # of the smooth error's size by degree
+_POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
+"""Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
+_NOISE_DIFFERS = 0.3
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Variance components of a bench, standard deviations per axis.
+
+    Attributes:
+        turn, shift: random error of the stage in each visit, radians and metres.
+        smooth_turn, smooth_shift: its smooth error over the travel.
+        stretch: of the image of a board held freely, relative; each of the four parts.
+        feature_m: error of a feature on each board.
+        noise: factor on the stated sigma of the features, by camera.
+    """
+
+    turn: float
+    shift: float
+    smooth_turn: float
+    smooth_shift: float
+    stretch: float
+    feature_m: Mapping[str, float]
+    noise: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where each block of unknowns lies, and its prior.
+
+    Attributes:
+        where: columns of each block; features of boards come after all others.
+        size: (unknowns,) prior sizes, of those with a hyperparameter as a multiple of it.
+        hyper: (unknowns,) index into `HYPER`, or -1.
+    """
+
+    where: Mapping[Key, slice]
+    size: FloatArray
+    hyper: IntArray
+
+    @property
+    def has_sizes(self) -> bool:
+        """Whether any unknown has a size that the views are to find."""
+        return bool(np.any(self.hyper >= 0))
+
+    def columns(self, keys: Sequence[Key]) -> IntArray:
+        """Columns of some blocks, one after the other."""
+        parts = [np.arange(self.where[key].start, self.where[key].stop) for key in keys]
+        return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+    def steps(self, vector: FloatArray) -> dict[Key, FloatArray]:
+        """The vector by block."""
+        return {key: vector[where] for key, where in self.where.items()}
+
+
+HYPER = ("turn", "shift", "smooth turn", "smooth shift", "stretch", "noise")
+_STRETCH = HYPER.index("stretch")
+
+
+def layout_of(state: BenchState) -> Layout:
+    """Blocks of unknowns and their priors."""
+    seen = state.observations
+    where: dict[Key, slice] = {}
+    size: list[FloatArray] = []
+    hyper: list[IntArray] = []
+
+    def add(key: Key, sizes: FloatArray, hypers: Sequence[int] = ()) -> None:
+        start = sum(map(len, size))
+        where[key] = slice(start, start + len(sizes))
+        size.append(np.maximum(sizes, EXACT))
+        hyper.append(np.array(hypers if len(hypers) else [-1] * len(sizes), dtype=np.int64))
+
+    for name, lens in state.lens.items():
+        add(("lens", name), _lens_sizes(lens, seen.cameras[name]))
+    for name in state.shape:
+        board = seen.tolerances[name]
+        add(("shape", name), np.array([board.flatness_m] * 3 + [board.scale_sigma] * 2))
+    for number in state.focus:
+        add(("focus", number), np.array([_FOCUS_CHANGES]))
+    for number in state.targets:
+        add(("target", number), _pose_sizes(seen.targets.get(number)))
+    if seen.device_from_tracking is not None:
+        add(("extrinsics", TRACKING), _pose_sizes(seen.device_from_tracking))
+    for number in state.base:
+        add(("base", number), _pose_sizes(seen.device_from_camera if number == state.first_mounting else None))
+    for number, axis in enumerate(seen.axes):
+        add(("axis", number), _axis_sizes(axis))
+    for number, order in enumerate(smooth_orders(len(state.twists)) if len(state.smooth) else []):
+        add(("smooth", number), _smooth_sizes(order, seen.axes), [2, 2, 2, 3, 3, 3])
+    random: list[tuple[Key, list[int]]] = [(("offset", place), [0, 0, 0, 1, 1, 1]) for place in state.offsets]
+    random += [(("stretch", name), [_STRETCH] * 4) for name in state.stretches]
+    for key, hypers in random:
+        add(key, np.ones(len(hypers)), hypers)
+    for key in [*(("free", place) for place in state.free), *(("board pose", name) for name in state.boards)]:
+        add(key, np.full(6, FLAT))
+    return Layout(where, np.concatenate(size), np.concatenate(hyper))
+
+
+def _lens_sizes(lens: Lens, setup: CameraSetup) -> FloatArray:
+    if setup.known is not None:
+        return np.zeros(len(lens.values)) if setup.known_sigma is None else setup.known_sigma
+    sizes = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px)))
+    # A term may be as large as to displace the corner of the picture by its distance from the centre.
+    corner = float(np.linalg.norm(0.5 * np.array(lens.size_px) / lens.focal_px))
+    sizes[4:] = [max(1.0, corner ** -_POWERS.get(name, 1)) for name in lens.names[4:]]
+    return sizes
+
+
+def _pose_sizes(known: KnownPose | None) -> FloatArray:
+    return np.full(6, FLAT) if known is None else np.repeat(known.sigma, 3)
+
+
+def _axis_sizes(axis: StageAxis) -> FloatArray:
+    sizes = np.full(6, FLAT)
+    if axis.kind == "linear":
+        sizes[:3] = EXACT
+    if axis.direction is not None:
+        sizes[AXIS_PARTS[axis.kind]] = axis.direction_sigma or EXACT
+    if axis.direction is not None and axis.pivot is not None:
+        sizes[3:] = _PIVOT_M
+    return sizes
+
+
+def _smooth_sizes(order: Sequence[int], axes: Sequence[StageAxis]) -> FloatArray:
+    """Of one term of the smooth error; the linear motion of an axis is its twist's."""
+    sizes = np.full(6, _DECAY ** (sum(order) - 1))
+    if sum(order) == 1:
+        moved = next(axis for axis, each in zip(axes, order, strict=True) if each)
+        sizes[slice(0 if moved.kind == "rotary" else 3, 6)] = EXACT
+    return sizes
+
+
+def prior_of(layout: Layout) -> Prior:
+    """Prior of the unknowns of `layout`, by the hyperparameters `HYPER`."""
+    features = np.zeros((len(layout.size), len(HYPER)))
+    rows = np.flatnonzero(layout.hyper >= 0)
+    features[rows, layout.hyper[rows]] = 1.0
+    bounds = [(np.log(_LEAST), np.log(_MOST))] * 5 + [(-2.0, 2.0)]
+    expected = [(np.log(USUAL_SIZES[name]), USUAL_DIFFER) for name in HYPER[:-1]] + [(0.0, _NOISE_DIFFERS)]
+    none = np.zeros((0, len(HYPER)))
+    return Prior(HYPER, np.array(bounds), np.array(expected), none, features, none)
