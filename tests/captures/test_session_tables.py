@@ -29,6 +29,7 @@ def random_columns(schema, rng, captures=4):
         Kind.NUMBER: lambda: rng.normal(0.0, 100.0, count),
         Kind.INDEX: lambda: np.arange(count) // ROWS_PER_CAPTURE + 0.0,
         Kind.SIGN: lambda: rng.choice([-1.0, 1.0], count),
+        Kind.POSITIVE: lambda: rng.uniform(0.05, 0.3, count),
         Kind.CHANNEL: lambda: rng.integers(0, 3, count) + 0.0,
     }
     columns = {column.name: of_kind[column.kind]() for column in schema.columns}
@@ -164,6 +165,16 @@ def test_part_of_a_quaternion_and_a_wrong_length_are_refused(tmp_path):
     write_table(path, SEE_THROUGH, columns | {"camera_qw": columns["camera_qw"] + 1.0})
     with pytest.raises(BadInputError, match=r"line 2: camera_qx, .* have length"):
         read_table(path, SEE_THROUGH)
+
+
+@pytest.mark.parametrize("sigma", ["0", "-0.1", "nan", "inf"])
+def test_a_sigma_that_is_not_positive_is_refused_with_its_line(tmp_path, sigma):
+    sigmas = iter(["sigma_px", "0.1", "0.2", sigma])
+    path = tmp_path / "display.csv"
+    path.write_text("\n".join(f"{line},{next(sigmas)}" for line in ROWS.splitlines()), encoding="utf-8")
+    demand = "above 0" if np.isfinite(float(sigma)) else "finite"
+    with pytest.raises(BadInputError, match=rf"display\.csv line 4: 'sigma_px' is {sigma}; it must be .*{demand}"):
+        read_table(path, DISPLAY)
 
 
 @pytest.mark.parametrize("content", [b"", b"capture", gzip.compress(ROWS.encode())[:60]], ids=["empty", "text", "cut"])

@@ -129,6 +129,18 @@ def test_observations_become_the_session_that_they_were_made_of(bench, plan, dis
     np.testing.assert_allclose(found.readings.dot_pixel, session.readings.dot_pixel, atol=1e-8)
 
 
+def test_sigmas_of_readings_become_those_of_captures_and_back(bench, plan):
+    sigma_px = np.random.default_rng(8).uniform(0.05, 0.3, (2, len(plan.display)))
+    stated = SessionPlan(replace(plan.display, sigma_px=sigma_px[0]), replace(plan.see_through, sigma_px=sigma_px[1]))
+    session = Session("night", stated, simulate(bench, plan))
+    table, uniform = observations_of(bench, session), observations_of(bench, replace(session, plan=plan))
+    ratio = table.sigma_arcmin / uniform.sigma_arcmin
+    np.testing.assert_allclose(ratio, sigma_px.ravel() / bench.camera.point_sigma_px)
+    found = session_of(bench, table, "night").plan
+    np.testing.assert_allclose(found.display.sigma_px, sigma_px[0])
+    np.testing.assert_allclose(found.see_through.sigma_px, sigma_px[1])
+
+
 def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench, plan):
     table = observations_of(bench, Session("night", plan, simulate(bench, plan)))
     with pytest.raises(BadInputError, match=r"night: the captures are of northstar \(right eye\), the bench is of"):

@@ -58,7 +58,8 @@ def session(bench):
     stage = (bench.stage.origin + rng.uniform(-0.004, 0.004, (CAPTURES, 3)))[capture]
     travel = np.array([1.0, -1.0])[capture % 2]
     pixel = rng.uniform([400, 300], [900, 700], (len(capture), 2))
-    display = DisplayPlan(capture, time_s, travel, stage, capture % 3, pixel)
+    sigma_px = rng.uniform(0.05, 0.3, len(capture))
+    display = DisplayPlan(capture, time_s, travel, stage, capture % 3, pixel, sigma_px=sigma_px)
     turned = Rotation.from_rotvec(rng.normal(0, 0.02, (CAPTURES, 3))).as_matrix()[capture]
     dot = rng.uniform(-0.1, 0.1, (len(capture), 2))
     see_through = SeeThroughPlan(capture, time_s, travel, stage, capture % 2, dot, turned, pixel)

@@ -25,6 +25,8 @@ class DisplayPlan:
         camera_pixel: (n, 2) in which camera pixel.
         orientation: (n, 3, 3) device_from_camera where the camera was turned between captures; None where it always
             looks along -z.
+        sigma_px: (n,) standard deviation of each reading per axis, camera pixels; None where the bench's
+            `point_sigma_px` holds for all.
     """
 
     capture: IntArray
@@ -34,6 +36,7 @@ class DisplayPlan:
     channel: IntArray
     camera_pixel: FloatArray
     orientation: FloatArray | None = None
+    sigma_px: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.capture)
@@ -51,6 +54,7 @@ class SeeThroughPlan:
         bare_pixel: (n, 2) where the same camera, at the same place, saw the dot without the headset; None where that
             was not photographed. The dot is taken to lie on that pixel's ray, at its distance by the tracked pose.
         height: (n,) of the dot above the plane of the target, metres; None for a flat target.
+        sigma_px: as in `DisplayPlan`.
     """
 
     capture: IntArray
@@ -62,6 +66,7 @@ class SeeThroughPlan:
     orientation: FloatArray | None = None
     bare_pixel: FloatArray | None = None
     height: FloatArray | None = None
+    sigma_px: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.capture)

@@ -85,6 +85,7 @@ class Kind(StrEnum):
     INDEX = "whole number from 0"
     SIGN = "+1 or -1"
     CHANNEL = "0, 1 or 2"
+    POSITIVE = "above 0"
 
 
 @dataclass(frozen=True)
@@ -206,6 +207,19 @@ _STAGE_NAMES = tuple(f"stage_{axis}_mm" for axis in "xyz")
 _ORIENTATION = Field(
     "orientation", _ROTATION, _quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q")
 )
+_SIGMA = Field(
+    "sigma_px",
+    _NUMBER,
+    (
+        Column(
+            "sigma_px",
+            "px",
+            "standard deviation of the reading per axis, camera pixels (default: `point_sigma_px` of `[camera]`)",
+            Kind.POSITIVE,
+            "sigma",
+        ),
+    ),
+)
 _CAMERA_QUATERNION = tuple(f"camera_q{axis}" for axis in "xyzw")
 _HEAD_QUATERNION = tuple(f"head_q{axis}" for axis in "xyzw")
 _GAZE = tuple(f"gaze_{axis}" for axis in "xyz")
@@ -225,6 +239,7 @@ DISPLAY = Schema(
         Field("camera_pixel", CAMERA_PIXEL, _pixel("camera", "camera pixel")),
         Field("panel_pixel", Quantity(), _pixel("pixel", "decoded panel position")),
         _ORIENTATION,
+        _SIGMA,
     ),
     ("capture",),
     ("time_s", "travel", *_STAGE_NAMES, *_CAMERA_QUATERNION),
@@ -264,6 +279,7 @@ SEE_THROUGH = Schema(
                 ),
             ),
         ),
+        _SIGMA,
     ),
     ("target_pose", "capture"),
     ("time_s", "travel", *_STAGE_NAMES, *_CAMERA_QUATERNION),

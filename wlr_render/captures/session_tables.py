@@ -45,7 +45,7 @@ def read_table(path: Path, schema: Schema) -> Columns:
 def write_table(path: Path, schema: Schema, columns: Mapping[str, FloatArray]) -> Path:
     """Write a table whole or not at all, gzipped if the name ends in .gz, so that numbers keep 15 digits."""
     written = [column for column in schema.columns if column.name in columns]
-    formats = ["%.15g" if column.kind is Kind.NUMBER else "%d" for column in written]
+    formats = ["%.15g" if column.kind in (Kind.NUMBER, Kind.POSITIVE) else "%d" for column in written]
     values = np.stack([columns[column.name] for column in written], axis=1)
     text = io.StringIO()
     np.savetxt(text, values, formats, ",", header=",".join(column.name for column in written), comments="")
@@ -160,6 +160,8 @@ def _allowed(value: FloatArray, kind: Kind) -> NDArray[np.bool_]:
             return np.asarray(np.abs(value) == 1)
         case Kind.CHANNEL:
             return np.isin(value, (0, 1, 2))
+        case Kind.POSITIVE:
+            return np.asarray(value > 0)
     return np.isfinite(value)
 
 

@@ -25,11 +25,10 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TRACED
 from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.bench_file import load_bench
-from wlr_render.simulation.session_captures import session_of
+from wlr_render.simulation.session_captures import LEAST_SIGMA_PX, session_of
 from wlr_render.simulation.session_folder import load_session
 
 _MARGIN = 0.02  # of the directions on each side
-_FINEST_PX = 1e-3  # sigma of a reading of exact captures
 _LEAST_SPREAD_M = 1e-4  # of points that fix a target's pose
 _DECIMALS = 12
 
@@ -94,7 +93,7 @@ def direction_bench(device: Device, table: ObservationTable, source: str | Path)
     centre = np.array([margin[0] - low[0], high[1] + margin[1]]) / ARCMIN
     # An angle away from the axis of a pinhole covers more pixels: the geometric mean of radially and across.
     per_arcmin = (1.0 + np.sum(tangents**2, axis=1)) ** 0.75
-    sigma_px = max(_FINEST_PX, float(np.sqrt(np.mean((table.sigma_arcmin * per_arcmin) ** 2))))
+    sigma_px = max(LEAST_SIGMA_PX, float(np.sqrt(np.mean((table.sigma_arcmin * per_arcmin) ** 2))))
     camera = EyeballCamera(
         size, np.full(2, 1.0 / ARCMIN), centre, sigma_px, device_from_camera=np.asarray(device_from_camera)
     )

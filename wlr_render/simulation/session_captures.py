@@ -30,6 +30,9 @@ from wlr_render.simulation.simulate_session import (
 _GREEN = 1
 _DECIMALS = 12  # of metres and of rotations: rows of one photograph then have one setup, to the last digit
 _FLAT_M = 1e-9
+_SAME_SIGMA = 1e-6  # of it, from rounding
+LEAST_SIGMA_PX = 1e-3
+"""Sigma of a reading of exact captures, camera pixels."""
 _OFF_TARGET_M = 0.05  # more than any target is curved
 
 
@@ -81,7 +84,7 @@ def _display(bench: Bench, rows: DisplayPlan, panel_pixel: FloatArray) -> Displa
         view_dir=display_dirs(bench, rows),
         pixel=undecoded(bench, rows, panel_pixel),
         capture=rows.capture,
-        sigma_arcmin=_sigma_arcmin(bench.camera, rows.camera_pixel),
+        sigma_arcmin=_sigma_px(bench.camera, rows) * _arcmin_per_px(bench.camera, rows.camera_pixel),
         conditions=_conditions(bench, rows, channel=rows.channel),
     )
 
@@ -108,7 +111,7 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
         point=point,
         capture=_numbered_on(rows),
         target_pose=rows.target_pose,
-        sigma_arcmin=_sigma_arcmin(bench.camera, pixel),
+        sigma_arcmin=_sigma_px(bench.camera, rows) * _arcmin_per_px(bench.camera, pixel),
         conditions=_conditions(bench, rows),
         target_point=np.column_stack([rows.dot, height]),
     )
@@ -150,7 +153,8 @@ def _display_plan(bench: Bench, captures: DisplayCaptures, name: str) -> Display
     empty = np.zeros((len(captures), 2))
     plan = DisplayPlan(_numbers(captures), time_s, travel, captures.viewpoint, channel, empty)
     stage, orientation, pixel = _camera_readings(bench, plan, captures, name)
-    return replace(plan, stage=stage, orientation=orientation, camera_pixel=pixel)
+    sigma_px = _sigmas(bench.camera, captures, pixel)
+    return replace(plan, stage=stage, orientation=orientation, camera_pixel=pixel, sigma_px=sigma_px)
 
 
 def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> tuple[SeeThroughPlan, FloatArray]:
@@ -171,7 +175,8 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
         )
     stage, orientation, pixel = _camera_readings(bench, rows, captures, name)
     raised = None if np.abs(height).max() < _FLAT_M else height
-    return replace(rows, stage=stage, orientation=orientation, dot=dot, height=raised), pixel
+    sigma_px = _sigmas(bench.camera, captures, pixel)
+    return replace(rows, stage=stage, orientation=orientation, dot=dot, height=raised, sigma_px=sigma_px), pixel
 
 
 def _camera_readings(
@@ -231,8 +236,22 @@ def _numbered_on(rows: SeeThroughPlan) -> IntArray:
     return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
 
-def _sigma_arcmin(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """The stated repeatability as an angle in each pixel (n, 2): the geometric mean of radially and across, (n,)."""
+def _sigma_px(camera: EyeballCamera, rows: DisplayPlan | SeeThroughPlan) -> FloatArray:
+    """Standard deviation of each reading per axis, camera pixels (n,)."""
+    return np.full(len(rows), camera.point_sigma_px) if rows.sigma_px is None else rows.sigma_px
+
+
+def _sigmas(
+    camera: EyeballCamera, captures: DisplayCaptures | SeeThroughCaptures, pixel: FloatArray
+) -> FloatArray | None:
+    """Sigmas (n,) of captures in camera pixels; None where they are the camera's, or where the captures are exact."""
+    sigma_px = captures.sigma_arcmin / _arcmin_per_px(camera, pixel)
+    if not sigma_px.any() or np.allclose(sigma_px, camera.point_sigma_px, rtol=_SAME_SIGMA, atol=0.0):
+        return None
+    return np.maximum(sigma_px, LEAST_SIGMA_PX)
+
+
+def _arcmin_per_px(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
+    """Angle of a camera pixel at each pixel (n, 2): the geometric mean of radially and across, (n,)."""
     square = np.sum(camera.tangents_of_pixel(pixel) ** 2, axis=1)
-    on_axis = camera.point_sigma_px / np.sqrt(np.prod(camera.focal_px)) / ARCMIN
-    return np.asarray(on_axis * (1.0 + square) ** -0.75)
+    return np.asarray((1.0 + square) ** -0.75 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)
