@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oracle.bench_effects import BENCH_EFFECTS, adding_place, adding_turn
-from oracle.captures import Captures, Plan, display_captures, see_through_captures
+from oracle.captures import DISPLAY, Captures, Plan, display_captures, see_through_captures
 from oracle.device_effects import DEVICE_EFFECTS
 from oracle.own_tracer import FloatArray, turn
 from oracle.recipes import Amount, Draw, Recipe, vector, xyz
@@ -22,6 +22,33 @@ LISTED_AT_RUN_TIME = tuple(RUN_TIME_EFFECTS)
 
 UNLISTED = tuple(UNLISTED_EFFECTS)
 """Names that no list of causes holds."""
+
+DISPLAY_ONLY = (
+    *("panel_shift", "panel_axial_shift", "panel_rotation", "panel_scale", "panel_bow"),
+    *("thermal_drift", "pixel_origin", "lateral_colour", "code_stripes", "stage_backlash"),
+)
+"""Names of the effects that act on the display table alone; North Star's substrate is not among its optics."""
+
+SEE_THROUGH_ONLY = (
+    *("see_through_plate", "target_scale", "target_bow", "target_wrinkle", "tracking_rotation", "tracking_translation"),
+)
+"""Names of the effects that act on the see-through table alone, with every headset."""
+
+APART = tuple(
+    (unlisted, listed)
+    for unlisted, other_part in (
+        ("panel_bow", SEE_THROUGH_ONLY),
+        ("code_stripes", SEE_THROUGH_ONLY),
+        ("combiner_dent", SEE_THROUGH_ONLY),
+        ("target_wrinkle", DISPLAY_ONLY),
+    )
+    for listed in other_part
+    if listed in LISTED
+)
+"""Pairs of an unlisted effect and a listed one that acts in the other part alone.
+
+What a dent changes in the see-through view is fifty times smaller than what it changes on the display.
+"""
 
 OUTLIER = "outlier"
 """Name of the effect that is one capture that moved."""
@@ -91,6 +118,38 @@ def draw_outlier(plan: Plan, rng: np.random.Generator, strength: float = 1.0) ->
     names = [(int(pose), int(n)) for c in captures for pose, n in zip(c.target_pose, c.number, strict=True)]
     pose, number = names[rng.integers(len(names))]
     return Effect(OUTLIER, {"target_pose": pose, "capture": number, **_amount(OUTLIER, rng, strength)})
+
+
+def draw_outliers(plan: Plan, rng: np.random.Generator, count: int, strength: float = 1.0) -> tuple[Effect, ...]:
+    """So many captures of the display that moved, each by itself; as `draw_outlier` otherwise.
+
+    Raises:
+        BadInputError: the plan has not so many.
+    """
+    numbers = display_captures(plan, np.zeros(3), np.random.default_rng(0)).number
+    if count > len(numbers):
+        raise BadInputError(f"Of {len(numbers)} captures {count} cannot have moved.")
+    return tuple(
+        Effect(OUTLIER, {"target_pose": DISPLAY, "capture": int(number), **_amount(OUTLIER, rng, strength)})
+        for number in np.sort(rng.permutation(numbers)[:count])
+    )
+
+
+def draw_late_slip(plan: Plan, rng: np.random.Generator, last: int, of_session: bool, strength: float = 1.0) -> Effect:
+    """A headset that slips before the last captures.
+
+    Args:
+        plan: of the session.
+        rng: draws the size, and the moment between two captures.
+        last: captures after the slip.
+        of_session: counts these from the end of the session; else from the end of the display's captures, so that the
+            whole see-through part is measured after the slip.
+        strength: multiplies the size.
+    """
+    captures = see_through_captures(plan, np.zeros(3)) if of_session else display_captures(plan, np.zeros(3), rng)
+    time_s = np.sort(captures.time_s)
+    start_s = float(rng.uniform(time_s[-last - 1], time_s[-last]))
+    return Effect("headset_slip", {**_amount("headset_slip", rng, strength), "start_s": start_s})
 
 
 def _amount(name: str, rng: np.random.Generator, strength: float) -> dict[str, float]:

@@ -5,7 +5,7 @@ and from where; until then the head moves on evenly.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from oracle import sights
 from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX
 from oracle.devices import own_device
 from oracle.effects import Effect
+from oracle.nature import PERFECT, BenchNature
 from oracle.own_tracer import FloatArray, turn, unit
 from oracle.world import World
 
@@ -84,8 +85,13 @@ class RunTimeSession:
     real: FloatArray
 
 
-def observe_run_time(plan: RunTimePlan, effects: Sequence[Effect], rng: np.random.Generator) -> RunTimeSession:
-    """Observe glasses that are as stated but for the effects, applied in order.
+def observe_run_time(
+    plan: RunTimePlan, effects: Sequence[Effect], rng: np.random.Generator, nature: BenchNature = PERFECT
+) -> RunTimeSession:
+    """Observe glasses that are as stated but for the effects, applied in order, and for the size of the noise.
+
+    Recordings stand for captures. The camera goes with the glasses, and points of one recording are not neighbours:
+    motions and the shared noise of the nature do not count.
 
     Raises:
         BadInputError: the plan names a device that does not exist.
@@ -94,9 +100,13 @@ def observe_run_time(plan: RunTimePlan, effects: Sequence[Effect], rng: np.rando
     motion = _motion(plan, world.device.eye, rng)
     for effect in effects:
         world = effect.applied(world)
-    noise = rng.normal(scale=plan.sigma_px, size=(2, len(motion.time_s), 2))
-    virtual, real = _seen(world, motion)
-    return RunTimeSession(plan, motion, _camera_pixel(virtual) + noise[0], _camera_pixel(real) + noise[1])
+    white = rng.normal(size=(2, len(motion.time_s), 2))
+    virtual, real = (_camera_pixel(seen) for seen in _seen(world, motion))
+    nature, own = replace(nature, shared=0.0), rng.spawn(1)[0]
+    place, recording = np.concatenate([virtual, real]), np.tile(motion.recording, 2)
+    noise = plan.sigma_px * nature.noise(white.reshape(-1, 2), place, recording, recording, np.inf, own)
+    noise = noise.reshape(white.shape)
+    return RunTimeSession(plan, motion, virtual + noise[0], real + noise[1])
 
 
 def _seen(world: World, motion: Motion) -> tuple[FloatArray, FloatArray]:

@@ -20,6 +20,7 @@ from oracle.captures import (
 )
 from oracle.devices import CHANNEL_UM, own_device
 from oracle.effects import Effect
+from oracle.nature import PERFECT, BenchNature
 from oracle.own_tracer import FloatArray
 from oracle.world import World
 
@@ -45,10 +46,10 @@ class Session:
     seethrough: NDArray[np.void]
 
 
-def observe(plan: Plan, effects: Sequence[Effect], rng: np.random.Generator) -> Session:
-    """Measure a bench that is as stated but for the effects, applied in order.
+def observe(plan: Plan, effects: Sequence[Effect], rng: np.random.Generator, nature: BenchNature = PERFECT) -> Session:
+    """Measure a bench that is as stated but for the effects, applied in order, and for its nature.
 
-    The same generator state gives the same positions and the same noise, whatever the effects are.
+    The same generator state gives the same positions and the same white noise, whatever the effects and the nature are.
 
     Raises:
         BadInputError: the plan names a device that does not exist.
@@ -58,10 +59,13 @@ def observe(plan: Plan, effects: Sequence[Effect], rng: np.random.Generator) -> 
     for effect in effects:
         world = effect.applied(world)
     of_display, of_targets = display_captures(plan, eye, rng), see_through_captures(plan, eye)
-    return Session(plan, display_table(world, plan, of_display, rng), see_through_table(world, plan, of_targets, rng))
+    display = display_table(world, plan, of_display, rng, nature)
+    return Session(plan, display, see_through_table(world, plan, of_targets, rng, nature))
 
 
-def display_table(world: World, plan: Plan, captures: Captures, rng: np.random.Generator) -> NDArray[np.void]:
+def display_table(
+    world: World, plan: Plan, captures: Captures, rng: np.random.Generator, nature: BenchNature = PERFECT
+) -> NDArray[np.void]:
     """What is decoded on the display, capture by capture, as in `Session.display`.
 
     The noise moves a point in the camera's image, and the optics carry it to the panel.
@@ -71,8 +75,10 @@ def display_table(world: World, plan: Plan, captures: Captures, rng: np.random.G
         index.ravel() for index in np.indices((len(captures.number), len(points), len(plan.channels)))
     )
     channel, time_s, seen = np.array(plan.channels)[colour], captures.time_s[capture], points[point]
-    position, turned = _camera(world, captures)
-    uv = _without_lens(world, seen + rng.normal(scale=plan.sigma_px, size=seen.shape), time_s)
+    white, own = rng.normal(size=seen.shape), rng.spawn(1)[0]
+    position, turned = _camera(world, captures, nature, own)
+    noise = nature.noise(white, seen, capture, capture * len(plan.channels) + colour, _grid_spacing(plan), own)
+    uv = _without_lens(world, seen + plan.sigma_px * noise, time_s)
     direction = np.einsum("nij,nj->ni", turned[capture], _line_of_sight(uv))
     pixel = np.full_like(seen, np.nan)
     for one in plan.channels:
@@ -96,22 +102,29 @@ def display_table(world: World, plan: Plan, captures: Captures, rng: np.random.G
     )
 
 
-def see_through_table(world: World, plan: Plan, captures: Captures, rng: np.random.Generator) -> NDArray[np.void]:
+def see_through_table(
+    world: World, plan: Plan, captures: Captures, rng: np.random.Generator, nature: BenchNature = PERFECT
+) -> NDArray[np.void]:
     """Where the dots of the targets are seen, as in `Session.seethrough`."""
     columns, rows = plan.dots
     steps = _points(np.arange(columns) - 0.5 * (columns - 1), np.arange(rows) - 0.5 * (rows - 1))
     capture, dot = (index.ravel() for index in np.indices((len(captures.number), len(steps))))
     pose, time_s = captures.target_pose[capture], captures.time_s[capture]
     printed = steps[dot] * np.array([plan.pitch_mm(k) for k in range(len(TARGET_DISTANCES_MM))])[pose][:, None]
-    position, turned = _camera(world, captures)
+    own = rng.spawn(1)[0]
+    position, turned = _camera(world, captures, nature, own)
+    shifts, turns = nature.target_motion(len(TARGET_DISTANCES_MM), own)
     point = np.empty((len(printed), 3))
     for k in range(len(TARGET_DISTANCES_MM)):
-        point[pose == k] = _dots_in_device(world, plan, k, printed[pose == k])
+        dots, middle = _dots_in_device(world, plan, k, printed[pose == k])
+        point[pose == k] = (dots - middle) @ turns[k].T + middle + shifts[k]
     direction = np.einsum("nji,nj->ni", turned[capture], sights.of_point(world, position[capture], point))
     uv = CAMERA_CENTRE_PX + CAMERA_FOCAL_PX * direction[:, :2] / direction[:, 2:]
     for image in world.image:
         uv = image(uv, time_s)
-    uv = uv + rng.normal(scale=plan.sigma_px, size=uv.shape)
+    spacing_px = CAMERA_FOCAL_PX * plan.pitch_mm(0) / TARGET_DISTANCES_MM[0]
+    white = rng.normal(size=uv.shape)
+    uv = uv + plan.sigma_px * nature.noise(white, uv, capture, capture, spacing_px, own)
     uv[~np.all((uv > -0.5) & (uv < CAMERA_SIZE_PX - 0.5), axis=-1)] = np.nan
     return _table(
         {
@@ -133,13 +146,20 @@ def _grid(plan: Plan) -> FloatArray:
     return np.asarray(np.round(_points(*axes), 3))
 
 
+def _grid_spacing(plan: Plan) -> float:
+    """Distance of neighbouring points of the grid, averaged over both axes, camera pixels."""
+    return float(np.mean((CAMERA_SIZE_PX - 2.0 * _GRID_FROM_PX) / (np.array(plan.grid) - 1)))
+
+
 def _points(across: ArrayLike, down: ArrayLike) -> FloatArray:
     """All pairs of two axes, (n, 2), row by row."""
     y, x = np.meshgrid(down, across, indexing="ij")
     return np.stack([x.ravel(), y.ravel()], axis=-1)
 
 
-def _camera(world: World, captures: Captures) -> tuple[FloatArray, FloatArray]:
+def _camera(
+    world: World, captures: Captures, nature: BenchNature, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
     """True positions (c, 3) and rotations (c, 3, 3), device from camera."""
     position = captures.reading
     for place in world.place:
@@ -147,7 +167,8 @@ def _camera(world: World, captures: Captures) -> tuple[FloatArray, FloatArray]:
     turned = np.broadcast_to(np.eye(3), (len(position), 3, 3))
     for turn in world.turn:
         turned = turn(captures) @ turned
-    return position, turned
+    shift, last_turn = nature.camera_motion(len(position), rng)
+    return position + shift, last_turn @ turned
 
 
 def _line_of_sight(uv: FloatArray) -> FloatArray:
@@ -166,7 +187,8 @@ def _without_lens(world: World, seen: FloatArray, time_s: FloatArray) -> FloatAr
     return ideal
 
 
-def _dots_in_device(world: World, plan: Plan, target_pose: int, printed: FloatArray) -> FloatArray:
+def _dots_in_device(world: World, plan: Plan, target_pose: int, printed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The dots (n, 3), and the target's middle (3,)."""
     half_mm = 0.5 * plan.pitch_mm(target_pose) * (np.array(plan.dots) - 1)
     dots = np.concatenate([printed, np.zeros((len(printed), 1))], axis=-1)
     for wrong in world.print:
@@ -174,7 +196,7 @@ def _dots_in_device(world: World, plan: Plan, target_pose: int, printed: FloatAr
     axes, place = device_from_target(target_pose, world.device.eye)
     for pose in world.pose:
         axes, place = pose(axes, place)
-    return np.asarray(dots @ axes.T + place)
+    return np.asarray(dots @ axes.T + place), place
 
 
 def _pair(name: str, values: FloatArray) -> dict[str, FloatArray]:

@@ -22,6 +22,7 @@ from oracle.captures import (
 )
 from oracle.devices import own_device
 from oracle.effects import Effect
+from oracle.nature import PERFECT, BenchNature
 from oracle.run_time import RunTimePlan, RunTimeSession, observe_run_time
 from oracle.session import observe
 from wlr_render.files import output_folder, write_bytes, write_text
@@ -30,13 +31,19 @@ _DECIMALS = {"time_s": 1, "stage": 6, "target": 4, "pixel": 4}
 _CAMERA_DECIMALS = {"display": 3, "seethrough": 4}
 
 
-def write_session(folder: str | Path, plan: Plan, effects: Sequence[Effect], rng: np.random.Generator) -> None:
+def write_session(
+    folder: str | Path,
+    plan: Plan,
+    effects: Sequence[Effect],
+    rng: np.random.Generator,
+    nature: BenchNature = PERFECT,
+) -> None:
     """Observe a bench and write what it delivers; points that were not seen are left out.
 
     Raises:
         BadInputError: the plan names a device that does not exist, or the folder cannot be written.
     """
-    session = observe(plan, effects, rng)
+    session = observe(plan, effects, rng, nature)
     out = output_folder(folder)
     write_text(out / "bench.toml", _bench_text(plan) + _poses_text(plan))
     _write_table(out, "display", session.display[np.isfinite(session.display["pixel_u"])])
@@ -44,14 +51,18 @@ def write_session(folder: str | Path, plan: Plan, effects: Sequence[Effect], rng
 
 
 def write_run_time_session(
-    folder: str | Path, plan: RunTimePlan, effects: Sequence[Effect], rng: np.random.Generator
+    folder: str | Path,
+    plan: RunTimePlan,
+    effects: Sequence[Effect],
+    rng: np.random.Generator,
+    nature: BenchNature = PERFECT,
 ) -> None:
     """Observe glasses in motion and write it; moments at which a dot was not seen are left out.
 
     Raises:
         BadInputError: the plan names a device that does not exist, or the folder cannot be written.
     """
-    session = observe_run_time(plan, effects, rng)
+    session = observe_run_time(plan, effects, rng, nature)
     out = output_folder(folder)
     write_text(out / "bench.toml", _bench_text(plan))
     seen = np.isfinite(session.virtual).all(axis=1) & np.isfinite(session.real).all(axis=1)

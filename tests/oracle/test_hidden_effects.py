@@ -7,7 +7,18 @@ import pytest
 
 from oracle.captures import CAMERA_CENTRE_PX, Plan
 from oracle.devices import own_device
-from oracle.effects import LISTED, UNLISTED, Effect, draw_effect, draw_outlier
+from oracle.effects import (
+    APART,
+    DISPLAY_ONLY,
+    LISTED,
+    SEE_THROUGH_ONLY,
+    UNLISTED,
+    Effect,
+    draw_effect,
+    draw_late_slip,
+    draw_outlier,
+    draw_outliers,
+)
 from oracle.own_tracer import turn
 from oracle.session import observe
 from oracle.world import World
@@ -18,14 +29,8 @@ FREEFORM = replace(QUIET, device="freeform40")
 NO_TURN = {"x_deg": 0.0, "y_deg": 0.0, "z_deg": 0.0}
 STILL = {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 0.0}
 
-DISPLAY_ONLY = {
-    *("panel_shift", "panel_axial_shift", "panel_rotation", "panel_scale", "panel_bow"),
-    *("thermal_drift", "pixel_origin", "lateral_colour", "code_stripes", "stage_backlash"),
-}
-SEE_THROUGH_ONLY = {
-    *("substrate_index", "substrate_thickness", "see_through_plate", "target_scale", "target_bow", "target_wrinkle"),
-    *("tracking_rotation", "tracking_translation"),
-}
+NORTH_STAR = ("substrate_index", "substrate_thickness")
+"""Effects that North Star, whose combiner is met from inside, shows in the see-through part alone."""
 
 
 def see(plan, *effects):
@@ -52,12 +57,26 @@ def largest(moved):
 def test_it_is_seen_where_it_should_be_and_nowhere_else(name):
     plan = replace(QUIET, channels=(0, 1, 2)) if name == "lateral_colour" else QUIET
     display, dots, _ = change(plan, draw_effect(name, np.random.default_rng(3)))
-    assert (largest(display) > 0.01) == (name not in SEE_THROUGH_ONLY)
+    see_through_only = name in (*SEE_THROUGH_ONLY, *NORTH_STAR)
+    assert (largest(display) > 0.01) == (not see_through_only)
     assert (largest(dots) > 0.01) == (name not in DISPLAY_ONLY)
     if name in DISPLAY_ONLY:
         assert largest(dots) == 0.0
-    if name in SEE_THROUGH_ONLY:
+    if see_through_only:
         assert largest(display) == 0.0
+
+
+@pytest.mark.parametrize(("unlisted", "listed"), APART)
+def test_an_unlisted_effect_and_a_listed_one_stay_apart(unlisted, listed):
+    plan = replace(FREEFORM, channels=(0, 1, 2)) if listed == "lateral_colour" else FREEFORM
+    by_part = [
+        [np.sqrt(np.nanmean(part**2)) for part in change(plan, draw_effect(name, np.random.default_rng(6)))[:2]]
+        for name in (unlisted, listed)
+    ]
+    here = int(np.argmax(by_part[0]))
+    assert by_part[0][1 - here] < 0.05 * by_part[0][here]
+    assert by_part[1][here] == 0.0
+    assert by_part[1][1 - here] > 0.01
 
 
 @pytest.mark.parametrize("name", LISTED)
@@ -192,6 +211,36 @@ def test_an_outlier_is_one_capture():
         assert set(hit[pose]) == {number}
         found.add(pose == -1)
     assert found == {True, False}
+
+
+def test_several_captures_of_the_display_move_each_by_itself():
+    drawn = draw_outliers(QUIET, np.random.default_rng(2), 6)
+    display, dots, session = change(QUIET, *drawn)
+    moved = {int(capture) for capture in session.display["capture"][np.nan_to_num(np.abs(display[:, 0])) > 0]}
+    assert moved == {int(outlier.amount["capture"]) for outlier in drawn}
+    assert len(moved) == 6
+    assert len({outlier.amount["x_mm"] for outlier in drawn}) == 6
+    assert largest(dots) == 0.0
+    with pytest.raises(BadInputError, match="Of 40 captures 41"):
+        draw_outliers(QUIET, np.random.default_rng(2), 41)
+
+
+@pytest.mark.parametrize("of_session", [False, True])
+def test_a_late_slip_leaves_so_many_captures(of_session):
+    for seed in range(4):
+        slip = draw_late_slip(QUIET, np.random.default_rng(seed), 2, of_session)
+        display, dots, session = change(QUIET, slip)
+        seen = session.seethrough
+        early, last = seen["target_pose"] < 2, seen["capture"] >= 14
+        if of_session:
+            assert largest(display) == 0.0
+            assert largest(dots[early | ~last]) == 0.0
+            assert np.nanmin(np.abs(dots[~early & last, 0])) > 0.0
+        else:
+            after = session.display["capture"] >= 38
+            assert largest(display[~after]) == 0.0
+            assert np.nanmin(np.abs(display[after, 0])) > 0.0
+            assert np.nanmin(np.abs(dots[:, 0])) > 0.0
 
 
 def test_two_effects_compose():
