@@ -88,6 +88,13 @@ VERBS = (
         "hold_out:hold_out",
         "Diagnose a session and cross-validate: predict left-out captures and target distances.",
     ),
+    Verb(
+        "predict",
+        EXPLAIN,
+        "predict:predict",
+        "Predict the captures of a session with a bench model found elsewhere, e.g. the corrected bench of another "
+        "session.",
+    ),
     Verb("import", DATA, "import_session:import_session", "Convert a third-party data set into a bench session."),
     Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
     Verb(

@@ -52,7 +52,8 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
     found = diagnose(nominal, session, progress.say)
     if not found.causes:
         raise BadInputError(
-            f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out."
+            f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out; to test a "
+            "bench model on other captures, use wlr-render predict BENCH SESSION."
         )
     progress.say("predicting left-out captures and distances")
     table = hold_out_table(found)

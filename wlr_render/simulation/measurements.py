@@ -40,7 +40,8 @@ def load_measurements(
 
     Args:
         path: folder of a bench session or of a calibration, or a capture file.
-        bench_file: the bench to compare with; of captures, its target poses may be left out.
+        bench_file: the bench to compare with. A session keeps its own target poses and the stated noise of its
+            readings (`bench_for_session`); of captures, the target poses may be left out.
         device: name or file of the headset that captures are compared with (default: the shipped one that they name).
 
     Raises:

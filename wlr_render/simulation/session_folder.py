@@ -1,18 +1,19 @@
 """Read and write session folders: bench.toml and one to three tables (format: docs/bench-session.md)."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
-from wlr_render.captures.session_schema import SCHEMAS, Schema
+from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.bench import Bench
+from wlr_render.simulation.bench import Bench, Target
 from wlr_render.simulation.bench_file import (
     DEVICE_FILE,
     WRITTEN_FRAME,
@@ -25,6 +26,7 @@ from wlr_render.toml_files import read_toml
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
+_SAME_PITCH = 1e-4  # of it: a target that was not measured again
 
 
 def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tuple[Bench, Session]:
@@ -32,7 +34,7 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
 
     Args:
         folder: with bench.toml and the tables.
-        bench_file: of the same headset; it is believed instead of the folder's own.
+        bench_file: of the same headset; it replaces the folder's own as `bench_for_session` says.
 
     Raises:
         BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says
@@ -45,7 +47,7 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
     file = read_toml(folder / "bench.toml")
     bench, axes = bench_of(file, folder), device_from_file(file)
     if bench_file is not None:
-        bench = _other_bench(bench_file, bench, folder)
+        bench = bench_for_session(load_bench(bench_file), bench, bench_file, folder)
     plans: dict[str, Any] = {}
     readings: dict[str, FloatArray] = {}
     for schema in SCHEMAS:
@@ -58,6 +60,53 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
         raise BadInputError(f"{folder}: has none of the tables {expected} (plain or .gz); add at least one.")
     _check_against_bench(folder, bench, plans, readings)
     return bench, Session(folder.resolve().name, SessionPlan(**plans), Readings(**readings))
+
+
+def bench_for_session(bench: Bench, own: Bench, path: str | Path, folder: str | Path) -> Bench:
+    """Another bench model with what belongs to a session: its target poses and the noise of its readings.
+
+    All corrections, those of the target (scale, bow, tracking) included, are the bench's. A bow that differs from pose
+    to pose goes with the pitch of the dots, which tells the targets apart. If the session has no target poses, the
+    bench keeps its own.
+
+    Args:
+        bench: the other bench.
+        own: the session's own bench.
+        path: file of the other bench, for messages.
+        folder: of the session, for messages.
+
+    Raises:
+        BadInputError: the benches are of different headsets or eyes, or the bow of a target is not known.
+    """
+    if (bench.device.name, bench.eye) != (own.device.name, own.eye):
+        raise BadInputError(
+            f"{path}: is a bench of {bench.device.name} ({bench.eye} eye), the session {folder} is of "
+            f"{own.device.name} ({own.eye} eye); choose a bench of that headset."
+        )
+    camera = replace(bench.camera, point_sigma_px=own.camera.point_sigma_px)
+    if len(own.target.pitch) == 0:
+        return replace(bench, camera=camera)
+    target = replace(own.target, scale=bench.target.scale, bow=_bow_of(bench.target, own.target, path, folder))
+    return replace(bench, camera=camera, target=target)
+
+
+def _bow_of(corrected: Target, own: Target, path: str | Path, folder: str | Path) -> FloatArray:
+    """Bow (1 or k, 2) by a corrected target at the k poses of a session's own."""
+    bow = corrected.bow
+    if np.ptp(bow, axis=0).max() == 0.0:
+        return bow[:1]
+    if len(own.pitch) == len(corrected.pitch) and np.allclose(own.pitch, corrected.pitch, rtol=_SAME_PITCH, atol=0.0):
+        return bow
+    rows = []
+    for number, pitch in enumerate(own.pitch):
+        same = np.flatnonzero(np.isclose(corrected.pitch, pitch, rtol=_SAME_PITCH, atol=0.0))
+        if len(same) == 0 or np.ptp(bow[same], axis=0).max() > 0.0:
+            raise BadInputError(
+                f"{path}: states a 'bow_per_m' for each target pose, which does not say how the target at "
+                f"[[target_pose]] {number} of {folder} (pitch {pitch / MM:g} mm) is bowed; state one pair in [target]."
+            )
+        rows.append(bow[same[0]])
+    return np.array(rows)
 
 
 def remove_session(folder: str | Path) -> None:
@@ -106,7 +155,8 @@ def check_enough_captures(session: Session) -> None:
             count += np.unique(np.stack(keys), axis=1).shape[1]
     if count < FEWEST_CAPTURES:
         raise BadInputError(
-            f"{session.name}: has {count} captures, too few captures to hold any out; take {FEWEST_CAPTURES} or more."
+            f"{session.name}: has {count} captures, too few captures to hold any out; take {FEWEST_CAPTURES} or more, "
+            "or compare them with a bench that other captures were diagnosed to: wlr-render predict BENCH SESSION."
         )
 
 
@@ -119,17 +169,6 @@ def _table_path(folder: Path, schema: Schema) -> Path | None:
     if len(found) > 1:
         raise BadInputError(f"{folder}: has both {found[0].name} and {found[1].name}; remove one.")
     return found[0] if found else None
-
-
-def _other_bench(path: str | Path, own: Bench, folder: Path) -> Bench:
-    """A bench that the session may have been taken with."""
-    bench = load_bench(path)
-    if (bench.device.name, bench.eye) != (own.device.name, own.eye):
-        raise BadInputError(
-            f"{path}: is a bench of {bench.device.name} ({bench.eye} eye), the session {folder} is of "
-            f"{own.device.name} ({own.eye} eye); choose a bench of that headset."
-        )
-    return bench
 
 
 def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:

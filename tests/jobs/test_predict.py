@@ -1,0 +1,170 @@
+"""A corrected bench predicts other sessions of the same bench: their own target poses, from one capture on."""
+
+import gzip
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracle import captures as oracle_captures
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.session_writer import write_session
+
+from wlr_render.cli import main
+from wlr_render.diagnosis.bench_prediction import predict_session
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import Settings
+from wlr_render.errors import BadInputError
+from wlr_render.simulation.bench import Mount, Target
+from wlr_render.simulation.bench_file import load_bench, save_bench
+from wlr_render.simulation.session_folder import bench_for_session, load_session, save_session
+
+PLAN = Plan(grid=(12, 10), dots=(11, 9), off_plane=6)
+EFFECTS = [
+    Effect("target_scale", {"scale_percent": 0.4}),
+    Effect("combiner_tilt", {"x_deg": 0.15, "y_deg": -0.1, "z_deg": 0.0}),
+]
+OTHER_TURNS = ((4.0, -7.0, 20.0), (-8.0, 3.0, -15.0), (2.0, 9.0, 10.0))
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """Folder of a session of a faulty bench."""
+    folder = tmp_path_factory.mktemp("first") / "first"
+    write_session(folder, PLAN, EFFECTS, np.random.default_rng(2))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def corrected(first, tmp_path_factory):
+    """Folder of the same session with the bench that its diagnosis corrected."""
+    nominal, session = load_session(first)
+    causes = {name: CAUSES[name] for name in ("target_scale", "combiner_tilt", "camera_focal_length")}
+    found = diagnose(nominal, session, causes=causes, settings=Settings(subsample=3000))
+    assert {cause.name for cause in found.causes} == {"target_scale", "combiner_tilt"}
+    return save_session(tmp_path_factory.mktemp("corrected") / "corrected", found.corrected, session)
+
+
+@pytest.fixture(scope="module")
+def second(tmp_path_factory):
+    """Folder of another session of the same bench, with other places of the camera and other poses of the targets."""
+    folder = tmp_path_factory.mktemp("second") / "second"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(oracle_captures, "_TARGET_TURNS_DEG", OTHER_TURNS)
+        write_session(folder, PLAN, EFFECTS, np.random.default_rng(5))
+    return folder
+
+
+def run(capsys, *arguments):
+    status = main(["predict", *map(str, arguments)])
+    return status, capsys.readouterr()
+
+
+def test_a_corrected_bench_predicts_another_session_to_the_noise_and_the_nominal_one_does_not(
+    corrected, first, second, tmp_path, capsys
+):
+    status, printed = run(capsys, corrected, second, "--out", tmp_path)
+    assert status == 0
+    assert printed.out.startswith(f"{corrected} predicts the 90 captures of second to the noise: reduced chi-squared ")
+    assert "The target poses are those of the session" in printed.out
+    record = json.loads((tmp_path / "report.json").read_text())
+    assert {part["name"] for part in record["parts"]} == {"display", "see-through"}
+    for part in record["parts"]:
+        assert part["reduced_chi_squared"] == pytest.approx(1.0, abs=4 * part["error"] + 0.02)
+        assert part["against_within"] == pytest.approx(1.0, abs=0.05)
+        assert part["by_own_bench"] > 10
+    assert [each["name"] for each in record["distances"]] == ["0.59 m", "1.11 m", "2.26 m"]
+    assert len(record["captures"]) == 90
+    status, printed = run(capsys, first / "bench.toml", second, "--out", tmp_path)
+    assert status == 0
+    assert "rms per axis beyond the noise of" in printed.out
+
+
+def test_one_capture_is_enough(corrected, second, tmp_path, capsys):
+    folder = tmp_path / "one"
+    shutil.copytree(second, folder)
+    table = folder / "seethrough.csv.gz"
+    header, *rows = gzip.decompress(table.read_bytes()).decode().splitlines()
+    table.unlink()
+    (folder / "display.csv.gz").unlink()
+    kept = [row for row in rows if row.startswith("2,3,")]
+    (folder / "seethrough.csv").write_text("\n".join([header, *kept]) + "\n")
+    status, printed = run(capsys, corrected, folder, "--out", tmp_path / "out")
+    assert status == 0
+    assert "predicts the only capture of one to the noise" in printed.out
+    (capture,) = json.loads((tmp_path / "out" / "report.json").read_text())["captures"]
+    assert capture["name"] == "see-through capture 3 of target pose 2"
+    assert capture["readings"] == len(kept)
+
+
+def test_the_noise_is_what_the_session_states_and_what_its_photographs_show(corrected, second, tmp_path, capsys):
+    folder = tmp_path / "noisy"
+    shutil.copytree(second, folder)
+    bench = folder / "bench.toml"
+    bench.write_text(bench.read_text().replace("point_sigma_px = 0.1", "point_sigma_px = 0.05"))
+    assert run(capsys, corrected, folder, "--out", tmp_path / "out")[0] == 0
+    record = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert record["sentence"].startswith(f"{corrected} predicts the 90 captures of noisy to the noise")
+    for part in record["parts"]:
+        assert part["reduced_chi_squared"] == pytest.approx(4.0, rel=0.05)
+        assert part["within_arcmin"] == pytest.approx(2.0 * part["noise_arcmin"], rel=0.03)
+
+
+def test_misread_points_are_counted_and_do_not_decide(corrected, second):
+    own, session = load_session(second)
+    bench = bench_for_session(load_bench(corrected / "bench.toml"), own, corrected, second)
+    session.readings.dot_pixel[::100] += 30.0
+    found = predict_session(bench, session)
+    assert found.outliers == len(session.readings.dot_pixel[::100])
+    assert all(part.is_noise for part in found.parts)
+
+
+def test_a_slip_of_the_other_session_is_named_with_what_it_does(corrected, second, tmp_path, capsys):
+    bench = load_bench(corrected / "bench.toml")
+    slipped = replace(bench, mount=Mount(slip_time_s=600.0, slip=np.array([5e-4, 0.0, 0.0])))
+    path = save_bench(slipped, tmp_path / "slipped.toml")
+    assert run(capsys, path, second, "--out", tmp_path / "out")[0] == 0
+    record = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert record["reduced_chi_squared"] > 2.0
+    assert record["without_slip"] == pytest.approx(1.0, abs=0.03)
+    assert any("a slip at 600 s" in warning for warning in record["warnings"])
+
+
+def test_diagnose_with_the_bench_of_another_session_keeps_the_session_s_target_poses(corrected, second):
+    own, _ = load_session(second)
+    bench, _ = load_session(second, corrected / "bench.toml")
+    np.testing.assert_array_equal(bench.target.device_from_target, own.target.device_from_target)
+    np.testing.assert_allclose(bench.target.scale, 1.004, atol=4e-4)
+
+
+def test_bows_of_single_poses_go_with_the_pitch_or_are_refused(corrected):
+    bench = load_bench(corrected / "bench.toml")
+    bows = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
+    bowed = replace(bench, target=replace(bench.target, bow=bows))
+    two = Target(bench.target.device_from_target[:2], bench.target.pitch[[2, 1]])
+    found = bench_for_session(bowed, replace(bench, target=two), "bench.toml", "session")
+    np.testing.assert_array_equal(found.target.bow, bows[[2, 1]])
+    other = replace(bench, target=replace(two, pitch=np.array([0.01, 0.02])))
+    with pytest.raises(BadInputError, match=r"'bow_per_m' for each target pose.*\[\[target_pose\]\] 0 of session"):
+        bench_for_session(bowed, other, "bench.toml", "session")
+
+
+def test_faults_are_one_sentence(corrected, second, tmp_path, capsys):
+    other = tmp_path / "other.toml"
+    other.write_text((second / "bench.toml").read_text().replace('device = "northstar"', 'device = "birdbath28"'))
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for arguments, words in (
+        ([other, second], "other.toml: is a bench of birdbath28"),
+        ([tmp_path / "none.toml", second], "none.toml: does not exist; name a bench file"),
+        ([empty, second], "bench.toml: does not exist; name a bench file, or a folder with bench.toml"),
+        ([corrected, empty], "empty: has no bench.toml, so it is not a bench session"),
+        ([corrected], "--session requires an argument"),
+    ):
+        status, printed = run(capsys, *arguments, "--out", tmp_path / "out")
+        assert status == 2
+        assert printed.err.count("\n") == 1
+        assert words in printed.err
