@@ -15,7 +15,11 @@ def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp
     assert cause["name"] == "see_through_plate"
     assert record["noise_floors"][0]["is_believable"]
     assert main(["hold-out", str(session), "--out", str(tmp_path / "held")]) == 0
-    captures, *distances = json.loads((tmp_path / "held" / "report.json").read_text())["tables"][0]["rows"]
+    held_out, values = json.loads((tmp_path / "held" / "report.json").read_text())["tables"]
+    thickness = values["rows"][0]
+    # Views differ by more than the noise of their dots: the plate is not all that bends light here.
+    assert thickness["one sigma by the captures"] > 1.5 * thickness["one sigma by the diagnosis"]
+    captures, *distances = held_out["rows"]
     assert captures["bench as described (arcmin)"] > 5.0
     assert captures["corrected (arcmin)"] < 0.45
     assert len(distances) >= 2

@@ -110,7 +110,11 @@ def test_the_plate_is_found_and_predicts_the_other_distance(imported, few_causes
     thickness = cause.parameters[0]
     assert abs(thickness.value - THICKNESS_MM) < 4 * thickness.sigma < 0.01 * THICKNESS_MM
     report = hold_out.hold_out(hold_out.HoldOutOptions(folder, out=tmp_path / "out"))
-    (table,) = report.tables
+    table, values = report.tables
+    thick = values.rows[0]
+    assert thick[:2] == ["see_through_plate", "thickness"]
+    by_diagnosis, by_captures = thick[-2:]
+    assert 0.3 * by_diagnosis < by_captures < 3.0 * by_diagnosis
     assert [row[:2] for row in table.rows] == [
         ["all other captures", "each see-through capture"],
         ["all other distances", "1.02 m"],

@@ -14,6 +14,7 @@ import numpy as np
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import Fit, fit, held_out_squares
+from wlr_render.diagnosis.jackknife import jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
@@ -56,11 +57,13 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
             "bench model on other captures, use wlr-render predict BENCH SESSION."
         )
     progress.say("predicting left-out captures and distances")
-    table = hold_out_table(found)
+    predictor, explanation = Predictor(found.observations), _explanation(found)
+    whole = fit(predictor, explanation, found.used)
+    table = hold_out_table(found, predictor, whole)
     report = Report(
         f"Cross-validation of {session.name}",
         verdict=" ".join(_sentences(table)),
-        blocks=[table],
+        blocks=[table, _values_table(found, whole)],
         inputs=[options.session],
     )
     return save_report(report, folder)
@@ -79,13 +82,18 @@ def _sentences(table: ReportTable) -> Iterator[str]:
         )
 
 
-def hold_out_table(found: Diagnosis) -> ReportTable:
-    """Rms angle of measured minus simulated in what was held out, with the bench as described and as corrected."""
+def hold_out_table(found: Diagnosis, predictor: Predictor, whole: Fit) -> ReportTable:
+    """Rms angle of measured minus simulated in what was held out, with the bench as described and as corrected.
+
+    Args:
+        found: the diagnosis.
+        predictor: of its readings.
+        whole: fit of its causes to all of them.
+    """
     observations = found.observations
-    predictor, explanation = Predictor(observations), _explanation(found)
-    rows = _by_capture(found, fit(predictor, explanation, found.used))
+    rows = _by_capture(found, whole)
     for fitted_to, tested_on, tested in _splits(found):
-        refitted = fit(predictor, explanation, found.used & ~tested)
+        refitted = fit(predictor, whole.explanation, found.used & ~tested)
         tested = tested & found.used
         before, after = (float(np.sum(each[tested] ** 2)) for each in (found.residual_before, refitted.residual))
         rows.append([fitted_to, tested_on, *_figures(observations, SEE_THROUGH, int(tested.sum()), before, after)])
@@ -98,6 +106,24 @@ def hold_out_table(found: Diagnosis) -> ReportTable:
         "noise (arcmin)",
     )
     return ReportTable(f"Held out of {observations.session.name}", columns, rows, _notes(found))
+
+
+def _values_table(found: Diagnosis, whole: Fit) -> ReportTable:
+    """The values found, with the standard error of the diagnosis and that of leaving out each capture in turn."""
+    observations = found.observations
+    errors = np.full(len(whole.explanation.vector()), np.nan)
+    errors[whole.at.free] = jackknife(whole, observations.group, len(observations.captures))
+    values = [(cause.name, parameter) for cause in found.causes for parameter in cause.parameters]
+    rows: list[list[Cell]] = [
+        [name, parameter.name, parameter.value, parameter.unit, parameter.sigma, float(error)]
+        for (name, parameter), error in zip(values, errors, strict=True)
+    ]
+    columns = ("cause", "parameter", "value", "unit", "one sigma by the diagnosis", "one sigma by the captures")
+    note = (
+        "By the captures: jackknife, from the change of each value when one capture is left out. A larger figure than "
+        "that of the diagnosis means that captures differ by more than the noise of their readings."
+    )
+    return ReportTable("Values found, and how captures scatter about them", columns, rows, (note,))
 
 
 def _explanation(found: Diagnosis) -> Explanation:

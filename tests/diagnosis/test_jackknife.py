@@ -1,0 +1,65 @@
+"""Jackknife errors: those of refits, and true where captures are displaced, which the model does not know."""
+
+from dataclasses import replace
+
+import numpy as np
+from small_session import SIGMA_PX, explanation, measured, with_noise
+
+from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.jackknife import jackknife, left_out_changes
+from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.simulation.simulate_session import simulate
+
+REPEATABILITY_M = 30e-6
+DRAWS = 12
+
+
+def fitted(observations, used=None, **values):
+    used = np.ones(len(observations), dtype=bool) if used is None else used
+    return fit(Predictor(observations), explanation(**values), used)
+
+
+def test_changes_are_those_of_fits_without_the_capture(bench, plan):
+    clean = measured(bench, plan, target_scale=[0.3, 0.2], panel_shift=[0.1, -0.1])
+    observations = with_noise(clean, SIGMA_PX, np.random.default_rng(1))
+    start = {"target_scale": [0.3, 0.2], "panel_shift": [0.1, -0.1]}
+    found = fitted(observations, **start)
+    used = observations.group != 0
+    kept = fitted(observations, used, **start)
+    changes = left_out_changes(found, observations.group, len(observations.captures))
+    assert changes.shape == (36, 4)
+    for number in (2, 20):
+        without = fitted(observations, observations.group != number, **start)
+        change = without.explanation.vector() - found.explanation.vector()
+        np.testing.assert_allclose(changes[number], change, atol=0.02 * found.sigmas().max())
+    again = left_out_changes(kept, observations.group, len(observations.captures))
+    assert np.isnan(again[0]).all()
+    assert np.isfinite(jackknife(kept, observations.group, len(observations.captures))).all()
+
+
+def test_errors_cover_where_the_stage_repeats_badly_and_those_of_the_fit_do_not(bench, plan):
+    """Each capture stands some hundredths of a millimetre off, and its readings share that error; the truth is 0."""
+    draws = [_with_a_bad_stage(bench, plan, np.random.default_rng(seed)) for seed in range(DRAWS)]
+    values, by_fit, by_captures = (np.array(each) for each in zip(*draws, strict=True))
+    assert np.sqrt(np.mean((values / by_fit) ** 2)) > 2.0
+    assert 0.6 < np.sqrt(np.mean((values / by_captures) ** 2)) < 1.6
+
+
+def _with_a_bad_stage(bench, plan, rng):
+    """Fitted values, their errors by the fit, and their jackknife errors."""
+    shifts = rng.normal(0, REPEATABILITY_M, (len(np.unique(plan.display.capture)), 3))
+    there = replace(plan.display, stage=plan.display.stage + shifts[plan.display.capture])
+    read = measured(bench, SessionPlan(there), SIGMA_PX, seed=int(rng.integers(1 << 30))).session
+    nominal = replace(read, plan=SessionPlan(plan.display))
+    observations = observe(bench, nominal)
+    assert np.isfinite(simulate(bench, nominal.plan).panel_pixel).all()
+    found = fitted(observations, stage_scale=[0.0, 0.0, 0.0])
+    return found.explanation.vector(), found.sigmas(), jackknife(found, observations.group, len(observations.captures))
+
+
+def test_one_capture_gives_no_error(bench, plan):
+    observations = measured(bench, plan, SIGMA_PX, target_scale=[0.3, 0.2])
+    found = fitted(observations, observations.group == 20, target_scale=[0.3, 0.2])
+    assert np.isnan(jackknife(found, observations.group, len(observations.captures))).all()
