@@ -9,24 +9,25 @@ from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.search import best_fit, hypotheses, screen
+from wlr_render.numerics.arrays import BoolArray
 
 _OTHERS = 6
 _WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does
 
 
-def remainder(said: Diagnosis, hidden: Sequence[str], name: str) -> float:
+def remainder(said: Diagnosis, used: BoolArray, hidden: Sequence[str], name: str) -> float:
     """Chi-squared that the best other cause in the place of a hidden one leaves above the truth; 25 are 5 sigma.
 
-    All causes are fitted to the readings that the diagnosis used; no cause at all competes too. What the diagnosis
-    found does not matter.
+    No cause at all competes, too. Of the diagnosis only the readings and their noise matter, not what it found.
 
     Args:
         said: the diagnosis.
+        used: (n,) readings to which all causes are fitted.
         hidden: all causes that are at work.
         name: which of them is to be replaced, the others being at work.
     """
     predictor = Predictor(said.observations)
-    rest = fit(predictor, Explanation(), said.used)
+    rest = fit(predictor, Explanation(), used)
     for other in hidden:
         if other != name:
             rest = min(_fitted(predictor, rest, [other], 1), key=lambda each: each.chi_squared)

@@ -1,27 +1,41 @@
-"""Success rates and error-bar coverage of diagnoses, over simulated sessions with hidden effects."""
+"""Success rates and error-bar coverage of diagnoses: simulated sessions of ordinary benches with hidden effects."""
 
-from collections.abc import Iterable
-from dataclasses import KW_ONLY, dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 import numpy as np
-from oracle.effects import LISTED, UNLISTED
+from oracle.effects import APART, LISTED, LISTED_AT_RUN_TIME, UNLISTED
 
+from benchmarks.diagnosis.conditions import Condition
 from benchmarks.diagnosis.tables import tables
-from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, run_trial
+from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, run_trial
+from benchmarks.kept_trials import finished_trials
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
-from wlr_render.processes import as_finished
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 
-_CLEAN = 5  # clean bench sessions for every trial of a cause: false alarms are rare
-_PAIRS = 4  # of causes, likewise
-_MOVED = 4  # captures that moved, likewise
+KindName = Literal[
+    "clean",
+    "clean_run_time",
+    "one",
+    "two",
+    "three",
+    "late_slip",
+    "unlisted",
+    "unlisted_beside",
+    "moved",
+    "moved_many",
+]
+ConditionName = Literal["white", "repeatability", "sigma_misstated", "rim", "noisy_captures", "shared", "all_of_them"]
+
+_COMBINED = 4  # pairs, triples, and the like for every trial of a cause
+_TRIALS = "trials"
+_OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # at run time there are neither positions nor neighbours
 
 
 @dataclass(frozen=True)
@@ -31,9 +45,20 @@ class DiagnosisOptions(Options):
     _: KW_ONLY
     trials: Annotated[
         int,
-        described("Trials of every cause and of every effect that no cause stands for; one of each takes minutes."),
+        described(
+            "Trials of every cause, of every unlisted effect, and of a clean bench of every condition; four times as"
+            " many of what is combined. One of each takes minutes."
+        ),
         Range(at_least=1),
     ] = 20
+    kinds: Annotated[
+        tuple[KindName, ...], described("What is hidden: kinds of trials to run (default: all).", many=True)
+    ] = get_args(KindName)
+    conditions: Annotated[
+        tuple[ConditionName, ...],
+        described("Conditions of the benches that the trials of each kind share evenly (default: all).", many=True),
+    ] = get_args(ConditionName)
+    resume: Annotated[bool, described("Keep the trials that an earlier run of the same program left there.")] = False
     seed: Seed = 1
     workers: Workers = None
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/diagnosis")
@@ -45,10 +70,18 @@ _DEFAULTS = DiagnosisOptions()
 def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
     """Run all trials; writes diagnosis.html, .md and .json into `options.out`, interrupted or not."""
     folder = output_folder(options.out)
-    tasks = trials(options.trials, options.seed)
+    tasks = trials(options)
     outcomes: list[DiagnosisOutcome] = []
     try:
-        finished = as_finished(partial(run_trial, seed=options.seed), tasks, options.workers)
+        finished = finished_trials(
+            run_trial,
+            loaded_outcome,
+            tasks,
+            seed=options.seed,
+            folder=folder / _TRIALS,
+            resume=options.resume,
+            workers=options.workers,
+        )
         for outcome in progress(finished, len(tasks), "trials"):
             outcomes.append(outcome)
     finally:
@@ -59,24 +92,52 @@ def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = S
     return report
 
 
-def trials(count: int, seed: int) -> list[DiagnosisTrial]:
+def trials(options: DiagnosisOptions) -> list[DiagnosisTrial]:
     """All trials of a study, mixed so that an interrupted study has some of each."""
-    rng = np.random.default_rng(seed)
-    pairs = [tuple(str(name) for name in rng.choice(LISTED, 2, replace=False)) for _ in range(_PAIRS * count)]
-    beside = [(str(rng.choice(LISTED)),) for _ in range(_MOVED * count)]
-    return [
-        trial
-        for number in range(count)
-        for trial in (
-            *(DiagnosisTrial(TrialKind.ONE, (name,), number) for name in CAUSES),
-            *(DiagnosisTrial(TrialKind.UNLISTED, (name,), number) for name in UNLISTED),
-            *(DiagnosisTrial(TrialKind.CLEAN, (), _CLEAN * number + i) for i in range(_CLEAN)),
-            DiagnosisTrial(TrialKind.CLEAN_RUN_TIME, (), number),
-            *(DiagnosisTrial(TrialKind.TWO, pairs[i], i) for i in _share(number, _PAIRS)),
-            *(DiagnosisTrial(TrialKind.MOVED, beside[i], i) for i in _share(number, _MOVED)),
-        )
-    ]
+    conditions = [Condition(name) for name in options.conditions]
+    made = []
+    for kind in TrialKind:
+        if kind.name.lower() in options.kinds:
+            # Each kind draws by itself, so that its trials are the same whatever other kinds are run.
+            rng = np.random.default_rng([options.seed, list(TrialKind).index(kind)])
+            effects = _effects(kind, options.trials, len(conditions), rng)
+            drawn = rng.permutation(np.resize(np.arange(len(conditions)), len(effects)))
+            for number, (names, which) in enumerate(zip(effects, drawn, strict=True)):
+                place = (number + 0.5) / len(effects)
+                trial = DiagnosisTrial(kind, names, number, conditions[which])
+                if trial.at_run_time and trial.condition in _OF_CAPTURES:
+                    trial = replace(trial, condition=Condition.WHITE)
+                made.append((place, trial))
+    return [trial for _, trial in sorted(made, key=lambda each: each[0])]
 
 
-def _share(number: int, size: int) -> Iterable[int]:
-    return range(size * number, size * (number + 1))
+def _effects(kind: TrialKind, count: int, conditions: int, rng: np.random.Generator) -> Sequence[tuple[str, ...]]:
+    """Names of the effects in each trial of a kind."""
+    listed = [name for name in LISTED if name in CAUSES]
+    match kind:
+        case TrialKind.CLEAN:
+            return [()] * (count * conditions)
+        case TrialKind.CLEAN_RUN_TIME:
+            return [()] * count
+        case TrialKind.ONE:
+            names = [name for name in (*LISTED, *LISTED_AT_RUN_TIME, *UNLISTED) if name in CAUSES]
+            return [(name,) for _ in range(count) for name in names]
+        case TrialKind.UNLISTED:
+            return [(name,) for _ in range(count) for name in UNLISTED if name not in CAUSES]
+        case TrialKind.TWO | TrialKind.THREE:
+            together = 2 if kind is TrialKind.TWO else 3
+            return [_chosen(listed, together, rng) for _ in range(_COMBINED * count)]
+        case TrialKind.LATE_SLIP:
+            return [("headset_slip",)] * (_COMBINED * count)
+        case TrialKind.UNLISTED_BESIDE:
+            pairs = [pair for pair in APART if pair[0] not in CAUSES and pair[1] in CAUSES]
+            return [pairs[rng.integers(len(pairs))] for _ in range(_COMBINED * count)]
+        case TrialKind.MOVED:
+            return [_chosen(listed, 1, rng) for _ in range(_COMBINED * count)]
+        case TrialKind.MOVED_MANY:
+            # Half of them beside a cause; the number of captures that moved changes from trial to trial.
+            return [_chosen(listed, int(rng.integers(2)), rng) for _ in range(_COMBINED * count)]
+
+
+def _chosen(names: Sequence[str], count: int, rng: np.random.Generator) -> tuple[str, ...]:
+    return tuple(str(name) for name in rng.choice(names, count, replace=False))

@@ -4,8 +4,9 @@ import tempfile
 import time
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from oracle.captures import Plan
@@ -13,20 +14,27 @@ from oracle.devices import NAMES
 from oracle.effects import (
     LISTED_AT_RUN_TIME,
     OUTLIER,
+    SEE_THROUGH_ONLY,
     Effect,
     draw_effect,
+    draw_late_slip,
     draw_outlier,
+    draw_outliers,
 )
+from oracle.nature import PERFECT, BenchNature
 from oracle.run_time import RunTimePlan
 from oracle.session_writer import write_run_time_session, write_session
 
+from benchmarks.diagnosis.conditions import Condition, nature_of
 from benchmarks.diagnosis.remainder import remainder
 from benchmarks.diagnosis.truths import truth_of
 from wlr_render.captures.session import Session
+from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName, observe
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.errors import BadInputError
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_folder import load_session
 from wlr_render.simulation.simulate_session import simulate
@@ -34,8 +42,11 @@ from wlr_render.simulation.simulate_session import simulate
 AnyPlan = Plan | RunTimePlan
 
 _GRID, _COLOUR_GRID, _DOTS = (12, 9), (8, 6), (9, 6)
+_LARGE, _SMALL, _EIGHTEEN = (6, 12), (4, 8), (4, 2)  # nodes per axis and captures off the plane
 _IN_COLOUR = 0.25  # of the sessions, besides those whose effect is one of colour
 _SIGMA_PX = (0.05, 0.2)
+_MOST_MOVED = 6
+_LATE = 2  # captures after a late slip
 _SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
 
 
@@ -46,8 +57,22 @@ class TrialKind(StrEnum):
     CLEAN_RUN_TIME = "nothing, at run time"
     ONE = "one cause"
     TWO = "two causes"
+    THREE = "three causes"
+    LATE_SLIP = "a slip before the last two captures"
     UNLISTED = "an effect that no cause stands for"
+    UNLISTED_BESIDE = "an effect that no cause stands for, and a cause in the other part"
     MOVED = "one cause and a capture that moved"
+    MOVED_MANY = "1 to 6 of 18 captures of the display that moved"
+
+
+JUDGED_BY_REMAINDER = (
+    TrialKind.ONE,
+    TrialKind.TWO,
+    TrialKind.THREE,
+    TrialKind.LATE_SLIP,
+    TrialKind.UNLISTED_BESIDE,
+)
+"""Kinds of which a diagnosis has to find all causes, where these leave enough that no other explains."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +81,26 @@ class DiagnosisTrial:
 
     Attributes:
         kind: see `TrialKind`.
-        effects: names of the effects, but for that of a capture that moved.
-        number: tells trials alike from each other.
+        effects: names of the effects, but for captures that moved.
+        number: tells trials alike from each other. Late slips come before the last captures of the session in odd
+            trials, and before the last of the display in even ones.
+        condition: of the bench.
     """
 
     kind: TrialKind
     effects: tuple[str, ...]
     number: int
+    condition: Condition = Condition.WHITE
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects that a cause stands for."""
+        return tuple(name for name in self.effects if name in CAUSES)
+
+    @property
+    def file(self) -> str:
+        """Name of the file of its outcome."""
+        return f"{'-'.join((self.kind.name.lower(), self.condition, *self.effects))}-{self.number:04d}.json"
 
     @property
     def at_run_time(self) -> bool:
@@ -71,7 +109,7 @@ class DiagnosisTrial:
 
     def generator(self, seed: int) -> np.random.Generator:
         """Random numbers that depend on the study's seed and this trial alone."""
-        name = "/".join((self.kind, *self.effects))
+        name = "/".join((self.kind, self.condition, *self.effects))
         return np.random.default_rng([seed, zlib.crc32(name.encode()), self.number])
 
 
@@ -82,21 +120,24 @@ class DiagnosisOutcome:
     Attributes:
         trial: which.
         device: name of the headset.
+        nature: of the bench, see `oracle.nature.BenchNature`.
         amounts: of the hidden effects, in order, as the generator has them.
-        verdict: of the diagnosis.
+        verdict: of the diagnosis; the sentence of an error that ended it.
         named: causes, most important first.
         depends_on: what is left unexplained depends on this; empty where nothing is.
         excluded: excluded captures.
         moved: the captures that truly moved.
         deviations: (estimate - truth) / sigma of every parameter of the hidden causes, where exactly those were named.
-        size: rms change of the readings by all that is hidden, in units of sigma.
-        remainder: see `remainder.remainder`; one for each hidden cause, none for effects that no cause stands for.
-        held_out: rms residual of a second session of the same bench by the corrected bench, in units of sigma.
+        size: rms change of the readings by the effects, in units of sigma.
+        remainder: see `remainder.remainder`; one for each hidden cause in the kinds of `JUDGED_BY_REMAINDER`.
+        held_out: rms residual of a second session of the bench by the corrected bench, in units of sigma; that
+            session has white noise of the stated size, whatever the condition.
         seconds: that the diagnosis took.
     """
 
     trial: DiagnosisTrial
     device: str
+    nature: dict[str, float]
     amounts: tuple[dict[str, float], ...]
     verdict: str
     named: tuple[str, ...]
@@ -112,7 +153,7 @@ class DiagnosisOutcome:
     @property
     def exact(self) -> bool:
         """Whether the hidden causes were named and no other."""
-        return sorted(self.named) == sorted(self.trial.effects)
+        return sorted(self.named) == sorted(self.trial.causes)
 
     @property
     def first(self) -> str:
@@ -121,40 +162,62 @@ class DiagnosisOutcome:
 
 
 def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
-    """Run one trial; the same seed gives the same outcome."""
+    """Run one trial; the same seed gives the same outcome. A diagnosis that ends in an error is an outcome, too."""
     rng = trial.generator(seed)
-    plan = _plan(trial, rng)
-    effects = [draw_effect(name, rng) for name in trial.effects]
-    moved = [draw_outlier(plan, rng)] if trial.kind is TrialKind.MOVED and isinstance(plan, Plan) else []
-    nominal, session = observed(plan, [*effects, *moved], rng)
-    start = time.perf_counter()
-    said = diagnose(nominal, session, settings=Settings(subsample=_SUBSAMPLE))
-    seconds = time.perf_counter() - start
-    hidden = trial.effects if trial.kind in (TrialKind.ONE, TrialKind.TWO) else ()
-    return DiagnosisOutcome(
+    nature, plan = nature_of(trial.condition, rng), _plan(trial, rng)
+    effects, moved = _effects(trial, plan, rng), _moved(trial, plan, rng)
+    nominal, session = observed(plan, [*effects, *moved], rng, nature)
+    of_bench = observed(plan, effects, rng)[1]
+    outcome = DiagnosisOutcome(
         trial,
         plan.device,
+        {name: value for name, value in asdict(nature).items() if value != getattr(PERFECT, name)},
         tuple(dict(effect.amount) for effect in [*effects, *moved]),
-        said.verdict,
-        tuple(cause.name for cause in said.causes),
-        said.unexplained.depends_on if said.unexplained else "",
-        tuple(str(moved_capture.capture) for moved_capture in said.excluded),
-        tuple(_capture_name(effect) for effect in moved),
-        _deviations(said, effects, plan),
-        float(np.sqrt(max(0.0, said.before.over_noise**2 - 1.0))),
-        tuple(remainder(said, hidden, name) for name in hidden),
-        _held_out(said.corrected, observed(plan, effects, rng)[1]),
-        seconds,
+        verdict="",
+        named=(),
+        depends_on="",
+        excluded=(),
+        moved=tuple(_capture_name(effect) for effect in moved),
+        deviations=(),
+        size=float(np.sqrt(max(0.0, _rms(nominal, of_bench) ** 2 - 1.0))),
+        remainder=(np.inf,) * len(trial.causes) if trial.kind in JUDGED_BY_REMAINDER else (),
+        held_out=np.nan,
+        seconds=np.nan,
+    )
+    start = time.perf_counter()
+    try:
+        said = diagnose(nominal, session, settings=Settings(subsample=_SUBSAMPLE))
+    except (BadInputError, np.linalg.LinAlgError) as error:
+        return replace(outcome, verdict=f"{type(error).__name__}: {error}")
+    seconds = time.perf_counter() - start
+    return replace(
+        outcome,
+        verdict=said.verdict,
+        named=tuple(cause.name for cause in said.causes),
+        depends_on=said.unexplained.depends_on if said.unexplained else "",
+        excluded=tuple(str(moved_capture.capture) for moved_capture in said.excluded),
+        deviations=_deviations(said, [effect for effect in effects if effect.name in CAUSES], plan),
+        remainder=_remainders(said, trial),
+        held_out=_rms(said.corrected, of_bench),
+        seconds=seconds,
     )
 
 
-def observed(plan: AnyPlan, effects: Sequence[Effect], rng: np.random.Generator) -> tuple[Bench, Session]:
+def loaded_outcome(trial: DiagnosisTrial, content: dict[str, Any]) -> DiagnosisOutcome:
+    """The outcome of a trial from its fields, in which JSON has lists in place of tuples."""
+    fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in content.items()}
+    return DiagnosisOutcome(**{**fields, "trial": trial})
+
+
+def observed(
+    plan: AnyPlan, effects: Sequence[Effect], rng: np.random.Generator, nature: BenchNature = PERFECT
+) -> tuple[Bench, Session]:
     """What the makers of a bench with hidden effects believe it to be, and what they measure."""
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(plan, RunTimePlan):
-            write_run_time_session(folder, plan, effects, rng)
+            write_run_time_session(folder, plan, effects, rng, nature)
         else:
-            write_session(folder, plan, effects, rng)
+            write_session(folder, plan, effects, rng, nature)
         return load_session(folder)
 
 
@@ -163,9 +226,35 @@ def _plan(trial: DiagnosisTrial, rng: np.random.Generator) -> AnyPlan:
     sigma_px = float(np.round(np.exp(rng.uniform(*np.log(_SIGMA_PX))), 4))
     if trial.at_run_time:
         return RunTimePlan(device, sigma_px=sigma_px)
+    nodes, off_plane = _EIGHTEEN if trial.kind is TrialKind.MOVED_MANY else (_LARGE, _SMALL)[rng.integers(2)]
     if rng.uniform() < _IN_COLOUR or "lateral_colour" in trial.effects:
-        return Plan(device, _COLOUR_GRID, _DOTS, sigma_px=sigma_px, channels=(0, 1, 2))
-    return Plan(device, _GRID, _DOTS, sigma_px=sigma_px)
+        return Plan(device, _COLOUR_GRID, _DOTS, nodes, off_plane, sigma_px, channels=(0, 1, 2))
+    return Plan(device, _GRID, _DOTS, nodes, off_plane, sigma_px)
+
+
+def _effects(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> list[Effect]:
+    if trial.kind is TrialKind.LATE_SLIP and isinstance(plan, Plan):
+        return [draw_late_slip(plan, rng, _LATE, of_session=trial.number % 2 == 1)]
+    return [draw_effect(name, rng) for name in trial.effects]
+
+
+def _moved(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> Sequence[Effect]:
+    if trial.kind is TrialKind.MOVED and isinstance(plan, Plan):
+        return [draw_outlier(plan, rng)]
+    if trial.kind is TrialKind.MOVED_MANY and isinstance(plan, Plan):
+        return draw_outliers(plan, rng, 1 + trial.number % _MOST_MOVED)
+    return ()
+
+
+def _remainders(said: Diagnosis, trial: DiagnosisTrial) -> tuple[float, ...]:
+    """See `remainder`; a cause beside an unlisted effect is judged by the part in which that effect is not."""
+    causes, used = trial.causes, said.used
+    if trial.kind not in JUDGED_BY_REMAINDER:
+        return ()
+    if trial.kind is TrialKind.UNLISTED_BESIDE:
+        in_see_through = causes[0] in SEE_THROUGH_ONLY
+        used = used & ((said.observations.part == SEE_THROUGH) == in_see_through)
+    return tuple(remainder(said, used, causes, name) for name in causes)
 
 
 def _capture_name(moved: Effect) -> str:
@@ -186,7 +275,8 @@ def _deviations(said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan) -> tu
     )
 
 
-def _held_out(corrected: Bench, session: Session) -> float:
-    observations = observe(corrected, session)
-    residual = observations.residual(simulate(corrected, observations.session.plan))
+def _rms(bench: Bench, session: Session) -> float:
+    """Of the residual of a session by a bench, in units of sigma."""
+    observations = observe(bench, session)
+    residual = observations.residual(simulate(bench, observations.session.plan))
     return float(np.sqrt(np.mean(residual**2)))

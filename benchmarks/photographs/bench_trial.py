@@ -1,11 +1,10 @@
 """One trial: simulate what a session's photographs say, calibrate the bench, and compare with the truth."""
 
-import json
 import time
 import zlib
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from benchmarks.photographs.bench_sigmas import SquaredErrors, errors_over_sigma
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_text
 from wlr_render.simulation.photographs.faults import NO_FAULTS, BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -111,18 +109,8 @@ class BenchOutcome:
         return not self.refused and not any(check.contradictory for check in self.failed)
 
 
-def run_bench_trial(trial: BenchTrial, seed: int, folder: Path) -> BenchOutcome:
-    """Run a trial and keep its outcome in the folder; one that is kept there is not run again."""
-    path = folder / trial.file
-    if path.is_file():
-        return _loaded(trial, path)
-    outcome = _outcome(trial, seed)
-    write_text(path, json.dumps(asdict(outcome), indent=1))
-    return outcome
-
-
-def _loaded(trial: BenchTrial, path: Path) -> BenchOutcome:
-    content = json.loads(path.read_text())
+def loaded_outcome(trial: BenchTrial, content: dict[str, Any]) -> BenchOutcome:
+    """The outcome of a trial from its fields as JSON has them."""
     content["trial"] = trial
     for name in ("failed", "excluded"):
         content[name] = [FailedCheck(**each) for each in content[name]]
@@ -130,7 +118,8 @@ def _loaded(trial: BenchTrial, path: Path) -> BenchOutcome:
     return BenchOutcome(**content)
 
 
-def _outcome(trial: BenchTrial, seed: int) -> BenchOutcome:
+def run_bench_trial(trial: BenchTrial, seed: int) -> BenchOutcome:
+    """Run a trial; the same seed gives the same outcome."""
     bench_seed = int(np.random.default_rng([seed, zlib.crc32(trial.kind.encode()), trial.number]).integers(1, 2**31))
     if trial.kind in (BenchTrialKind.CLEAN, BenchTrialKind.MODELS):
         bench_seed = 1000 * seed + trial.number

@@ -2,19 +2,25 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
+from benchmarks.kept_trials import finished_trials
 from benchmarks.photographs.bench_tables import bench_tables
-from benchmarks.photographs.bench_trial import FAULTY, BenchOutcome, BenchTrial, BenchTrialKind, run_bench_trial
+from benchmarks.photographs.bench_trial import (
+    FAULTY,
+    BenchOutcome,
+    BenchTrial,
+    BenchTrialKind,
+    loaded_outcome,
+    run_bench_trial,
+)
 from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, Workers, described
 from wlr_render.optics.device_file import load_device
-from wlr_render.processes import as_finished
 from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.save import markdown, save_report
@@ -117,9 +123,13 @@ def _outcomes(
 ) -> Iterable[BenchOutcome]:
     if not tasks:
         return ()
-    trials = output_folder(folder / _TRIALS)
-    if not options.resume:
-        for path in trials.glob("*.json"):
-            path.unlink()
-    finished = as_finished(partial(run_bench_trial, seed=options.seed, folder=trials), tasks, options.workers)
+    finished = finished_trials(
+        run_bench_trial,
+        loaded_outcome,
+        tasks,
+        seed=options.seed,
+        folder=folder / _TRIALS,
+        resume=options.resume,
+        workers=options.workers,
+    )
     return progress(finished, len(tasks), "benches")

@@ -1,21 +1,29 @@
 """The judge of the diagnosis: its truths are true, its figures count what they say, an interrupted study is kept."""
 
 import json
+from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
 from oracle.captures import Plan
-from oracle.effects import LISTED, LISTED_AT_RUN_TIME, UNLISTED, draw_effect
+from oracle.effects import APART, LISTED, LISTED_AT_RUN_TIME, UNLISTED, draw_effect
+from oracle.nature import PERFECT, BenchNature
 from oracle.run_time import RunTimePlan
 
 from benchmarks.diagnosis import study, trial
+from benchmarks.diagnosis.conditions import Condition, nature_of
+from benchmarks.diagnosis.study import DiagnosisOptions
 from benchmarks.diagnosis.tables import tables
-from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, observed, run_trial
+from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, observed, run_trial
 from benchmarks.diagnosis.truths import truth_of
 from benchmarks.intervals import INTERVAL
+from benchmarks.kept_trials import kept_outcome
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import observe
+from wlr_render.errors import BadInputError
 from wlr_render.simulation.simulate_session import simulate
 
 SIGMA_PX = 1e-3
@@ -48,8 +56,9 @@ def outcome(kind, effects, named, number=0, **changes):
     """A faked outcome in which a strong effect has been diagnosed."""
     verdict = "explained" if named else "no effect"
     strong = (100.0,) * len(effects)
+    trial = DiagnosisTrial(kind, effects, number, changes.pop("condition", Condition.WHITE))
     faked = DiagnosisOutcome(
-        DiagnosisTrial(kind, effects, number), "northstar", ({},), verdict, named, "", (), (), (), 2.0, strong, 1.0, 3.0
+        trial, "northstar", {}, ({},), verdict, named, "", (), (), (), 2.0, strong, held_out=1.0, seconds=3.0
     )
     return replace(faked, **changes)
 
@@ -57,6 +66,10 @@ def outcome(kind, effects, named, number=0, **changes):
 def figures(outcomes):
     table = tables(outcomes)[0]
     return {row[0]: (row[1], row[2]) for row in table.rows}
+
+
+def titled(outcomes, start):
+    return next(table for table in tables(outcomes) if table.title.startswith(start))
 
 
 def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
@@ -67,7 +80,7 @@ def test_a_wrong_name_counts_only_where_the_truth_could_be_told():
     assert found["right cause first, where 5 sigma remain (%)"] == (pytest.approx(200 / 3), 3)
     assert found["right cause first, in all trials (%)"] == (50.0, 4)
     assert found["right cause and no other, where 5 sigma remain (%)"] == (pytest.approx(100 / 3), 3)
-    confusion = tables(wrong + right)[1]
+    confusion = titled(wrong + right, "Confusion")
     assert confusion.rows[0][:2] == ["combiner_tilt", "panel_shift 2, combiner_tilt 2"]
 
 
@@ -75,12 +88,12 @@ def test_every_share_has_its_interval():
     tilt = ("combiner_tilt",)
     outcomes = [outcome(TrialKind.ONE, tilt, tilt, number, deviations=(0.5,)) for number in range(4)]
     outcomes.append(outcome(TrialKind.ONE, tilt, ("panel_shift",), 4))
-    figure_table, confusion, parameters, *_ = tables(outcomes)
+    figure_table, confusion, parameters = (titled(outcomes, t) for t in ("Diagnoses", "Confusion", "Parameters"))
     column = figure_table.columns.index(INTERVAL)
     intervals = {row[0]: row[column] for row in figure_table.rows}
     assert intervals["right cause first, in all trials (%)"] == "28.4 to 99.5"
     assert intervals["68 % intervals cover (%)"] == "above 47.3"
-    assert intervals["variance of estimates over the Cramer-Rao bound"] is None
+    assert intervals["mean square of (estimate - truth) / sigma"] is None
     assert confusion.rows[0][confusion.columns.index(INTERVAL)] == "28.4 to 99.5"
     assert parameters.rows[0][parameters.columns.index(INTERVAL)] == "above 47.3"
 
@@ -89,13 +102,15 @@ def test_coverage_and_efficiency_are_those_of_the_deviations():
     deviations = (0.5, -0.9, 2.0, -1.5)
     found = figures([outcome(TrialKind.ONE, ("latency",), ("latency",), deviations=deviations)])
     assert found["68 % intervals cover (%)"] == (50.0, 4)
-    assert found["variance of estimates over the Cramer-Rao bound"] == (pytest.approx((0.25 + 0.81 + 4 + 2.25) / 4), 4)
+    assert found["mean square of (estimate - truth) / sigma"] == (pytest.approx((0.25 + 0.81 + 4 + 2.25) / 4), 4)
 
 
-def test_an_alarm_of_any_kind_in_a_clean_session_is_false():
+def test_a_clean_session_may_be_called_unexplained_without_a_false_cause():
     clean = [outcome(TrialKind.CLEAN, (), ()), outcome(TrialKind.CLEAN, (), (), 1, verdict="unexplained")]
     clean += [outcome(TrialKind.CLEAN, (), ("latency",), 2), outcome(TrialKind.CLEAN_RUN_TIME, (), ())]
-    assert figures(clean)["false alarms in clean sessions (%)"] == (50.0, 4)
+    found = figures(clean)
+    assert found["clean sessions called 'no effect' (%)"] == (50.0, 4)
+    assert found["clean sessions with a false cause (%)"] == (25.0, 4)
 
 
 def test_moved_captures_are_found_missed_or_wrong():
@@ -106,8 +121,46 @@ def test_moved_captures_are_found_missed_or_wrong():
             outcome(TrialKind.MOVED, cause, cause, 1, moved=moved, excluded=("display capture 4",)),
         ]
     )
-    assert found["capture that moved excluded (%)"] == (50.0, 2)
+    assert found["one capture that moved excluded and no other (%)"] == (50.0, 2)
     assert found["sessions where another was excluded (%)"] == (50.0, 2)
+
+
+def test_captures_that_moved_are_to_be_named_exactly():
+    three = tuple(f"display capture {number}" for number in (2, 5, 7))
+    trials = [
+        outcome(TrialKind.MOVED_MANY, (), (), 2, moved=three, excluded=three[::-1]),
+        outcome(TrialKind.MOVED_MANY, (), (), 8, moved=three, excluded=three[:1]),
+        outcome(TrialKind.MOVED_MANY, (), (), 0, moved=three[:1], excluded=three[:2]),
+    ]
+    found = figures(trials)["1 to 6 of 18 captures that moved excluded and no other (%)"]
+    assert found == (pytest.approx(100 / 3), 3)
+    by_count = titled(trials, "Moved captures").rows
+    assert [[*row[:3], *row[4:]] for row in by_count] == [[1, 1, 0.0, 0, 1], [3, 2, 50.0, 2, 0]]
+
+
+def test_figures_are_stated_for_each_condition():
+    tilt = ("combiner_tilt",)
+    outcomes = [
+        outcome(TrialKind.CLEAN, (), (), condition=Condition.RIM),
+        outcome(TrialKind.CLEAN, (), (), 1, condition=Condition.SHARED, verdict="unexplained"),
+        outcome(TrialKind.ONE, tilt, tilt, condition=Condition.SHARED, deviations=(0.5, 2.0)),
+        outcome(TrialKind.ONE, tilt, tilt, condition=Condition.RIM, deviations=(0.1,)),
+    ]
+    rows = {(row[0], row[1]): (row[2], row[3]) for row in titled(outcomes, "Figures by condition").rows}
+    assert rows["rim", "clean sessions called 'no effect' (%)"] == (100.0, 1)
+    assert rows["shared", "clean sessions called 'no effect' (%)"] == (0.0, 1)
+    assert rows["shared", "68 % intervals cover (%)"] == (50.0, 2)
+    assert rows["rim", "68 % intervals cover (%)"] == (100.0, 1)
+
+
+def test_a_cause_beside_an_unlisted_effect_is_expected_alone_and_its_error_is_not_counted():
+    pair = ("code_stripes", "target_scale")
+    alone = outcome(TrialKind.UNLISTED_BESIDE, pair, pair[1:], 0, remainder=(100.0,), deviations=(7.0,))
+    beside = outcome(TrialKind.UNLISTED_BESIDE, pair, ("target_scale", "panel_scale"), 1, remainder=(100.0,))
+    found = figures([alone, beside])
+    assert found["cause beside an unlisted effect and no other, where 5 sigma remain (%)"] == (50.0, 2)
+    assert found["cause beside an unlisted effect among those named, where 5 sigma remain (%)"] == (100.0, 2)
+    assert "68 % intervals cover (%)" not in found
 
 
 def test_both_of_two_causes_must_leave_something():
@@ -123,19 +176,57 @@ def test_both_of_two_causes_must_leave_something():
 def test_faults_name_the_trials_to_run_again():
     faults = tables([outcome(TrialKind.ONE, ("panel_scale",), ("latency",), 7)])[-1]
     assert faults.title == "Trials that went wrong"
-    assert faults.rows == [["one cause", "panel_scale", 7, "northstar", "explained, latency"]]
+    assert faults.rows == [["one cause", "white", "panel_scale", 7, "northstar", "explained, latency"]]
 
 
 def test_a_study_has_every_cause_and_every_unlisted_effect_as_often_as_said():
-    planned = study.trials(3, seed=5)
-    assert len(set(planned)) == len(planned)
+    planned = study.trials(DiagnosisOptions(trials=3, seed=5))
+    assert len({each.file for each in planned}) == len(set(planned)) == len(planned)
     of_kind = {kind: [each for each in planned if each.kind is kind] for kind in TrialKind}
     for names, kind in ((CAUSES, TrialKind.ONE), (UNLISTED, TrialKind.UNLISTED)):
         assert sorted(each.effects[0] for each in of_kind[kind]) == sorted(list(names) * 3)
-    assert all(of_kind[kind] for kind in TrialKind)
-    assert all(len(set(each.effects)) == 2 for each in of_kind[TrialKind.TWO])
-    assert study.trials(3, seed=5) == planned
-    assert study.trials(3, seed=6) != planned
+    assert {kind for each in planned[: len(planned) // 3] for kind in [each.kind]} == set(TrialKind)
+    for kind, together in ((TrialKind.TWO, 2), (TrialKind.THREE, 3)):
+        assert all(len(set(each.causes)) == together for each in of_kind[kind])
+    assert all(each.effects in APART for each in of_kind[TrialKind.UNLISTED_BESIDE])
+    assert {len(each.effects) for each in of_kind[TrialKind.MOVED_MANY]} == {0, 1}
+    assert study.trials(DiagnosisOptions(trials=3, seed=5)) == planned
+    assert study.trials(DiagnosisOptions(trials=3, seed=6)) != planned
+
+
+def test_conditions_are_shared_evenly_and_kinds_may_be_chosen():
+    assert get_args(study.ConditionName) == tuple(Condition)
+    assert get_args(study.KindName) == DiagnosisOptions().kinds
+    assert {name.upper() for name in DiagnosisOptions().kinds} == set(TrialKind.__members__)
+    for kind in TrialKind:
+        options = DiagnosisOptions(trials=3, kinds=(kind.name.lower(),), conditions=("rim", "white"))
+        chosen = study.trials(options)
+        assert {each.kind for each in chosen} == {kind}
+        counts = Counter(each.condition for each in chosen)
+        assert set(counts) == {Condition.RIM, Condition.WHITE}
+        assert abs(counts[Condition.RIM] - counts[Condition.WHITE]) <= 1
+        assert [
+            each for each in study.trials(replace(options, kinds=DiagnosisOptions().kinds)) if each in chosen
+        ] == chosen
+    clean = study.trials(DiagnosisOptions(trials=3, kinds=("clean",)))
+    assert Counter(each.condition for each in clean) == dict.fromkeys(Condition, 3)
+    running = study.trials(DiagnosisOptions(trials=30, kinds=("clean_run_time",)))
+    assert {each.condition for each in running} == set(Condition) - {Condition.REPEATABILITY, Condition.SHARED}
+
+
+def test_conditions_are_those_of_ordinary_benches():
+    natures = {each: [nature_of(each, np.random.default_rng(seed)) for seed in range(40)] for each in Condition}
+    assert set(natures[Condition.WHITE]) == {PERFECT}
+    for condition in (Condition.REPEATABILITY, Condition.ALL):
+        assert all(0.005 <= each.repeatability_mm <= 0.03 for each in natures[condition])
+        assert all(1e-5 <= each.turns_rad <= 6e-5 for each in natures[condition])
+        assert len(set(natures[condition])) == 40
+    assert {each.noise_factor for each in natures[Condition.SIGMA_MISSTATED]} == {0.9, 1.1}
+    assert set(natures[Condition.RIM]) == {BenchNature(rim_factor=2.0)}
+    assert set(natures[Condition.NOISY_CAPTURES]) == {BenchNature(noisy_share=1 / 3, noisy_factor=2.5)}
+    assert set(natures[Condition.SHARED]) == {BenchNature(shared=0.5)}
+    every = natures[Condition.ALL][0]
+    assert (every.rim_factor, every.noisy_factor, every.shared) == (2.0, 2.5, 0.5)
 
 
 def test_trials_draw_apart_from_each_other_and_alike_for_a_seed():
@@ -146,26 +237,64 @@ def test_trials_draw_apart_from_each_other_and_alike_for_a_seed():
 
 
 def test_an_interrupted_study_keeps_what_is_finished(monkeypatch, tmp_path):
-    def some(run, tasks, workers):
-        yield from (outcome(task.kind, task.effects, task.effects, task.number) for task in tasks[2::-1])
+    def some(run, load, tasks, **options):
+        for task in tasks[2::-1]:
+            yield outcome(task.kind, task.effects, task.effects, task.number, condition=task.condition)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(study, "as_finished", some)
+    monkeypatch.setattr(study, "finished_trials", some)
     with pytest.raises(KeyboardInterrupt):
-        study.run(study.DiagnosisOptions(trials=1, out=tmp_path))
+        study.run(DiagnosisOptions(trials=1, kinds=("one",), out=tmp_path))
     record = json.loads((tmp_path / "diagnosis.json").read_text())
-    assert [each["trial"]["effects"] for each in record["trials"]] == [[name] for name in list(CAUSES)[:3]]
+    assert [each["trial"]["effects"] for each in record["trials"]] == [
+        [name] for name in (*LISTED, *LISTED_AT_RUN_TIME)[:3]
+    ]
     assert record["seed"] == 1
     assert "right cause first" in (tmp_path / "diagnosis.md").read_text()
 
 
-def test_a_trial_is_judged_by_what_was_hidden(monkeypatch):
+def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch, tmp_path):
     small = Plan("birdbath28", grid=(8, 6), dots=(6, 5), nodes=4, off_plane=10, sigma_px=0.05)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: small)
-    ran = run_trial(DiagnosisTrial(TrialKind.ONE, ("panel_axial_shift",), 0), 1)
+    one = DiagnosisTrial(TrialKind.ONE, ("panel_axial_shift",), 0)
+    ran = kept_outcome(run_trial, loaded_outcome, tmp_path, 1, one)
+    assert kept_outcome(lambda trial, seed: pytest.fail("was run again"), loaded_outcome, tmp_path, 1, one) == ran
+    assert ran.nature == {}
     assert ran.exact
     assert ran.size > 0.5
     assert min(ran.remainder) > 25.0
     assert len(ran.deviations) == 1
     assert abs(ran.deviations[0]) < 4.0
     assert ran.held_out == pytest.approx(1.0, abs=0.05)
+
+
+def stopped(*arguments, **options):
+    raise BadInputError("Too few captures.")
+
+
+def test_a_diagnosis_that_ends_in_an_error_is_an_outcome(monkeypatch):
+    monkeypatch.setattr(trial, "diagnose", stopped)
+    ran = run_trial(DiagnosisTrial(TrialKind.MOVED_MANY, (), 3, Condition.ALL), 1)
+    assert ran.verdict == "BadInputError: Too few captures."
+    assert len(ran.moved) == 4
+    assert all(name.startswith("display capture") for name in ran.moved)
+    assert ran.nature["rim_factor"] == 2.0
+    late = run_trial(DiagnosisTrial(TrialKind.LATE_SLIP, ("headset_slip",), 1, Condition.RIM), 1)
+    assert late.amounts[0]["start_s"] > 3600.0 + 13 * 30.0
+    assert figures([late])["slip before the last two captures and no other cause, where 5 sigma remain (%)"] == (0.0, 1)
+
+
+def test_a_cause_beside_an_unlisted_effect_is_judged_by_its_own_part(monkeypatch):
+    judged = []
+    monkeypatch.setattr(trial, "remainder", lambda said, used, *names: judged.append((used, names)) or 50.0)
+    part, used = np.array([0, 0, 1, 1, 1]), np.array([True, False, True, True, False])
+    said = SimpleNamespace(observations=SimpleNamespace(part=part), used=used)
+    for pair, own in ((("code_stripes", "target_scale"), 1), (("target_wrinkle", "panel_scale"), 0)):
+        assert trial._remainders(said, DiagnosisTrial(TrialKind.UNLISTED_BESIDE, pair, 0)) == (50.0,)
+        rows, names = judged.pop()
+        assert names == (pair[1:], pair[1])
+        np.testing.assert_array_equal(rows, used & (part == own))
+    trial._remainders(said, DiagnosisTrial(TrialKind.TWO, ("panel_scale", "target_scale"), 0))
+    assert [names[1] for _, names in judged] == ["panel_scale", "target_scale"]
+    assert all(rows is used for rows, _ in judged)
+    assert trial._remainders(said, DiagnosisTrial(TrialKind.MOVED, ("panel_scale",), 0)) == ()

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.kept_trials import kept_outcome
 from benchmarks.photographs import bench_trial
 from benchmarks.photographs.bench_sigmas import SquaredErrors
 from benchmarks.photographs.bench_tables import bench_tables
-from benchmarks.photographs.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck, run_bench_trial
+from benchmarks.photographs.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck, loaded_outcome
 from benchmarks.photographs.study import PhotographsOptions, bench_trials
 
 _EXCHANGED = BenchTrial(BenchTrialKind.BARE_EXCHANGED, 0)
@@ -41,7 +42,7 @@ def test_a_fault_is_named_where_the_sentences_have_all_its_words(sentences, name
     assert (outcome.named and outcome.first) == alone
 
 
-def test_an_outcome_that_is_kept_is_read_and_not_made_again(tmp_path, monkeypatch):
+def test_an_outcome_that_is_kept_is_read_and_not_made_again(tmp_path):
     made = BenchOutcome(
         _EXCHANGED,
         "a and b",
@@ -50,10 +51,9 @@ def test_an_outcome_that_is_kept_is_read_and_not_made_again(tmp_path, monkeypatc
         sigmas={"camera places": SquaredErrors(1.5, 0.5)},
         sizes={"turn": 1e-5},
     )
-    monkeypatch.setattr(bench_trial, "_outcome", lambda trial, seed: made)
-    assert run_bench_trial(_EXCHANGED, 1, tmp_path) == made
-    monkeypatch.setattr(bench_trial, "_outcome", lambda trial, seed: pytest.fail("was made again"))
-    assert run_bench_trial(_EXCHANGED, 1, tmp_path) == made
+    assert kept_outcome(lambda trial, seed: made, loaded_outcome, tmp_path, 1, _EXCHANGED) == made
+    again = kept_outcome(lambda trial, seed: pytest.fail("was made again"), loaded_outcome, tmp_path, 1, _EXCHANGED)
+    assert again == made
 
 
 def test_trials_are_mixed_and_each_kind_has_its_count():

@@ -1,0 +1,67 @@
+"""Outcomes of trials, each kept in a file as soon as it is finished, so that a benchmark can be resumed."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from wlr_render.files import output_folder, write_text
+from wlr_render.processes import as_finished
+
+
+class Trial(Protocol):
+    """A trial whose outcome has a file."""
+
+    @property
+    def file(self) -> str:
+        """Name of that file; no other trial has it."""
+
+
+AnyTrial = TypeVar("AnyTrial", bound=Trial)
+Outcome = TypeVar("Outcome")
+Run = Callable[[AnyTrial, int], Outcome]
+"""Runs a trial with a seed; returns a dataclass."""
+Load = Callable[[AnyTrial, dict[str, Any]], Outcome]
+"""Makes the outcome of a trial from the values of its fields as JSON has them."""
+
+
+def finished_trials(
+    run: Run[AnyTrial, Outcome],
+    load: Load[AnyTrial, Outcome],
+    tasks: Sequence[AnyTrial],
+    *,
+    seed: int,
+    folder: Path,
+    resume: bool,
+    workers: int | None,
+) -> Iterator[Outcome]:
+    """Outcomes in the order in which they are finished, see `as_finished`; those of another seed are kept apart.
+
+    Args:
+        run, load: of one trial; functions of a module, because they go between processes.
+        tasks: the trials.
+        seed: of the benchmark.
+        folder: where outcomes are kept.
+        resume: whether the outcomes that are there already are used instead of being deleted.
+        workers: processes, or None for one per usable core.
+    """
+    own = output_folder(folder / f"seed-{seed}")
+    if not resume:
+        for path in own.glob("*.json"):
+            path.unlink()
+    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, workers)
+
+
+def kept_outcome(
+    run: Run[AnyTrial, Outcome], load: Load[AnyTrial, Outcome], folder: Path, seed: int, trial: AnyTrial
+) -> Outcome:
+    """The outcome that is kept in the folder, else that of running the trial, which is then kept."""
+    path = folder / trial.file
+    if path.is_file():
+        return load(trial, json.loads(path.read_text(encoding="utf-8")))
+    outcome = run(trial, seed)
+    content: Mapping[str, Any] = asdict(outcome)  # type: ignore[call-overload]  # a type variable cannot be a dataclass
+    write_text(path, json.dumps(content, indent=1))
+    return outcome
