@@ -5,29 +5,28 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import Fit, fit
+from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.search import best_fit, hypotheses, screen
-from wlr_render.numerics.arrays import BoolArray
 
 _OTHERS = 6
 _WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does
 
 
-def remainder(said: Diagnosis, used: BoolArray, hidden: Sequence[str], name: str) -> float:
+def remainder(observations: Observations, hidden: Sequence[str], name: str) -> float:
     """Chi-squared that the best other cause in the place of a hidden one leaves above the truth; 25 are 5 sigma.
 
-    No cause at all competes, too. Of the diagnosis only the readings and their noise matter, not what it found.
+    No cause at all competes, too. All readings count, also those that a diagnosis excludes: a slip before the last
+    captures must not pass for captures that moved.
 
     Args:
-        said: the diagnosis.
-        used: (n,) readings to which all causes are fitted.
+        observations: readings in which nothing but the hidden causes is at work, with the noise that is really there.
         hidden: all causes that are at work.
         name: which of them is to be replaced, the others being at work.
     """
-    predictor = Predictor(said.observations)
-    rest = fit(predictor, Explanation(), used)
+    predictor = Predictor(observations)
+    rest = fit(predictor, Explanation(), np.ones(len(observations), dtype=bool))
     for other in hidden:
         if other != name:
             rest = min(_fitted(predictor, rest, [other], 1), key=lambda each: each.chi_squared)

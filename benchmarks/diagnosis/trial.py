@@ -31,7 +31,7 @@ from benchmarks.diagnosis.truths import truth_of
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName, observe
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, CaptureName, Observations, observe
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
@@ -247,14 +247,25 @@ def _moved(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> Se
 
 
 def _remainders(said: Diagnosis, trial: DiagnosisTrial) -> tuple[float, ...]:
-    """See `remainder`; a cause beside an unlisted effect is judged by the part in which that effect is not."""
-    causes, used = trial.causes, said.used
+    """See `remainder`; in the part in which an unlisted effect is, a listed one beside it changes nothing."""
     if trial.kind not in JUDGED_BY_REMAINDER:
         return ()
+    observations = said.observations
     if trial.kind is TrialKind.UNLISTED_BESIDE:
-        in_see_through = causes[0] in SEE_THROUGH_ONLY
-        used = used & ((said.observations.part == SEE_THROUGH) == in_see_through)
-    return tuple(remainder(said, used, causes, name) for name in causes)
+        observations = _as_predicted(observations, DISPLAY if trial.causes[0] in SEE_THROUGH_ONLY else SEE_THROUGH)
+    return tuple(remainder(observations, trial.causes, name) for name in trial.causes)
+
+
+def _as_predicted(observations: Observations, part: int) -> Observations:
+    """Observations of which the nominal bench predicts one part exactly."""
+    session = observations.session
+    predicted = simulate(observations.nominal, session.plan)
+    readings = (
+        replace(session.readings, panel_pixel=predicted.panel_pixel)
+        if part == DISPLAY
+        else replace(session.readings, dot_pixel=predicted.dot_pixel)
+    )
+    return replace(observations, session=replace(session, readings=readings))
 
 
 def _capture_name(moved: Effect) -> str:

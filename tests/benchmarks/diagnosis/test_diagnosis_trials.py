@@ -9,12 +9,13 @@ from typing import get_args
 import numpy as np
 import pytest
 from oracle.captures import Plan
-from oracle.effects import APART, LISTED, LISTED_AT_RUN_TIME, UNLISTED, draw_effect
+from oracle.effects import APART, LISTED, LISTED_AT_RUN_TIME, UNLISTED, Effect, draw_effect
 from oracle.nature import PERFECT, BenchNature
 from oracle.run_time import RunTimePlan
 
 from benchmarks.diagnosis import study, trial
 from benchmarks.diagnosis.conditions import Condition, nature_of
+from benchmarks.diagnosis.remainder import remainder
 from benchmarks.diagnosis.study import DiagnosisOptions
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, observed, run_trial
@@ -231,9 +232,11 @@ def test_conditions_are_those_of_ordinary_benches():
 
 def test_trials_draw_apart_from_each_other_and_alike_for_a_seed():
     first, second = DiagnosisTrial(TrialKind.CLEAN, (), 0), DiagnosisTrial(TrialKind.CLEAN, (), 1)
-    draws = [each.generator(seed).uniform() for each, seed in ((first, 1), (first, 1), (second, 1), (first, 2))]
+    rim = replace(first, condition=Condition.RIM)
+    tried = ((first, 1), (first, 1), (second, 1), (first, 2), (rim, 1))
+    draws = [each.generator(seed).uniform() for each, seed in tried]
     assert draws[0] == draws[1]
-    assert len(set(draws)) == 3
+    assert len(set(draws)) == 4
 
 
 def test_an_interrupted_study_keeps_what_is_finished(monkeypatch, tmp_path):
@@ -284,17 +287,38 @@ def test_a_diagnosis_that_ends_in_an_error_is_an_outcome(monkeypatch):
     assert figures([late])["slip before the last two captures and no other cause, where 5 sigma remain (%)"] == (0.0, 1)
 
 
-def test_a_cause_beside_an_unlisted_effect_is_judged_by_its_own_part(monkeypatch):
+def test_a_cause_beside_an_unlisted_effect_is_judged_without_that_effect(monkeypatch):
+    plan = replace(TINY, sigma_px=0.1)
     judged = []
-    monkeypatch.setattr(trial, "remainder", lambda said, used, *names: judged.append((used, names)) or 50.0)
-    part, used = np.array([0, 0, 1, 1, 1]), np.array([True, False, True, True, False])
-    said = SimpleNamespace(observations=SimpleNamespace(part=part), used=used)
+    monkeypatch.setattr(trial, "remainder", lambda observations, *names: judged.append((observations, names)) or 50.0)
     for pair, own in ((("code_stripes", "target_scale"), 1), (("target_wrinkle", "panel_scale"), 0)):
+        effects = [draw_effect(name, np.random.default_rng(3)) for name in pair]
+        observations = observe(*observed(plan, effects, np.random.default_rng(1)))
+        said = SimpleNamespace(observations=observations)
         assert trial._remainders(said, DiagnosisTrial(TrialKind.UNLISTED_BESIDE, pair, 0)) == (50.0,)
-        rows, names = judged.pop()
+        used, names = judged.pop()
         assert names == (pair[1:], pair[1])
-        np.testing.assert_array_equal(rows, used & (part == own))
+        before, after = (each.residual(simulate(each.nominal, each.session.plan)) for each in (observations, used))
+        rows = observations.part == own
+        np.testing.assert_array_equal(after[rows], before[rows])
+        assert np.abs(after[~rows]).max() == 0.0
     trial._remainders(said, DiagnosisTrial(TrialKind.TWO, ("panel_scale", "target_scale"), 0))
-    assert [names[1] for _, names in judged] == ["panel_scale", "target_scale"]
-    assert all(rows is used for rows, _ in judged)
+    assert [(each is observations, names[1]) for each, names in judged] == [
+        (True, n) for n in ("panel_scale", "target_scale")
+    ]
     assert trial._remainders(said, DiagnosisTrial(TrialKind.MOVED, ("panel_scale",), 0)) == ()
+
+
+def test_a_late_slip_is_there_although_its_captures_are_excluded():
+    slip = Effect("headset_slip", {"x_mm": 0.5, "y_mm": 0.0, "z_mm": 0.0, "start_s": 3600.0 + 13.5 * 30.0})
+    observations = observe(*observed(replace(TINY, sigma_px=0.1), [slip], np.random.default_rng(1)))
+    assert remainder(observations, ("headset_slip",), "headset_slip") > 25.0
+
+
+def test_the_nature_is_in_the_session_that_is_diagnosed_and_not_in_the_second_one(monkeypatch):
+    given = []
+    monkeypatch.setattr(trial, "diagnose", lambda *session, **options: given.append(session) or stopped())
+    ran = run_trial(DiagnosisTrial(TrialKind.CLEAN, (), 0, Condition.NOISY_CAPTURES), 1)
+    # A third of the variances is 2.5^2 times larger.
+    assert trial._rms(*given[0]) == pytest.approx(np.sqrt((2.0 + 2.5**2) / 3.0), rel=0.06)
+    assert ran.size < 0.3
