@@ -95,7 +95,12 @@ VERBS = (
         "Predict the captures of a session with a bench model found elsewhere, e.g. the corrected bench of another "
         "session.",
     ),
-    Verb("import", DATA, "import_session:import_session", "Convert a third-party data set into a bench session."),
+    Verb(
+        "import",
+        DATA,
+        "import_session:import_session",
+        "Convert a third-party data set into a bench session or capture files.",
+    ),
     Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
     Verb(
         "capture",

@@ -4,9 +4,9 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from benchmarks.published_data.northstar_vcam import read_northstar_vcam
 from benchmarks.two_views.evidence import viewpoint_evidence
-from benchmarks.two_views.tables import tables
+from benchmarks.two_views.tables import tables, verdict
+from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
@@ -33,6 +33,7 @@ def run(options: TwoViewsOptions, *, progress: ProgressArgument = SILENT) -> Rep
     captures = read_northstar_vcam(options.captures)
     folder = output_folder(options.out)
     progress.say("fitting the models")
-    found = tables(viewpoint_evidence([captures.left, captures.right]))
+    evidence = viewpoint_evidence([captures.left, captures.right])
     title = f"Captures from two viewpoints: {options.captures.resolve().name}"
-    return save_report(Report(title, blocks=found, inputs=[options.captures]), folder, "two-views")
+    report = Report(title, verdict(evidence), blocks=tables(evidence), inputs=[options.captures])
+    return save_report(report, folder, "two-views")

@@ -14,6 +14,29 @@ def tables(evidence: ViewpointEvidence) -> tuple[ReportTable, ...]:
     return (_model_table(eyes), _misclosure_table(eyes, split), _rest_table(eyes, split))
 
 
+def verdict(evidence: ViewpointEvidence) -> str:
+    """The most probable model of each eye, and the share of the rig in what keeps two rays of a pixel from meeting."""
+    best = {eye.eye: max(eye.models, key=lambda model: model.log_evidence) for eye in evidence.eyes}
+    sentence = " ".join(
+        f"{eye.capitalize()} eye: {model.name}, wrong by {model.held_out_arcmin:.2f}' in held-out cells."
+        for eye, model in best.items()
+    )
+    split = evidence.split
+    if split is None:
+        return sentence
+    sigma, share = _split_sigma(evidence.eyes), split.rig_arcmin**2 / (split.rig_arcmin**2 + split.optics_arcmin**2)
+    return (
+        f"{sentence} The two rays of a pixel miss each other by {np.hypot(split.rig_arcmin, split.optics_arcmin):.1f}' "
+        f"rms: {split.optics_arcmin:.1f}' are the optics' and {split.rig_arcmin:.1f}' +- {sigma:.1f}' the rig's, "
+        f"{100 * share:.2g} % of the mean square."
+    )
+
+
+def _split_sigma(eyes: Sequence[EyeEvidence]) -> float:
+    """Uncertainty of the misclosure's parts, arcminutes."""
+    return 0.5 * float(np.linalg.norm([eye.misclosure_sigma_arcmin for eye in eyes]))
+
+
 def _model_table(eyes: Sequence[EyeEvidence]) -> ReportTable:
     rows: list[list[Cell]] = [
         [
@@ -47,7 +70,7 @@ def _misclosure_table(eyes: Sequence[EyeEvidence], split: MirrorSplit | None) ->
         misclosure = rms(eye.misclosure_arcmin)
         rows.append([f"{eye.eye} eye", misclosure, eye.misclosure_sigma_arcmin, middle, far, near])
     if split is not None:
-        sigma = 0.5 * float(np.linalg.norm([eye.misclosure_sigma_arcmin for eye in eyes]))
+        sigma = _split_sigma(eyes)
         rows.append(["optics (opposite in mirrored pixels)", split.optics_arcmin, sigma, None, None, None])
         rows.append(["rig (equal in mirrored pixels)", split.rig_arcmin, sigma, None, None, None])
     columns = ["part", "misclosure rms (arcmin)", "+-", "image (1/m), median", "5 %", "95 %"]

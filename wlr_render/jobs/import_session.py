@@ -1,13 +1,17 @@
-"""Convert third-party data sets into bench sessions: one function for each format."""
+"""Convert third-party data sets into bench sessions or capture files: one function for each format."""
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 
+from wlr_render.captures.capture_file import save_captures
+from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs, read_itoh_seethrough
+from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
+from wlr_render.captures.importers.osvr_hdk13 import PIXEL_MM, read_osvr_captures
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, described
@@ -21,10 +25,11 @@ from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.simulation.session_folder import save_session
 
 _SMOOTH_DEGREE = 3  # of the surface that a view's dots are scattered about
+_BASELINE_AGREES = 5e-3  # of it: what the printed monitor and the camera model leave open
 _MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal components
 
 
-Format = Literal["itoh-seethrough"]
+Format = Literal["itoh-seethrough", "northstar-vcam", "osvr-hdk13"]
 
 
 @dataclass(frozen=True)
@@ -34,30 +39,19 @@ class ImportOptions(Options):
     format: Annotated[Format, described("Format of the data set (docs/measured-data.md).")]
     folder: Annotated[Path, described("Folder of the data set.")]
     _: KW_ONLY
-    out: Annotated[Path, described("Folder of the session.")] = Path("out/import")
+    out: Annotated[Path, described("Folder of the session, or of the capture files.")] = Path("out/import")
 
 
 def import_session(options: ImportOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Convert a third-party data set into a bench session in `options.out`.
+    """Convert a third-party data set into a bench session, or into capture files, in `options.out`.
 
     Raises:
         BadInputError: the set is faulty, or the folder cannot be written or holds another session.
     """
     progress.say("reading the data set")
-    bench, session = FORMATS[options.format](options.folder)
-    folder = output_folder(options.out)
-    save_session(folder, bench, session)
-    plan = session.plan.see_through
-    captures, readings = (0, 0) if plan is None else (len(np.unique(plan.capture)), len(plan.capture))
-    sigma_px = bench.camera.point_sigma_px
-    report = Report(
-        f"Import of {options.folder.resolve().name}",
-        verdict=f"{captures} captures, {readings} readings; they scatter by {sigma_px:.3f} px per axis.",
-        advice=[f"Diagnose the session: wlr-render diagnose {folder}"],
-        inputs=[options.folder],
-        files=[folder],
-    )
-    return save_report(report, folder)
+    report = FORMATS[options.format](options.folder, options.out)
+    report = replace(report, title=f"Import of {options.folder.resolve().name}", inputs=[options.folder])
+    return save_report(report, options.out)
 
 
 def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:
@@ -114,9 +108,66 @@ def scatter_px(pairs: SeeThroughPairs) -> float:
     return float(np.median(sigmas))
 
 
-def _itoh_seethrough(source: Path) -> tuple[Bench, Session]:
-    return see_through_session(read_itoh_seethrough(source))
+def _itoh_seethrough(source: Path, out: Path) -> Report:
+    pairs = read_itoh_seethrough(source)
+    bench, session = see_through_session(pairs)
+    folder = output_folder(out)
+    save_session(folder, bench, session)
+    views, dots = pairs.through_px.shape[:2]
+    sigma_px = bench.camera.point_sigma_px
+    return Report(
+        "",
+        verdict=f"{views} captures, {views * dots} readings; they scatter by {sigma_px:.3f} px per axis.",
+        advice=[f"Diagnose the session: wlr-render diagnose {folder}"],
+        files=[folder],
+    )
 
 
-FORMATS: dict[Format, Callable[[Path], tuple[Bench, Session]]] = {"itoh-seethrough": _itoh_seethrough}
-"""Converters from a folder, by format."""
+def _northstar_vcam(source: Path, out: Path) -> Report:
+    found = read_northstar_vcam(source)
+    files = _saved(out, found.left, found.right)
+    down, up = (f"{1e3 * each:.2f}" for each in found.baseline_m)
+    lifts = (f"{1e3 * np.linalg.norm(each.eye_box.size):.1f} mm ({each.eye})" for each in (found.left, found.right))
+    apart = f"By the monitor, the two cameras are {down} mm (rig down) and {up} mm (up) apart"
+    warnings = []
+    if found.stated_baseline_m is not None:
+        off = float(np.mean(found.baseline_m)) / found.stated_baseline_m - 1.0
+        apart += f"; the rig states {1e3 * found.stated_baseline_m:.2f} mm ({100 * off:+.2f} %)"
+        if abs(off) > _BASELINE_AGREES:
+            warnings.append(
+                f"The cameras' distance differs by {100 * off:+.2f} % from the stated one: the monitor's stated size "
+                "or the cameras' focal lengths are off by as much, and with them all camera positions."
+            )
+    return Report(
+        "",
+        verdict=f"Two viewpoints of each eye, {' and '.join(lifts)} apart. {apart}.",
+        warnings=warnings,
+        advice=[f"Fit one point per pixel: wlr-render calibrate captures {files[0]} --kind point-per-pixel"],
+        files=files,
+    )
+
+
+def _osvr_hdk13(source: Path, out: Path) -> Report:
+    captures = read_osvr_captures(source)
+    files = _saved(out, captures)
+    reliefs = len(np.unique(captures.capture))
+    return Report(
+        "",
+        verdict=f"{reliefs} eye reliefs, {len(captures)} field angles; a pixel of these captures is {PIXEL_MM:g} mm.",
+        warnings=["All viewpoints lie on the lens axis: of sideways movements of the eye, the set says nothing."],
+        advice=[f"Fit a model over the eye relief: wlr-render calibrate captures {files[0]} --kind volumetric"],
+        files=files,
+    )
+
+
+def _saved(out: Path, *eyes: DisplayCaptures) -> list[Path]:
+    folder = output_folder(out)
+    return [save_captures(folder / f"captures-{each.eye}.npz", EyeCaptures(each, None)) for each in eyes]
+
+
+FORMATS: dict[Format, Callable[[Path, Path], Report]] = {
+    "itoh-seethrough": _itoh_seethrough,
+    "northstar-vcam": _northstar_vcam,
+    "osvr-hdk13": _osvr_hdk13,
+}
+"""By format: reads a folder, writes into another, and returns what the report says."""

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from benchmarks.published_data.jemr2022_eyetracking import read_gaze_errors
-from benchmarks.published_data.osvr_hdk13 import read_osvr_hdk13, relief_swim_arcmin_per_mm
 from benchmarks.published_data.vive_hmd_config import read_vive_hmd_config
 from wlr_render.errors import BadInputError
 
@@ -81,36 +80,9 @@ def test_faulty_headset_files_are_refused(tmp_path):
         read_vive_hmd_config(path)
 
 
-def lens_file(path, scale, field=(-4.0, 0.0, 4.0)):
-    rows = [(x, y, scale * x, scale * y) for x in field for y in field]
-    path.write_text("\n".join("\t".join(f"{v:.2E}" for v in row) for row in rows) + "\nRay Error at 9 9\n")
-    return read_osvr_hdk13(path)
-
-
-def test_swim_of_a_magnification_that_grows(tmp_path):
-    near, far = lens_file(tmp_path / "a.txt", 1.0), lens_file(tmp_path / "b.txt", 1.1)
-    # A tenth of each angle over 2 mm; nine field angles, of which the axis has none.
-    rms_deg = 0.1 * np.sqrt(np.mean(np.sum(near.field_deg**2, axis=1)))
-    assert len(near.field_deg) == 9
-    assert relief_swim_arcmin_per_mm(near, far, 2.0, 6.0) == pytest.approx(rms_deg * 60 / 2.0)
-    with pytest.raises(BadInputError, match="share no field angles"):
-        relief_swim_arcmin_per_mm(near, lens_file(tmp_path / "c.txt", 1.0, (1.0, 2.0)), 2.0, 6.0)
-
-
-def test_faulty_lens_tables_are_refused(tmp_path):
-    path = tmp_path / "lens.txt"
-    for text in ("1 2 3\n", "1 2 3 x\n", "1 2 3 nan\n", ""):
-        path.write_text(text)
-        with pytest.raises(BadInputError, match=r"four (finite )?numbers"):
-            read_osvr_hdk13(path)
-
-
 def test_real_effect_sizes(measured_data):
     gaze = read_gaze_errors(measured_data("jemr2022_eyetracking"))
     assert 0.5 < np.median(gaze.error_deg) < 1.2
     lens, _ = read_vive_hmd_config(measured_data("vive_hmd_config") / "vive_test.config.json")
     colour = lens.lateral_colour_arcmin(np.linspace(0.1, 0.9, 9))
     assert (np.diff(colour) > 0).all()
-    folder = measured_data("osvr_hdk13")
-    near, far = (read_osvr_hdk13(folder / f"{mm}_mm_Eye_Relief_trimmed.txt") for mm in (9, 14))
-    assert 1.0 < relief_swim_arcmin_per_mm(near, far, 5.0, 30.0) < 5.0

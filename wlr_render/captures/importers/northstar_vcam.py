@@ -60,11 +60,22 @@ class VcamCaptures:
     Attributes:
         left, right: of each eye; sigma is that of rounding to the code's steps, before the smoothing.
         monitor: (4,) left and right camera with the rig down, then up.
+        stated_baseline_m: distance between the cameras by the rig's own calibration; None where it states none.
     """
 
     left: DisplayCaptures
     right: DisplayCaptures
     monitor: tuple[MonitorFit, ...]
+    stated_baseline_m: float | None = None
+
+    @property
+    def baseline_m(self) -> FloatArray:
+        """Distance between the two cameras as the monitor shows it, rig down and up (2,)."""
+        left, right = (
+            np.stack([each.viewpoint[each.capture == height][0] for height in range(len(_HEIGHTS))])
+            for each in (self.left, self.right)
+        )
+        return np.asarray(np.linalg.norm(right - left, axis=1))
 
 
 @dataclass(frozen=True)
@@ -113,7 +124,8 @@ def read_northstar_vcam(folder: str | Path) -> VcamCaptures:
         _captures(eye, display_maps, cameras[eye], [device_from_camera[eye, height] for height in _HEIGHTS])
         for eye in EYES
     )
-    return VcamCaptures(left, right, tuple(pose.fit for pose in poses.values()))
+    stated = _stated_baseline_m(root / "cameraCalibration.json")
+    return VcamCaptures(left, right, tuple(pose.fit for pose in poses.values()), stated)
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -139,6 +151,13 @@ def _cameras(path: Path) -> dict[str, _Camera]:
         raise BadInputError(f"{path}: the focal lengths of a 'cameraMatrix' must be positive numbers.")
     # The calibration counts from the middle of the top-left pixel, as OpenCV does.
     return {eye: _Camera(row[:2], row[2:] + 0.5) for eye, row in zip(EYES, fx_fy_cx_cy, strict=True)}
+
+
+def _stated_baseline_m(path: Path) -> float | None:
+    stated = _json(path)["deviceCalibrations"][0].get("baseline")
+    if stated is not None and not (isinstance(stated, int | float) and 0.0 < stated < np.inf):
+        raise BadInputError(f"{path}: 'baseline' is {stated!r}; it must be a positive number of metres.")
+    return stated
 
 
 def _map(root: Path, name: str) -> FloatArray:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.published_data.northstar_vcam import PANEL, read_northstar_vcam
+from wlr_render.captures.capture_file import load_captures
+from wlr_render.captures.importers.northstar_vcam import PANEL, read_northstar_vcam
+from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 
@@ -57,6 +59,7 @@ def write_session(folder):
                 )
     matrix = [FOCAL_PX, 0, CENTRE_PX, 0, FOCAL_PX, CENTRE_PX, 0, 0, 1]
     calibration = {"deviceCalibrations": [{"cameras": [{"cameraMatrix": matrix}] * 2}]}
+    calibration["deviceCalibrations"][0]["baseline"] = BASELINE_M
     (folder / "cameraCalibration.json").write_text(json.dumps(calibration))
     area = {"CalibrationMonitorActiveAreaMeters": {"x": MONITOR_M[0], "y": MONITOR_M[1]}}
     (folder / "config.json").write_text(json.dumps(area))
@@ -85,6 +88,19 @@ def test_viewpoints_and_directions_are_those_of_the_rig(session):
         assert captures.sigma_arcmin[0] == pytest.approx(np.sqrt(np.mean(step**2) / 12), rel=0.01)
 
 
+def test_the_stated_baseline_is_checked_by_the_monitor(session, tmp_path, capsys):
+    found = read_northstar_vcam(session)
+    np.testing.assert_allclose(found.baseline_m, BASELINE_M, atol=2e-5)
+    assert found.stated_baseline_m == BASELINE_M
+    assert main(["import", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
+    assert "the rig states 60.00 mm (" in capsys.readouterr().out
+    assert load_captures(tmp_path / "out" / "captures-left.npz").display.eye == "left"
+    area = {"CalibrationMonitorActiveAreaMeters": {"x": 0.98 * MONITOR_M[0], "y": 0.98 * MONITOR_M[1]}}
+    (session / "config.json").write_text(json.dumps(area))
+    assert main(["import", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
+    assert "The cameras' distance differs by -2.0" in capsys.readouterr().out
+
+
 def test_a_monitor_of_another_height_shows_as_a_scale(session):
     area = {"CalibrationMonitorActiveAreaMeters": {"x": MONITOR_M[0], "y": MONITOR_M[1] / 1.004}}
     (session / "config.json").write_text(json.dumps(area))
@@ -95,6 +111,11 @@ def test_a_monitor_of_another_height_shows_as_a_scale(session):
 def empty_map(folder):
     for axis in ("Width", "Height"):
         Image.fromarray(np.zeros((SIZE_PX, 2 * SIZE_PX), np.uint16)).save(folder / f"CD_{axis}Calibration.png")
+
+
+def negative_baseline(folder):
+    path = folder / "cameraCalibration.json"
+    path.write_text(path.read_text().replace(f'"baseline": {BASELINE_M}', f'"baseline": {-BASELINE_M}'))
 
 
 def wrong_size(folder):
@@ -113,6 +134,7 @@ def scrambled_monitor(folder):
         (lambda folder: (folder / "config.json").write_text("{}"), "lacks the monitor's size"),
         (lambda folder: (folder / "config.json").write_text("{"), "is not valid JSON"),
         (lambda folder: (folder / "cameraCalibration.json").write_text("{}"), "lacks two cameras"),
+        (negative_baseline, "'baseline' is -0.06; it must be a positive number of metres"),
         (empty_map, "holds only 0 usable samples"),
         (wrong_size, "grey images of one size"),
         (scrambled_monitor, "the monitor misses its map"),

@@ -1,0 +1,92 @@
+"""Traces of a lens at several eye reliefs, drawn here in closed form, read as tables and as captures of a display."""
+
+import numpy as np
+import pytest
+
+from wlr_render.captures.importers.osvr_hdk13 import (
+    PANEL,
+    PIXEL_MM,
+    read_osvr_captures,
+    read_osvr_hdk13,
+    relief_swim_arcmin_per_mm,
+)
+from wlr_render.errors import BadInputError
+
+
+def lens_file(path, scale, field=(-4.0, 0.0, 4.0)):
+    rows = [(x, y, scale * x, scale * y) for x in field for y in field]
+    path.write_text("\n".join("\t".join(f"{v:.2E}" for v in row) for row in rows) + "\nRay Error at 9 9\n")
+    return read_osvr_hdk13(path)
+
+
+def test_swim_of_a_magnification_that_grows(tmp_path):
+    near, far = lens_file(tmp_path / "a.txt", 1.0), lens_file(tmp_path / "b.txt", 1.1)
+    # A tenth of each angle over 2 mm; nine field angles, of which the axis has none.
+    rms_deg = 0.1 * np.sqrt(np.mean(np.sum(near.field_deg**2, axis=1)))
+    assert len(near.field_deg) == 9
+    assert relief_swim_arcmin_per_mm(near, far, 2.0, 6.0) == pytest.approx(rms_deg * 60 / 2.0)
+    with pytest.raises(BadInputError, match="share no field angles"):
+        relief_swim_arcmin_per_mm(near, lens_file(tmp_path / "c.txt", 1.0, (1.0, 2.0)), 2.0, 6.0)
+
+
+def test_faulty_lens_tables_are_refused(tmp_path):
+    path = tmp_path / "lens.txt"
+    for text in ("1 2 3\n", "1 2 3 x\n", "1 2 3 nan\n", ""):
+        path.write_text(text)
+        with pytest.raises(BadInputError, match=r"four (finite )?numbers"):
+            read_osvr_hdk13(path)
+
+
+FIELD = np.arange(-20.0, 21.0, 4.0)
+
+
+@pytest.fixture
+def lens_folder(tmp_path):
+    """A lens whose scale grows with the eye relief, and a table that is not numbered."""
+    for relief, scale in ((9, 0.70), (11, 0.71), (14, 0.72)):
+        lens_file(tmp_path / f"{relief}_mm_Eye_Relief_trimmed.txt", scale, FIELD)
+    lens_file(tmp_path / "Nominal_trimmed.txt", 0.705, FIELD)
+    return tmp_path
+
+
+def test_tables_become_captures_from_their_eye_reliefs(lens_folder):
+    found = read_osvr_captures(lens_folder)
+    assert len(found) == 3 * len(FIELD) ** 2
+    np.testing.assert_allclose(1e3 * found.viewpoint[::121], [[0, 0, -2.5], [0, 0, -0.5], [0, 0, 2.5]], atol=1e-12)
+    tangent = -found.view_dir[:, :2] / found.view_dir[:, 2:]
+    field = np.degrees(np.arctan(tangent))
+    scale = np.array([0.70, 0.71, 0.72])[found.capture][:, None]
+    # Up is up on the screen, and down in its pixels.
+    off = found.pixel - (0.5 * PANEL.size_px + scale * field * [1, -1] / PIXEL_MM)
+    assert np.abs(off).max() < 0.1 / PIXEL_MM
+    # Angles and millimetres are printed to 0.01 below 10, to 0.1 from there.
+    edge = np.abs(field).min(axis=1) > 15
+    assert found.sigma_arcmin[edge] == pytest.approx(60 * 0.1 / np.sqrt(12) * np.hypot(1, 1 / 0.71), rel=0.02)
+    assert found.sigma_arcmin.min() == pytest.approx(60 * 0.01 / np.sqrt(12) * np.hypot(1, 1 / 0.71), rel=0.02)
+
+
+def test_where_the_picture_folds_over_there_are_no_captures(lens_folder):
+    path = lens_folder / "9_mm_Eye_Relief_trimmed.txt"
+    rows = np.array([[float(word) for word in line.split()] for line in path.read_text().splitlines()[:-1]])
+    folded = (rows[:, 0] == 20) & (rows[:, 1] == 20)
+    rows[folded, 2:] = 5.0
+    np.savetxt(path, rows, "%.2E", "\t")
+    found = read_osvr_captures(lens_folder)
+    kept = np.degrees(np.arctan(-found.view_dir[:, :2] / found.view_dir[:, 2:]))[found.capture == 0]
+    assert 112 <= len(kept) < 121
+    assert not np.any(np.all(np.isclose(kept, 20.0), axis=1))
+
+
+def test_a_folder_without_eye_reliefs_is_refused(lens_folder):
+    for relief in (9, 11):
+        (lens_folder / f"{relief}_mm_Eye_Relief_trimmed.txt").unlink()
+    with pytest.raises(BadInputError, match=r"has 1 tables N_mm_Eye_Relief\*\.txt; two or more are needed"):
+        read_osvr_captures(lens_folder)
+
+
+def test_the_real_lens_swims_with_the_eye_relief(measured_data):
+    folder = measured_data("osvr_hdk13")
+    near, far = (read_osvr_hdk13(folder / f"{mm}_mm_Eye_Relief_trimmed.txt") for mm in (9, 14))
+    assert 1.0 < relief_swim_arcmin_per_mm(near, far, 5.0, 30.0) < 5.0
+    captures = read_osvr_captures(folder)
+    assert np.all((captures.pixel > 0) & (captures.pixel < PANEL.size_px))

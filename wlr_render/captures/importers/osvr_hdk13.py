@@ -1,0 +1,128 @@
+"""Read traces of the OSVR HDK 1.3 lens by its designers: screen position of each field angle, per eye relief."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from wlr_render.captures.correspondences import DisplayCaptures
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray
+
+PIXEL_MM = 0.05
+PANEL = Panel(1300, 1300)
+"""The tables state millimetres from the lens axis: here in pixels of 0.05 mm, with the axis in the middle."""
+
+_NAME = re.compile(r"(\d+(?:\.\d+)?)_mm_Eye_Relief")
+
+
+@dataclass(frozen=True)
+class LensTable:
+    """One eye relief. field_deg: (n, 2) horizontal and vertical field angles; screen_mm: (n, 2) where they fall."""
+
+    field_deg: FloatArray
+    screen_mm: FloatArray
+
+
+def read_osvr_hdk13(path: str | Path) -> LensTable:
+    """Read one table of four columns; lines that speak of a ray error are left out.
+
+    Raises:
+        BadInputError: the file cannot be read, or a line is not four finite numbers.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: cannot be read as text ({error}).") from error
+    kept = [line for line in lines if line.strip() and "error" not in line.lower()]
+    try:
+        rows = np.array([[float(word) for word in line.split()] for line in kept])
+    except ValueError as error:
+        raise BadInputError(f"{path}: holds a line that is not four numbers ({error}).") from error
+    if rows.ndim != 2 or rows.shape[1:] != (4,) or not np.isfinite(rows).all():
+        raise BadInputError(f"{path}: must hold lines of four finite numbers, two angles and two millimetres.")
+    return LensTable(rows[:, :2], rows[:, 2:])
+
+
+def read_osvr_captures(folder: str | Path) -> DisplayCaptures:
+    """Read all tables N_mm_Eye_Relief*.txt of a folder as captures of one display from N mm behind the lens.
+
+    The device frame has its origin at the middle eye relief on the lens axis. Sigma is that of the rounding of angles
+    and millimetres to the digits printed; the trace itself is exact. Field angles at which the picture folds over are
+    left out.
+
+    Raises:
+        BadInputError: there are no two such tables, or a table is faulty.
+    """
+    named = [(match, path) for path in sorted(Path(folder).glob("*.txt")) if (match := _NAME.match(path.name))]
+    tables = sorted((float(match[1]), path) for match, path in named)
+    if len(tables) < 2:
+        raise BadInputError(f"{folder}: has {len(tables)} tables N_mm_Eye_Relief*.txt; two or more are needed.")
+    reliefs = np.array([relief for relief, _ in tables])
+    read = [_unfolded(read_osvr_hdk13(path)) for _, path in tables]
+    counts = [len(table.field_deg) for table in read]
+    field = np.concatenate([table.field_deg for table in read])
+    screen = np.concatenate([table.screen_mm for table in read])
+    along = 1e-3 * (reliefs - 0.5 * (reliefs[0] + reliefs[-1]))
+    viewpoint = np.repeat(along[:, None] * [0.0, 0.0, 1.0], counts, axis=0)
+    central = np.linalg.norm(field, axis=1) <= 5.0
+    deg_per_mm = np.sqrt(np.sum(field[central] ** 2) / np.sum(screen[central] ** 2))
+    rounding_deg = np.hypot(_rounding(field), deg_per_mm * _rounding(screen))
+    return DisplayCaptures(
+        device="osvr_hdk13",
+        eye="right",
+        eye_box=EyeBox(np.zeros(3), np.array([0.0, 0.0, float(np.ptp(along))])),
+        panel=PANEL,
+        viewpoint=viewpoint,
+        view_dir=dir_of_tangents(np.tan(np.radians(field))),
+        pixel=0.5 * PANEL.size_px + screen * [1.0, -1.0] / PIXEL_MM,
+        capture=np.repeat(np.arange(len(read)), counts),
+        sigma_arcmin=60.0 * np.sqrt(np.mean(rounding_deg**2, axis=1)),
+    )
+
+
+def _rounding(values: FloatArray) -> FloatArray:
+    """Standard deviation of rounding to three significant digits; below 1, that of 1, lest 0 be infinitely sharp."""
+    exponent = np.floor(np.log10(np.maximum(np.abs(values), 1.0)))
+    return np.asarray(10.0 ** (exponent - 2) / np.sqrt(12.0))
+
+
+def _unfolded(table: LensTable) -> LensTable:
+    """The table without points next to which the picture is turned over."""
+    corners = Delaunay(table.field_deg).simplices
+    folded = _areas(table.screen_mm[corners]) * _areas(table.field_deg[corners]) <= 0.0
+    kept = np.ones(len(table.field_deg), dtype=bool)
+    kept[corners[folded]] = False
+    return LensTable(table.field_deg[kept], table.screen_mm[kept])
+
+
+def _areas(triangle: FloatArray) -> FloatArray:
+    """Twice the signed areas (t,) of triangles (t, 3, 2)."""
+    first, second = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
+def relief_swim_arcmin_per_mm(near: LensTable, far: LensTable, moved_mm: float, radius_deg: float) -> float:
+    """Rms change of direction per millimetre of eye relief, over field angles within `radius_deg`.
+
+    The change on the screen is turned into an angle by the near table's scale within 5 degrees of the axis.
+
+    Raises:
+        BadInputError: the tables share no field angles there.
+    """
+    # The files print angles with two decimals: equal text is equal bits.
+    match = (near.field_deg[:, None] == far.field_deg[None]).all(axis=-1)
+    first, second = np.nonzero(match)
+    inside = np.linalg.norm(near.field_deg[first], axis=1) <= radius_deg
+    central = np.linalg.norm(near.field_deg, axis=1) <= 5.0
+    if not inside.any() or not central.any():
+        raise BadInputError(
+            f"the two tables share no field angles within {radius_deg:g} degrees; take two of one lens."
+        )
+    mm_per_deg = np.sqrt(np.sum(near.screen_mm[central] ** 2) / np.sum(near.field_deg[central] ** 2))
+    change = np.linalg.norm(far.screen_mm[second] - near.screen_mm[first], axis=1)[inside]
+    return float(np.sqrt(np.mean(change**2)) / mm_per_deg * 60.0 / moved_mm)
