@@ -12,6 +12,7 @@ from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
 
+from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.diagnosis.bench_prediction import predict_session
 from wlr_render.diagnosis.causes import CAUSES
@@ -20,6 +21,7 @@ from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.bench import Mount, Target
 from wlr_render.simulation.bench_file import load_bench, save_bench
+from wlr_render.simulation.session_captures import observations_of
 from wlr_render.simulation.session_folder import bench_for_session, load_session, save_session
 
 PLAN = Plan(grid=(12, 10), dots=(11, 9), off_plane=6)
@@ -120,6 +122,17 @@ def test_misread_points_are_counted_and_do_not_decide(corrected, second):
     found = predict_session(bench, session)
     assert found.outliers == len(session.readings.dot_pixel[::100])
     assert all(part.is_noise for part in found.parts)
+
+
+def test_captures_test_the_optics_of_the_bench_only(corrected, first, tmp_path, capsys):
+    nominal, session = load_session(first)
+    table = observations_of(replace(nominal, target=load_bench(corrected / "bench.toml").target), session)
+    path = save_captures(tmp_path / "captures-right.npz", table)
+    for bench, words in ((corrected, "to the noise: reduced"), (first, "rms per axis beyond the noise")):
+        status, printed = run(capsys, bench, path, "--out", tmp_path / "out")
+        assert status == 0
+        assert words in printed.out
+        assert "only the headset's optics are tested" in printed.out
 
 
 def test_a_slip_of_the_other_session_is_named_with_what_it_does(corrected, second, tmp_path, capsys):

@@ -124,39 +124,40 @@ def _warnings(found: BenchPrediction, bench: Bench) -> Iterator[str]:
 
 def _tables(found: BenchPrediction) -> Iterator[Block]:
     """Parts, target distances and captures."""
-    rows = [[*_cells(each), each.within_arcmin, each.against_within] for each in found.parts]
     notes = (
         "Residual: measured minus predicted, rms per axis. Reduced chi-squared: its mean square over that of the "
         "stated noise (point_sigma_px, or sigma_px of each reading); 1 is noise alone. No value is fitted.",
         "Scatter within photographs: about a smooth surface over each photograph; it shows the noise as it is.",
     )
-    columns = _columns("part")
-    more = ("scatter within photographs (arcmin)", "reduced chi-squared against it")
-    yield ReportTable("Parts", (*columns, *more), rows, notes)
+    within = ("scatter within photographs (arcmin)", "reduced chi-squared against it")
+    columns, rows = _group_table("part", found.parts)
+    scatter = [[*row, each.within_arcmin, each.against_within] for row, each in zip(rows, found.parts, strict=True)]
+    yield ReportTable("Parts", (*columns, *within), scatter, notes)
     if found.distances:
-        distances = [_cells(each) for each in found.distances]
-        yield ReportTable("Distances of the target from the camera", _columns("distance"), distances)
-    yield ReportTable("Captures", _columns("capture"), [_cells(each) for each in found.captures])
+        yield ReportTable("Distances of the target from the camera", *_group_table("distance", found.distances))
+    yield ReportTable("Captures", *_group_table("capture", found.captures))
 
 
-def _columns(first: str) -> tuple[str, ...]:
-    return (
-        first,
-        "readings",
-        "residual (arcmin)",
-        "mean right (arcmin)",
-        "mean down (arcmin)",
-        "stated noise (arcmin)",
-        "reduced chi-squared",
-        "standard error",
-        "by the session's own bench",
-    )
-
-
-def _cells(group: PredictedGroup) -> list[Cell]:
-    right, down = group.mean_arcmin
-    figures = (group.noise_arcmin, group.reduced_chi_squared, group.error, group.by_own_bench)
-    return [group.name, group.readings, group.rms_arcmin, right, down, *figures]
+def _group_table(first: str, groups: Sequence[PredictedGroup]) -> tuple[tuple[str, ...], list[list[Cell]]]:
+    """Columns and rows; the session's own bench has a column if it is known."""
+    columns = ("readings", "residual (arcmin)", "mean right (arcmin)", "mean down (arcmin)")
+    more = ("stated noise (arcmin)", "reduced chi-squared", "standard error")
+    rows: list[list[Cell]] = [
+        [
+            each.name,
+            each.readings,
+            each.rms_arcmin,
+            *each.mean_arcmin,
+            each.noise_arcmin,
+            each.reduced_chi_squared,
+            each.error,
+            each.by_own_bench,
+        ]
+        for each in groups
+    ]
+    if all(each.by_own_bench is None for each in groups):
+        return (first, *columns, *more), [row[:-1] for row in rows]
+    return (first, *columns, *more, "by the session's own bench"), rows
 
 
 def _captures_plot(found: BenchPrediction) -> Plot:
