@@ -1,9 +1,9 @@
 """A headset for the ray tracer: placed surfaces, ray paths, panel and eye box. Metres, device frame."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -79,17 +79,19 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPanel:
-    """A flat panel with its pose in the device.
+    """A panel with its pose in the device.
 
     Attributes:
         device_from_panel: (4, 4) rigid; origin in the panel's centre, x along u, y along v (down the image).
-        size: (2,) metres, width and height of the lit area.
+        size: (2,) metres, width and height of the lit area, measured in its plane z = 0.
         pixels: its pixel counts.
+        curvature: (2,) 1/m; a bowed panel is z = (curvature_u x^2 + curvature_v y^2) / 2, a flat one has zeros.
     """
 
     device_from_panel: FloatArray
     size: FloatArray
     pixels: Panel
+    curvature: FloatArray = field(default_factory=partial(np.zeros, 2))
 
     @cached_property
     def panel_from_device(self) -> FloatArray:
@@ -102,9 +104,26 @@ class PlacedPanel:
 
     def point_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Points (..., 3) of pixels (..., 2), metres, device frame."""
-        local = (pixel / self.pixels.size_px - 0.5) * self.size
-        axes = self.device_from_panel[:3, :2]
-        return np.asarray(local @ axes.T + self.device_from_panel[:3, 3])
+        flat = (pixel / self.pixels.size_px - 0.5) * self.size
+        local = np.concatenate([flat, 0.5 * (flat * flat @ self.curvature)[..., None]], axis=-1)
+        return np.asarray(local @ self.device_from_panel[:3, :3].T + self.device_from_panel[:3, 3])
+
+    def pixel_of_ray(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
+        """Pixels (..., 2) where rays (..., 3), (..., 3) in the device frame meet the panel or its continuation.
+
+        NaN where a ray meets it nowhere ahead. Of two places, the one near to where the ray meets the plane z = 0.
+        """
+        pose = self.panel_from_device
+        start, along = origin @ pose[:3, :3].T + pose[:3, 3], direction @ pose[:3, :3].T
+        flat, across = start[..., :2], along[..., :2]
+        # a t^2 + 2 half_b t + c = 0, by the root that is -c / (2 half_b) on a flat panel
+        a = 0.5 * (across * across) @ self.curvature
+        half_b = 0.5 * ((flat * across) @ self.curvature - along[..., 2])
+        c = 0.5 * (flat * flat) @ self.curvature - start[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = -c / (half_b + np.copysign(np.sqrt(half_b * half_b - a * c), half_b))
+        distance = np.where(np.isfinite(distance) & (distance > 0.0), distance, np.nan)
+        return self.pixel_of_local(flat + distance[..., None] * across)
 
 
 @dataclass(frozen=True, eq=False)

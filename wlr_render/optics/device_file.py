@@ -23,8 +23,16 @@ from wlr_render.optics.device import (
     mirrored,
 )
 from wlr_render.optics.media import AIR, FORMULAS, Medium
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
-from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
+from wlr_render.optics.raised import FormError, Raised
+from wlr_render.optics.sag_surfaces import (
+    AnamorphicAsphere,
+    AnamorphicTerm,
+    GaussianBump,
+    SagSurface,
+    Toroid,
+    XYPolynomial,
+)
+from wlr_render.optics.surfaces import Conic, DisplacedShape, Ellipsoid, Offset, Shape
 from wlr_render.toml_files import Table, read_toml
 
 MM = 1e-3
@@ -37,20 +45,31 @@ _OTHER_SIDE = {"right": "left", "left": "right"}
 
 
 def placed_surface(table: Table, frame: FloatArray, earlier: dict[str, PlacedSurface]) -> PlacedSurface:
-    """Read one [[eye.surface]]; `frame` turns the file's axes into the device's, an offset names an earlier surface."""
+    """Read one [[eye.surface]]; `frame` turns the file's axes into the device's, `earlier` surfaces may be bases."""
     name = table.text("name")
     if name in earlier:
         raise table.fail(f"there is already a surface '{name}'; choose another name.")
-    kind = table.text("shape", choices=[*_SHAPES, "offset"])
+    kind = table.text("shape", choices=[*_SHAPES, "offset", "raised"])
     aperture = _aperture(table)
-    if kind == "offset":
+    if kind in ("offset", "raised"):
         base = earlier[named(table, "of", "earlier surface", earlier)]
-        shape: Shape = Offset(base.shape, MM * nonzero(table, "distance_mm"))
+        if kind == "offset":
+            shape: Shape = Offset(base.shape, MM * nonzero(table, "distance_mm"))
+        else:
+            shape = Raised(base.shape, tuple(_form_error(each, frame, base) for each in table.tables("error")))
         placed = PlacedSurface(name, shape, base.device_from_surface, aperture)
     else:
         placed = PlacedSurface(name, _SHAPES[kind](table), _pose(table, frame), aperture)
     table.finish()
     return placed
+
+
+def _form_error(table: Table, frame: FloatArray, base: PlacedSurface) -> FormError:
+    """One [[eye.surface.error]], a shape z(x, y) with its pose."""
+    sag = _SAG_SHAPES[table.text("shape", choices=sorted(_SAG_SHAPES))](table)
+    error = FormError(sag, base.surface_from_device @ _pose(table, frame))
+    table.finish()
+    return error
 
 
 def _aperture(table: Table) -> ClearAperture:
@@ -92,7 +111,7 @@ def _ellipsoid(table: Table) -> Shape:
     return Ellipsoid(semi_axes)
 
 
-def _xy_polynomial(table: Table) -> Shape:
+def _xy_polynomial(table: Table) -> XYPolynomial:
     sag = table.table("sag_mm")
     powers = {key: _powers(sag, key) for key in sag.keys()}  # noqa: SIM118 (a Table is no dictionary)
     if not powers:
@@ -115,7 +134,7 @@ def _powers(sag: Table, key: str) -> tuple[int, int]:
     return m, n
 
 
-def _anamorphic(table: Table) -> Shape:
+def _anamorphic(table: Table) -> AnamorphicAsphere:
     curvature = tuple(1.0 / (MM * nonzero(table, key)) for key in ("radius_x_mm", "radius_y_mm"))
     conic = tuple(table.number(key, default=0.0) for key in ("conic_x", "conic_y"))
     terms = []
@@ -129,19 +148,23 @@ def _anamorphic(table: Table) -> Shape:
     return AnamorphicAsphere((curvature[0], curvature[1]), (conic[0], conic[1]), tuple(terms))
 
 
+_SAG_SHAPES: dict[str, Callable[[Table], SagSurface]] = {
+    "toroid": lambda table: Toroid(MM * nonzero(table, "radius_x_mm"), MM * nonzero(table, "radius_y_mm")),
+    "xy_polynomial": _xy_polynomial,
+    "anamorphic": _anamorphic,
+    "bump": lambda table: GaussianBump(MM * table.number("height_mm"), MM * positive(table, "width_mm")),
+}
 _SHAPES: dict[str, Callable[[Table], Shape]] = {
     "plane": lambda _: Conic(0.0),
     "conic": lambda table: Conic(1.0 / (MM * nonzero(table, "radius_mm")), table.number("conic", default=0.0)),
     "ellipsoid": _ellipsoid,
-    "toroid": lambda table: Toroid(MM * nonzero(table, "radius_x_mm"), MM * nonzero(table, "radius_y_mm")),
-    "xy_polynomial": _xy_polynomial,
-    "anamorphic": _anamorphic,
+    **_SAG_SHAPES,
 }
 
 
-def offset_chain(shape: Shape) -> list[Shape]:
-    """The shape itself and, if it is an offset, its base, and so on."""
-    return [shape, *offset_chain(shape.base)] if isinstance(shape, Offset) else [shape]
+def base_chain(shape: Shape) -> list[Shape]:
+    """The shape itself and, if it is displaced from a base, its base, and so on."""
+    return [shape, *base_chain(shape.base)] if isinstance(shape, DisplacedShape) else [shape]
 
 
 def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] | dict[str, Medium]) -> str:
@@ -241,7 +264,7 @@ def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics
         raise table.fail("'see_through_path' must end in air.")
     panel, eye_box = _panel(table.table("panel"), frame), _eye_box(table.table("eye_box"), frame)
     eye = EyeOptics(display, see_through, panel, eye_box, _field(table))
-    used = [shape for surface in eye.surfaces() for shape in offset_chain(surface.shape)]
+    used = [shape for surface in eye.surfaces() for shape in base_chain(surface.shape)]
     for name, surface in surfaces.items():
         if not any(shape is surface.shape for shape in used):
             raise table.fail(f"surface '{name}' is in no path; remove it or use it.")
@@ -271,7 +294,8 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
     if not np.all(size > 0):
         raise table.fail("'size_mm' must be positive.")
     pose = rigid(frame @ axes(table, "u_axis", "v_axis"), frame @ (MM * table.vector("centre_mm", 3)))
-    panel = PlacedPanel(pose, size, Panel(int(counts[0]), int(counts[1])))
+    curvature = table.vector("curvature_per_m", 2, default=(0.0, 0.0))
+    panel = PlacedPanel(pose, size, Panel(int(counts[0]), int(counts[1])), curvature)
     table.finish()
     return panel
 

@@ -19,9 +19,10 @@ from wlr_render.optics.device import (
     PlacedSurface,
     mirrored,
 )
-from wlr_render.optics.device_file import MM, offset_chain
+from wlr_render.optics.device_file import MM, base_chain
 from wlr_render.optics.media import AIR, FORMULAS, Medium
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
+from wlr_render.optics.raised import Raised
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 from wlr_render.toml_files import write_toml
 
@@ -32,7 +33,7 @@ Content = dict[str, Any]
 def save_device(device: Device, path: str | FilePath) -> FilePath:
     """Write a device so that `load_device` reads the same one, to the rounding of its numbers.
 
-    Media of one name that differ between the eyes get the side added to the name. An offset whose base stands
+    Media of one name that differ between the eyes get the side added to the name. A displaced surface whose base stands
     elsewhere, or is in no path, gets a base of its own.
 
     Raises:
@@ -115,25 +116,26 @@ def _panel(panel: PlacedPanel) -> Content:
         "pixels": [panel.pixels.width_px, panel.pixels.height_px],
         "u_axis": panel.device_from_panel[:3, 0].tolist(),
         "v_axis": panel.device_from_panel[:3, 1].tolist(),
+        **({"curvature_per_m": panel.curvature.tolist()} if panel.curvature.any() else {}),
     }
 
 
 def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
-    """All surfaces and the bases that offsets need besides, each base before its offsets."""
+    """All surfaces and the bases that displaced ones need besides, each base before what is stated by it."""
     placed, bases = list(surfaces), dict[str, str]()
-    for surface in placed:  # grows by the bases, which may be offsets too
-        if not isinstance(surface.shape, Offset):
+    for surface in placed:  # grows by the bases, which may be displaced too
+        if not isinstance(surface.shape, Offset | Raised):
             continue
         base = _base(surface, surface.shape.base, placed)
         bases[surface.name] = base.name
         if base not in placed:
             placed.append(base)
-    ordered = sorted(placed, key=lambda surface: len(offset_chain(surface.shape)))
+    ordered = sorted(placed, key=lambda surface: len(base_chain(surface.shape)))
     return {"surface": [_surface(surface, bases) for surface in ordered]} if placed else {}
 
 
 def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
-    """What an offset is measured from: a surface with the base's shape that stands in its place, or a new one."""
+    """What a displaced surface is measured from: a surface with the base's shape that stands in its place, or a new one."""
     for other in placed:
         if other.shape is shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
             return other
@@ -146,6 +148,12 @@ def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> 
 def _surface(surface: PlacedSurface, bases: dict[str, str]) -> Content:
     if isinstance(surface.shape, Offset):
         content = {"shape": "offset", "of": bases[surface.name], "distance_mm": surface.shape.distance / MM}
+    elif isinstance(surface.shape, Raised):
+        errors = [
+            _shape(each.sag) | _pose(surface.device_from_surface @ each.surface_from_error)
+            for each in surface.shape.errors
+        ]
+        content = {"shape": "raised", "of": bases[surface.name], "error": errors}
     else:
         content = _shape(surface.shape) | _pose(surface.device_from_surface)
     return {"name": surface.name} | content | _aperture(surface.aperture)
@@ -166,6 +174,8 @@ def _shape(shape: Shape) -> Content:
             return {"shape": "xy_polynomial"} | base | {"sag_mm": _polynomial(shape.coefficients)}
         case AnamorphicAsphere():
             return {"shape": "anamorphic"} | _anamorphic(shape)
+        case GaussianBump():
+            return {"shape": "bump", "height_mm": shape.height / MM, "width_mm": shape.width / MM}
     raise TypeError(f"a device file has no shape {type(shape).__name__}.")
 
 

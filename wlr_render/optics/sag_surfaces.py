@@ -1,4 +1,4 @@
-"""Surfaces z = sag(x, y), intersected by Newton's method: toroid, XY polynomial, anamorphic asphere.
+"""Surfaces z = sag(x, y), intersected by Newton's method: toroid, XY polynomial, anamorphic asphere, bump.
 
 Same frame, units and column layout as `surfaces`.
 """
@@ -16,7 +16,7 @@ _MAX_STEPS = 25
 _LAST_STEP = 1e-10
 
 
-class _SagSurface:
+class SagSurface:
     """A shape by its height over x and y, met by Newton's method from where a ray crosses z = 0; one root."""
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -44,7 +44,7 @@ class _SagSurface:
 
 
 @dataclass(frozen=True)
-class Toroid(_SagSurface):
+class Toroid(SagSurface):
     """A circle in the y-z plane, turned about an axis parallel to y.
 
     Attributes:
@@ -56,7 +56,7 @@ class Toroid(_SagSurface):
     radius_y: float
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `_SagSurface`."""
+        """See `SagSurface`."""
         curvature = 1.0 / self.radius_y
         root = np.sqrt(1.0 - curvature * curvature * y * y)
         profile = curvature * y * y / (1.0 + root)
@@ -79,7 +79,7 @@ def _conicoid(
 
 
 @dataclass(frozen=True)
-class XYPolynomial(_SagSurface):
+class XYPolynomial(SagSurface):
     """Sum of C[m, n] x^m y^n, on a conic base.
 
     Attributes:
@@ -98,7 +98,7 @@ class XYPolynomial(_SagSurface):
         return [np.trim_zeros(column, "b").tolist() for column in self.coefficients.T]
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `_SagSurface`; nested Horner, in x within powers of y."""
+        """See `SagSurface`; nested Horner, in x within powers of y."""
         sag, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
         for column in reversed(self._columns):
             value, slope = _horner(column, x)
@@ -139,7 +139,7 @@ class AnamorphicTerm:
 
 
 @dataclass(frozen=True)
-class AnamorphicAsphere(_SagSurface):
+class AnamorphicAsphere(SagSurface):
     """A biconic with terms of unequal strength in x and y (as in US patent 5,701,202).
 
     Attributes:
@@ -153,7 +153,7 @@ class AnamorphicAsphere(_SagSurface):
     terms: tuple[AnamorphicTerm, ...] = ()
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `_SagSurface`."""
+        """See `SagSurface`."""
         sag, slope_x, slope_y = _conicoid(x, y, self.curvature, self.conic)
         for term in self.terms:
             ax, ay = 1.0 - term.asymmetry, 1.0 + term.asymmetry
@@ -163,3 +163,22 @@ class AnamorphicAsphere(_SagSurface):
             slope_x = slope_x + 2.0 * term.power * ax * rest * x
             slope_y = slope_y + 2.0 * term.power * ay * rest * y
         return sag, slope_x, slope_y
+
+
+@dataclass(frozen=True)
+class GaussianBump(SagSurface):
+    """A plane with a local bump, or dent: height exp(-(x^2 + y^2) / (2 width^2)).
+
+    Attributes:
+        height: metres, at the origin.
+        width: metres, standard deviation.
+    """
+
+    height: float
+    width: float
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `SagSurface`."""
+        square = self.width * self.width
+        sag = self.height * np.exp(-0.5 * (x * x + y * y) / square)
+        return sag, -sag * x / square, -sag * y / square

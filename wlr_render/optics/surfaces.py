@@ -110,8 +110,62 @@ class Ellipsoid:
         return unit(point / (self.semi_axes * self.semi_axes)[:, None])
 
 
+class DisplacedShape:
+    """A shape whose points lie at a displacement from another shape, its base; intersected by contraction.
+
+    A ray meets the displaced surface at p = q + d(p, q) where the ray shifted by -d meets the base at q. Repeating
+    that with the last d contracts by about d / radius of curvature, or by the slope of d, a turn.
+    """
+
+    base: Shape
+
+    def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
+        """Displacement (3, n) of points (3, n) from the base, whose unit normals at their feet are (3, n)."""
+        raise NotImplementedError
+
+    @property
+    def reach(self) -> float:
+        """Distance in metres by which a root may be moved; roots of the base farther behind a ray stay behind it."""
+        raise NotImplementedError
+
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
+        """See `Shape`."""
+        start = self.base.meet(origin, direction)
+        distance, converged = start.distance.copy(), start.converged.copy()
+        for row in range(len(distance)):
+            near = distance[row] > -self.reach
+            if near.any():
+                distance[row], settled = self._settle(row, origin, direction)
+                converged &= settled | ~near
+        return SurfaceIntersections(distance, converged)
+
+    def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Follow one root of the base to the displaced surface: distance (n,), and where it settled (n,)."""
+        shift = np.zeros_like(origin)
+        for _ in range(_MAX_TURNS):
+            shifted = origin - shift
+            distance = self.base.meet(shifted, direction).distance[row]
+            foot = shifted + distance * direction
+            new_shift = self.displacement(foot + shift, self.base.normal(foot))
+            moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
+            shift = new_shift
+            if not moving.any():
+                break
+        return distance, ~moving
+
+    def foot_normal(self, point: FloatArray) -> FloatArray:
+        """Unit normals (3, n) of the base at the feet of points (3, n), found by the same contraction."""
+        shift = np.zeros_like(point)
+        for _ in range(_MAX_TURNS):
+            normal = self.base.normal(point - shift)
+            previous, shift = shift, self.displacement(point, normal)
+            if not (np.abs(shift - previous).max(axis=0) > _SETTLED).any():
+                break
+        return normal
+
+
 @dataclass(frozen=True)
-class Offset:
+class Offset(DisplacedShape):
     """The true parallel surface of another shape: all points at a signed distance along its unit normal.
 
     Attributes:
@@ -122,42 +176,18 @@ class Offset:
     base: Shape
     distance: float
 
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `Shape`.
+    def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
+        """See `DisplacedShape`."""
+        return self.distance * normal
 
-        A ray meets the offset surface at q + h n(q) where the ray shifted by -h n(q) meets the base at q. Repeating
-        that with the last n contracts by about h / radius of curvature a turn.
-        """
-        start = self.base.meet(origin, direction)
-        distance, converged = start.distance.copy(), start.converged.copy()
-        for row in range(len(distance)):
-            # A root so far behind stays behind, unless the ray grazes at under six degrees, and is of no use.
-            if (distance[row] > -10.0 * abs(self.distance)).any():
-                distance[row], settled = self._settle(row, origin, direction)
-                converged &= settled
-        return SurfaceIntersections(distance, converged)
-
-    def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Follow one root of the base to the offset surface: distance (n,), and where it settled (n,)."""
-        shift = np.zeros_like(origin)
-        for _ in range(_MAX_TURNS):
-            shifted = origin - shift
-            distance = self.base.meet(shifted, direction).distance[row]
-            new_shift = self.distance * self.base.normal(shifted + distance * direction)
-            moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
-            shift = new_shift
-            if not moving.any():
-                break
-        return distance, ~moving
+    @property
+    def reach(self) -> float:
+        """See `DisplacedShape`: a root that far behind comes ahead only if the ray grazes at under six degrees."""
+        return 10.0 * abs(self.distance)
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `Shape`; the base's normal at the foot of the point, found by the same contraction."""
-        normal = self.base.normal(point)
-        for _ in range(_MAX_TURNS):
-            previous, normal = normal, self.base.normal(point - self.distance * normal)
-            if not (abs(self.distance) * np.abs(normal - previous).max(axis=0) > _SETTLED).any():
-                break
-        return normal
+        """See `Shape`; the base's normal at the foot of the point."""
+        return self.foot_normal(point)
 
 
 _MAX_TURNS = 40

@@ -146,17 +146,11 @@ class TracedDisplay:
         return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
 
     def plane_pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
-        """Pixel on the panel's unbounded plane, (..., 2), and status; CLIPPED rays keep their value."""
+        """Pixel on the panel, continued beyond its edges, (..., 2), and status; CLIPPED rays keep their value."""
         traced = trace(self.optics.display, viewpoint, view_dir, self.wavelength_um)
-        pose = self.optics.panel.panel_from_device
-        origin = traced.origin @ pose[:3, :3].T + pose[:3, 3]
-        direction = traced.direction @ pose[:3, :3].T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = -origin[..., 2] / direction[..., 2]
-        along = np.where(np.isfinite(along) & (along > 0.0), along, np.nan)
-        local = origin[..., :2] + along[..., None] * direction[..., :2]
-        status = np.where(np.isnan(along) & (traced.status == Status.OK), Status.MISS, traced.status)
-        return self.optics.panel.pixel_of_local(local), status
+        pixel = self.optics.panel.pixel_of_ray(traced.origin, traced.direction)
+        status = np.where(np.isnan(pixel[..., 0]) & (traced.status == Status.OK), Status.MISS, traced.status)
+        return pixel, status
 
     def _first_guess(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
         """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""

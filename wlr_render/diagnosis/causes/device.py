@@ -39,7 +39,8 @@ def _with_optics(bench: Bench, optics: EyeOptics) -> Bench:
     return replace(bench, device=device)
 
 
-def _of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
+def of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
+    """A change of the eye's optics: `change` maps them and the parameters to the new ones."""
     return lambda bench, values: _with_optics(bench, change(bench.optics, values))
 
 
@@ -76,7 +77,7 @@ def _combiner_thickened(
     if len(steps) < 2:
         return bench
     chosen = steps[0 if face == "inner" else -1].surface
-    offset = _outward(bench, chosen, along_axis) * (-by if face == "inner" else by)
+    offset = outward(bench.optics, chosen, along_axis) * (-by if face == "inner" else by)
 
     def thickened(surface: PlacedSurface) -> PlacedSurface:
         if surface.name != chosen.name or offset == 0.0:
@@ -92,9 +93,9 @@ def _combiner_thickened(
     return _with_optics(bench, bench.optics.with_surfaces(thickened))
 
 
-def _outward(bench: Bench, surface: PlacedSurface, along_axis: bool) -> float:
+def outward(optics: EyeOptics, surface: PlacedSurface, along_axis: bool = False) -> float:
     """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1."""
-    middle = assembly.combiner_middle(bench.optics)
+    middle = assembly.combiner_middle(optics)
     pose = surface.surface_from_device
     local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
     normal = surface.shape.normal(local)[:, 0]
@@ -146,7 +147,7 @@ OPTICS = (
         _sizes(assembly.COMBINER_TILT, ("tilt_x", "tilt_y", "tilt_z")),
         source=f"{assembly.SOURCE}: 1.3 to 2.4 deg to the screen",
         separated_by="see-through captures of a near target: a shift of the panel leaves them alone, a tilt does not",
-        variants={"about its middle": _of_optics(assembly.combiner_turned)},
+        variants={"about its middle": of_optics(assembly.combiner_turned)},
     ),
     Cause(
         "combiner_shift",
@@ -155,7 +156,7 @@ OPTICS = (
         _sizes(assembly.COMBINER_SHIFT, ("shift_x", "shift_y", "shift_z")),
         source=f"{assembly.SOURCE}: 1.0, 2.0, 1.6 mm",
         separated_by="see-through captures of a near target, and display captures farther off the base plane",
-        variants={"as a whole": _of_optics(assembly.combiner_shifted)},
+        variants={"as a whole": of_optics(assembly.combiner_shifted)},
     ),
     Cause(
         "panel_shift",
@@ -164,7 +165,7 @@ OPTICS = (
         _sizes(assembly.PANEL_SHIFT, ("shift_u", "shift_v")),
         source=f"{assembly.SOURCE}: 0.7 and 2.5 mm",
         separated_by="a photograph of the bare panel against its frame; display captures farther off the base plane",
-        variants={"along u and v": _of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append(mm, 0.0)))},
+        variants={"along u and v": of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append(mm, 0.0)))},
     ),
     Cause(
         "panel_axial_shift",
@@ -174,7 +175,7 @@ OPTICS = (
         source=f"{assembly.SOURCE}: 0.5 mm",
         separated_by="display captures over a deeper eye box: a magnified panel swims differently from a displaced one",
         variants={
-            "along the normal": _of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append([0.0, 0.0], mm)))
+            "along the normal": of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append([0.0, 0.0], mm)))
         },
     ),
     Cause(
@@ -184,7 +185,7 @@ OPTICS = (
         _sizes(assembly.PANEL_ROTATION, ("about_u", "about_v", "roll")),
         source=f"{assembly.SOURCE}: 1.3 to 2.4 deg of the normal",
         separated_by="a photograph of the bare panel against its frame",
-        variants={"about its centre": _of_optics(assembly.panel_turned)},
+        variants={"about its centre": of_optics(assembly.panel_turned)},
     ),
     Cause(
         "panel_scale",
