@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 from oracle.captures import Plan
+from oracle.devices import own_device
 from oracle.effects import Effect
 from oracle.own_tracer import turn
 from oracle.recipes import Amount
@@ -76,6 +77,26 @@ def _lateral_colour(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
     return {"red": amount["scale_percent"], "blue": -amount["scale_percent"]}
 
 
+def _panel_bow(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    square = (0.5 * own_device(plan.device).panel.size_mm) ** 2
+    sag_u, sag_v = amount["corner_mm"] * square / square.sum()
+    return {"sag_u": float(sag_u), "sag_v": float(sag_v)}
+
+
+def _combiner_form(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    others = dict.fromkeys(("power", "oblique_astigmatism", "coma_x", "coma_y"), 0.0)
+    return {**others, "astigmatism": 1e3 * amount["sag_mm"]}
+
+
+def _combiner_dent(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
+    return {
+        "depth": 1e3 * amount["depth_mm"],
+        "x": amount["x_mm"],
+        "y": -amount["y_mm"],
+        "width": amount["width_mm"],
+    }
+
+
 def _headset_slip(amount: Amount, plan: Plan | RunTimePlan) -> Truth:
     return {**_vector("shift", "mm")(amount, plan), "turn_x": 0.0, "turn_y": 0.0, "turn_z": 0.0}
 
@@ -90,6 +111,9 @@ _CONVERSIONS: Mapping[str, Convert] = {
     "substrate_index": _same(index="index"),
     "substrate_thickness": _same(thickness="thickness_mm"),
     "see_through_plate": _see_through_plate,
+    "panel_bow": _panel_bow,
+    "combiner_form": _combiner_form,
+    "combiner_dent": _combiner_dent,
     "stage_scale": _stage_scale,
     "stage_tilt": _vector("tilt", "deg"),
     "stage_backlash": _stage_backlash,

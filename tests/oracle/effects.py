@@ -7,6 +7,7 @@ import numpy as np
 from oracle.bench_effects import BENCH_EFFECTS, adding_place, adding_turn
 from oracle.captures import DISPLAY, Captures, Plan, display_captures, see_through_captures
 from oracle.device_effects import DEVICE_EFFECTS
+from oracle.form_effects import FORM_EFFECTS
 from oracle.own_tracer import FloatArray, turn
 from oracle.recipes import Amount, Draw, Recipe, vector, xyz
 from oracle.run_time_effects import RUN_TIME_EFFECTS
@@ -14,7 +15,7 @@ from oracle.unlisted_effects import UNLISTED_EFFECTS
 from oracle.world import World
 from wlr_render.errors import BadInputError
 
-LISTED = tuple({**DEVICE_EFFECTS, **BENCH_EFFECTS})
+LISTED = tuple({**DEVICE_EFFECTS, **FORM_EFFECTS, **BENCH_EFFECTS})
 """Names that a diagnosis of a bench session is expected to find."""
 
 LISTED_AT_RUN_TIME = tuple(RUN_TIME_EFFECTS)
@@ -67,6 +68,7 @@ def _outlier(world: World, amount: Amount) -> World:
 _OUTLIER_DRAWS = (Draw(xyz("mm"), 0.3, 1.0), Draw(xyz("deg"), 0.1, 0.3))
 _RECIPES = {
     **DEVICE_EFFECTS,
+    **FORM_EFFECTS,
     **BENCH_EFFECTS,
     **RUN_TIME_EFFECTS,
     **UNLISTED_EFFECTS,

@@ -55,7 +55,7 @@ def test_a_parallel_surface_is_parallel():
     np.testing.assert_allclose(outer.height(foot)[1], normal, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["combiner_dent", "combiner_astigmatism"])
+@pytest.mark.parametrize("name", ["combiner_dent", "combiner_form"])
 def test_a_bumps_gradient_is_that_of_its_height(name):
     sizes = {"depth_mm": 0.02, "sag_mm": 0.02, "x_mm": 2.0, "y_mm": -1.0, "width_mm": 4.0}
     surface = Effect(name, sizes).applied(World(own_device("freeform40"))).device.surfaces["inner"]

@@ -135,7 +135,7 @@ def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
 
 
 def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
-    """What a displaced surface is measured from: a surface with the base's shape that stands in its place, or a new one."""
+    """Base of a displaced surface: a surface of the base's shape that stands in its place, or a new one."""
     for other in placed:
         if other.shape is shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
             return other
