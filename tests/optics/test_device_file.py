@@ -52,6 +52,13 @@ aperture_y_mm = [-21, 26]
 """
 
 
+_RAISED = (
+    'shape = "offset"\nof = "front"\ndistance_mm = 3',
+    'shape = "raised"\nof = "front"\n'
+    'error = [{shape = "bump", height_mm = 0.1, width_mm = 4, origin_mm = [30, 2, 50]}]',
+)
+
+
 def load(tmp_path, text):
     path = tmp_path / "toy.toml"
     path.write_text(text, encoding="utf-8")
@@ -166,6 +173,19 @@ def test_other_eye_is_mirrored(tmp_path):
         ('of = "front"', 'of = "rear"', "'of' names the earlier surface 'rear', which is not defined .front"),
         ('do = "reflect"', 'do = "bounce"', "'do' is 'bounce'; it must be one of refract, reflect, total_reflect"),
         ('shape = "conic"', 'shape = "cone"', "'shape' is 'cone'; it must be one of plane"),
+        (
+            "v_axis = [0, 0, -1]",
+            "v_axis = [0, 0, -1]\ncurvature_per_m = [1]",
+            "'curvature_per_m' must be a list of 2",
+        ),
+        (
+            _RAISED[0],
+            _RAISED[1].replace("bump", "cone"),
+            "'shape' is 'cone'; it must be one of anamorphic",
+        ),
+        (_RAISED[0], _RAISED[1].replace("width_mm = 4", "width_mm = 0"), "'width_mm' must be positive, not 0"),
+        (_RAISED[0], _RAISED[1].replace("height_mm", "heigt_mm"), "'height_mm' is missing .found 'heigt_mm'"),
+        (_RAISED[0], 'shape = "raised"\nof = "front"', "'error' is missing"),
         ('frame = "opencv"', 'frame = "opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
         ("index = 1.5", "index = -1.5", "'index' must be positive"),
         ("index = 1.5", "index = 1.5\nindex_shift = -1.6", "'index_shift' makes the refractive index negative"),

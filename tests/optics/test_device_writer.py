@@ -10,11 +10,13 @@ from wlr_render.files import shipped_names
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
 from wlr_render.mappings import Status
+from wlr_render.optics.assembly import combiner_middle
 from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface, Step, mirrored
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
+from wlr_render.optics.raised import FormError, raised
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
@@ -123,6 +125,41 @@ def test_a_left_eye_alone_keeps_its_mirrored_surfaces(tmp_path):
     alone = replace(device, eyes={"left": device.eyes["left"]})
     assert_same(alone, saved(alone, tmp_path))
     assert_same_parts(mirrored(saved(alone, tmp_path).eyes["left"]), device.eyes["right"])
+
+
+@pytest.mark.parametrize("name", ["northstar", "freeform40", "birdbath28"])
+def test_form_errors_of_surfaces_and_a_bowed_panel_survive_in_both_eyes(tmp_path, name):
+    """Two errors of each surface, one of them askew, in an eye and in its mirror image."""
+    device = load_device(name)
+    eye = device.eyes["right"]
+    middle = combiner_middle(eye)
+    saddle = XYPolynomial(np.array([[0.0, 0.0, -0.02], [0.0, 0.0, 0.0], [0.02, 0.0, 0.0]]))
+
+    def deformed(surface):
+        places = [surface.surface_from_device @ rigid(np.eye(3), middle), small_motion(3, 0.1)]
+        errors = zip((saddle, GaussianBump(1e-5, 4e-3)), places, strict=True)
+        shape = surface.shape
+        for sag, place in errors:
+            shape = raised(shape, FormError(sag, place))
+        return replace(surface, shape=shape)
+
+    changed = replace(eye.with_surfaces(deformed), panel=replace(eye.panel, curvature=np.array([0.3, -0.5])))
+    both = replace(device, eyes={"right": changed, "left": mirrored(changed)})
+    text = save_device(both, tmp_path / "saved.toml").read_text()
+    assert text.count("[[eye]]") == 1
+    assert_same(both, saved(both, tmp_path))
+    assert_same(
+        replace(both, eyes={"left": mirrored(changed)}),
+        saved(replace(both, eyes={"left": mirrored(changed)}), tmp_path),
+    )
+    view_dir, viewpoint = sights(eye, 50)
+    seen, flat = (TracedDisplay(each, WAVELENGTH_UM).plane_pixel(view_dir, viewpoint)[0] for each in (changed, eye))
+    assert np.nanmax(np.abs(seen - flat)) > 1.0
+    across = TracedDisplay(both.eyes["left"], WAVELENGTH_UM).plane_pixel(
+        *(v * [-1, 1, 1] for v in (view_dir, viewpoint))
+    )
+    width = eye.panel.pixels.width_px
+    np.testing.assert_allclose(across[0] * [-1, 1] + [width, 0], seen, atol=1e-9)
 
 
 @pytest.mark.parametrize("which", ["inner", "outer"])

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.optics.media import AIR, FORMULAS, Medium
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, Toroid, XYPolynomial
+from wlr_render.optics.raised import FormError, raised
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
 
 COEFFICIENTS = np.array([[0.0, 0.02, -1.5, 30.0], [-0.01, 0.3, -8.0, 0.0], [-2.0, 10.0, 0.0, 0.0]])
@@ -33,6 +35,22 @@ def anamorphic_level(p):
     return z - base - 500.0 * (1.1 * x**2 + 0.9 * y**2) ** 2 + 9e4 * (0.5 * x**2 + 1.5 * y**2) ** 3
 
 
+# Form errors far larger than real ones, about an axis 20 degrees off the surface's own: a saddle, and a bump beside it.
+SADDLE = np.array([[0.0, 0.0, -0.6], [0.0, 0.3, 0.0], [0.9, 0.0, 0.0]])
+ASKEW = rigid(rotations_of_vectors(np.array([0.2, -0.3, 0.1])), np.array([0.003, -0.002, 0.001]))
+BESIDE = rigid(np.eye(3), np.array([0.004, 0.003, 0.0]))
+
+
+def raise_height(p):
+    x, y, _ = ASKEW[:3, :3].T @ (p.T - ASKEW[:3, 3]).T
+    r2 = (p[0] - 0.004) ** 2 + (p[1] - 0.003) ** 2
+    return 0.9 * x**2 + 0.3 * x * y - 0.6 * y**2 - 2e-4 * np.exp(-r2 / (2 * 0.006**2))
+
+
+def with_errors(shape):
+    return raised(raised(shape, FormError(XYPolynomial(SADDLE), ASKEW)), FormError(GaussianBump(-2e-4, 0.006), BESIDE))
+
+
 # Each shape with a function that vanishes on it, written without its code.
 SHAPES = {
     "plane": (Conic(0.0), lambda p: p[2]),
@@ -52,6 +70,23 @@ SHAPES = {
             (-1 / 0.06, -1 / 0.09), (-0.1, -0.2), (AnamorphicTerm(500.0, -0.1, 2), AnamorphicTerm(-9e4, 0.5, 3))
         ),
         anamorphic_level,
+    ),
+    "bump": (GaussianBump(3e-3, 0.01), lambda p: p[2] - 3e-3 * np.exp(-(p[0] ** 2 + p[1] ** 2) / 2e-4)),
+    "raised sphere": (
+        with_errors(Conic(1 / 0.07)),
+        lambda p: 0.07 - np.linalg.norm(p.T - [0, 0, 0.07], axis=1) - raise_height(p),
+    ),
+    "raised offset sphere": (
+        with_errors(Offset(Conic(1 / 0.07), -0.004)),
+        lambda p: 0.074 - np.linalg.norm(p.T - [0, 0, 0.07], axis=1) - raise_height(p),
+    ),
+    "offset of a raised plane": (
+        Offset(raised(Conic(0.0), FormError(XYPolynomial(np.array([[1e-4], [0.1]])), np.eye(4))), 0.003),
+        lambda p: (p[2] - 0.1 * p[0] - 1e-4) / np.hypot(1.0, 0.1) - 0.003,
+    ),
+    "raised xy polynomial": (
+        with_errors(XYPolynomial(COEFFICIENTS, -5.0, 0.4)),
+        lambda p: polynomial_level(p) - raise_height(p),
     ),
 }
 

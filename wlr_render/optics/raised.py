@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.sag_surfaces import SagSurface
-from wlr_render.optics.surfaces import DisplacedShape, Shape, dot, unit
+from wlr_render.optics.surfaces import DisplacedShape, Offset, Shape, dot, unit
 
 _REACH = 1e-2  # metres: form errors are far smaller
 
@@ -57,10 +57,17 @@ class Raised(DisplacedShape):
     def _is_along_z(self) -> bool:
         return isinstance(self.base, SagSurface)
 
+    @property
+    def footing(self) -> Shape:
+        """See `DisplacedShape`: normals of an offset are those of its base, so that one contraction finds both."""
+        return self.base.base if isinstance(self.base, Offset) else self.base
+
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
         """See `DisplacedShape`."""
         height = np.sum([error.height_and_gradient(point)[0] for error in self.errors], axis=0)
-        return np.asarray(height * (_Z if self._is_along_z else normal))
+        if self._is_along_z:
+            return np.asarray(height * _Z)
+        return np.asarray((height + (self.base.distance if isinstance(self.base, Offset) else 0.0)) * normal)
 
     @property
     def reach(self) -> float:

@@ -119,8 +119,13 @@ class DisplacedShape:
 
     base: Shape
 
+    @property
+    def footing(self) -> Shape:
+        """The shape that feet lie on."""
+        return self.base
+
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """Displacement (3, n) of points (3, n) from the base, whose unit normals at their feet are (3, n)."""
+        """Displacement (3, n) of points (3, n) from their feet, at which the unit normals are (3, n)."""
         raise NotImplementedError
 
     @property
@@ -130,7 +135,7 @@ class DisplacedShape:
 
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `Shape`."""
-        start = self.base.meet(origin, direction)
+        start = self.footing.meet(origin, direction)
         distance, converged = start.distance.copy(), start.converged.copy()
         for row in range(len(distance)):
             near = distance[row] > -self.reach
@@ -144,9 +149,9 @@ class DisplacedShape:
         shift = np.zeros_like(origin)
         for _ in range(_MAX_TURNS):
             shifted = origin - shift
-            distance = self.base.meet(shifted, direction).distance[row]
+            distance = self.footing.meet(shifted, direction).distance[row]
             foot = shifted + distance * direction
-            new_shift = self.displacement(foot + shift, self.base.normal(foot))
+            new_shift = self.displacement(foot + shift, self.footing.normal(foot))
             moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
             shift = new_shift
             if not moving.any():
@@ -154,10 +159,10 @@ class DisplacedShape:
         return distance, ~moving
 
     def foot_normal(self, point: FloatArray) -> FloatArray:
-        """Unit normals (3, n) of the base at the feet of points (3, n), found by the same contraction."""
+        """Unit normals (3, n) at the feet of points (3, n), found by the same contraction."""
         shift = np.zeros_like(point)
         for _ in range(_MAX_TURNS):
-            normal = self.base.normal(point - shift)
+            normal = self.footing.normal(point - shift)
             previous, shift = shift, self.displacement(point, normal)
             if not (np.abs(shift - previous).max(axis=0) > _SETTLED).any():
                 break
