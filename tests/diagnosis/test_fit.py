@@ -13,8 +13,13 @@ VALUES = {
     "see_through_plate": [8.0, 5.0, -4.0],
     "thermal_drift": [0.08, -0.05, 500.0],
     "headset_slip": [0.3, 0.2, -0.4, 0.1, 0.2, -0.1, 1290.0],
+    "combiner_dent": [4.0, 5.0, -4.0, 4.0],
 }
-STARTS = {"see_through_plate": [2.0, 0.0, 0.0], "headset_slip": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1290.0]}
+STARTS = {
+    "see_through_plate": [2.0, 0.0, 0.0],
+    "headset_slip": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1290.0],
+    "combiner_dent": [0.0, 7.0, -7.0, 5.0],
+}
 DRAWS = 20
 
 
