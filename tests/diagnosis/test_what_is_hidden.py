@@ -42,10 +42,13 @@ def check_explained(said, plan, *effects):
     ("device", "effect"),
     [
         ("northstar", Effect("panel_shift", {"x_mm": 0.1, "y_mm": -0.07})),
+        ("northstar", Effect("panel_bow", {"corner_mm": 0.4})),
         ("northstar", Effect("target_bow", {"bow_mm": -2.0, "second_ratio": 0.4})),
         ("freeform40", Effect("combiner_shift", {"x_mm": 0.02, "y_mm": 0.03, "z_mm": -0.03})),
+        ("freeform40", Effect("combiner_form", {"sag_mm": 0.01})),
         ("freeform40", Effect("stage_tilt", {"x_deg": 0.6, "y_deg": -0.5, "z_deg": 0.7})),
         ("birdbath28", Effect("headset_slip", {"x_mm": 0.3, "y_mm": -0.2, "z_mm": 0.3, "start_s": 650.0})),
+        ("birdbath28", Effect("combiner_dent", {"depth_mm": 0.006, "x_mm": 4.0, "y_mm": -5.0, "width_mm": 4.0})),
         ("birdbath28", Effect("tracking_rotation", {"x_deg": 0.05, "y_deg": 0.1, "z_deg": -0.1})),
     ],
     ids=lambda value: getattr(value, "name", value),
@@ -77,7 +80,7 @@ def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found(device)
 @pytest.mark.parametrize(
     ("effect", "part"),
     [
-        (Effect("panel_bow", {"corner_mm": 0.4}), "display"),
+        (Effect("combiner_ripple", {"height_mm": 0.01, "period_mm": 16.0}), "display"),
         (
             Effect("target_wrinkle", {"height_mm": 8.0, "x_ratio": 0.2, "y_ratio": -0.1, "width_ratio": 0.3}),
             "see-through",

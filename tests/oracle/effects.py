@@ -38,9 +38,8 @@ SEE_THROUGH_ONLY = (
 APART = tuple(
     (unlisted, listed)
     for unlisted, other_part in (
-        ("panel_bow", SEE_THROUGH_ONLY),
         ("code_stripes", SEE_THROUGH_ONLY),
-        ("combiner_dent", SEE_THROUGH_ONLY),
+        ("combiner_ripple", SEE_THROUGH_ONLY),
         ("target_wrinkle", DISPLAY_ONLY),
     )
     for listed in other_part
@@ -48,7 +47,7 @@ APART = tuple(
 )
 """Pairs of an unlisted effect and a listed one that acts in the other part alone.
 
-What a dent changes in the see-through view is fifty times smaller than what it changes on the display.
+What a ripple changes in the see-through view is fifty times smaller than what it changes on the display.
 """
 
 OUTLIER = "outlier"

@@ -18,7 +18,8 @@ def _panel_bow(world: World, amount: Amount) -> World:
     return replace(world, device=replace(device, panel=panel))
 
 
-def _with_bump(world: World, bump: Bump) -> World:
+def with_bump(world: World, bump: Bump) -> World:
+    """The bench with a bump added to every surface of its combiner."""
     device = world.device.with_surfaces(lambda surface: replace(surface, bumps=(*surface.bumps, bump)))
     return replace(world, device=device)
 
@@ -30,7 +31,7 @@ def _combiner_form(world: World, amount: Amount) -> World:
         x, y, _ = (point - pivot).T
         return strength * (x**2 - y**2), 2.0 * strength * np.stack([x, -y, np.zeros_like(x)], axis=-1)
 
-    return _with_bump(world, bump)
+    return with_bump(world, bump)
 
 
 def _combiner_dent(world: World, amount: Amount) -> World:
@@ -41,7 +42,7 @@ def _combiner_dent(world: World, amount: Amount) -> World:
         raised = amount["depth_mm"] * np.exp(-0.5 * np.sum(across**2, axis=-1))
         return raised, -raised[:, None] * across / amount["width_mm"]
 
-    return _with_bump(world, bump)
+    return with_bump(world, bump)
 
 
 FORM_EFFECTS = {

@@ -55,9 +55,17 @@ def test_a_parallel_surface_is_parallel():
     np.testing.assert_allclose(outer.height(foot)[1], normal, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["combiner_dent", "combiner_form"])
+@pytest.mark.parametrize("name", ["combiner_dent", "combiner_form", "combiner_ripple"])
 def test_a_bumps_gradient_is_that_of_its_height(name):
-    sizes = {"depth_mm": 0.02, "sag_mm": 0.02, "x_mm": 2.0, "y_mm": -1.0, "width_mm": 4.0}
+    sizes = {
+        "depth_mm": 0.02,
+        "sag_mm": 0.02,
+        "x_mm": 2.0,
+        "y_mm": -1.0,
+        "width_mm": 4.0,
+        "height_mm": 0.02,
+        "period_mm": 9.0,
+    }
     surface = Effect(name, sizes).applied(World(own_device("freeform40"))).device.surfaces["inner"]
     point = np.array([[1.0, 2.0, 41.0], [-6.0, 3.0, 38.0]])
     gradient = surface.height(point)[1]

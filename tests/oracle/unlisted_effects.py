@@ -6,11 +6,23 @@ import numpy as np
 
 from oracle.bench_effects import adding_image, adding_place, adding_print
 from oracle.captures import CAMERA_CENTRE_PX, CAMERA_SIZE_PX, Captures
+from oracle.form_effects import with_bump
 from oracle.own_tracer import FloatArray
 from oracle.recipes import Amount, Draw, Recipe
 from oracle.world import World
 
 _SCREW_PITCH_MM = 1.0
+
+
+def _combiner_ripple(world: World, amount: Amount) -> World:
+    pivot, wave_number = world.device.pivot, 2.0 * np.pi / amount["period_mm"]
+
+    def bump(point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        phase = wave_number * (point - pivot)[:, 0]
+        slope = amount["height_mm"] * wave_number * np.cos(phase)
+        return amount["height_mm"] * np.sin(phase), slope[:, None] * [1.0, 0.0, 0.0]
+
+    return with_bump(world, bump)
 
 
 def _stage_screw_error(world: World, amount: Amount) -> World:
@@ -46,6 +58,11 @@ def _target_wrinkle(world: World, amount: Amount) -> World:
 
 
 UNLISTED_EFFECTS = {
+    "combiner_ripple": Recipe(
+        "all surfaces are raised by a sine of x about the pivot",
+        (Draw(("height_mm",), 0.003, 0.015), Draw(("period_mm",), 12.0, 24.0, "setting")),
+        _combiner_ripple,
+    ),
     "stage_screw_error": Recipe(
         "the true x swings about the one read once per millimetre",
         (Draw(("swing_mm",), 0.05, 0.2),),

@@ -23,7 +23,7 @@ from wlr_render.optics.device import (
     mirrored,
 )
 from wlr_render.optics.media import AIR, FORMULAS, Medium
-from wlr_render.optics.raised import FormError, Raised
+from wlr_render.optics.raised import FormError, Raised, RaisedSag, raised
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
     AnamorphicTerm,
@@ -32,7 +32,7 @@ from wlr_render.optics.sag_surfaces import (
     Toroid,
     XYPolynomial,
 )
-from wlr_render.optics.surfaces import Conic, DisplacedShape, Ellipsoid, Offset, Shape
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 from wlr_render.toml_files import Table, read_toml
 
 MM = 1e-3
@@ -56,7 +56,7 @@ def placed_surface(table: Table, frame: FloatArray, earlier: dict[str, PlacedSur
         if kind == "offset":
             shape: Shape = Offset(base.shape, MM * nonzero(table, "distance_mm"))
         else:
-            shape = Raised(base.shape, tuple(_form_error(each, frame, base) for each in table.tables("error")))
+            shape = raised(base.shape, *(_form_error(each, frame, base) for each in table.tables("error")))
         placed = PlacedSurface(name, shape, base.device_from_surface, aperture)
     else:
         placed = PlacedSurface(name, _SHAPES[kind](table), _pose(table, frame), aperture)
@@ -164,7 +164,7 @@ _SHAPES: dict[str, Callable[[Table], Shape]] = {
 
 def base_chain(shape: Shape) -> list[Shape]:
     """The shape itself and, if it is displaced from a base, its base, and so on."""
-    return [shape, *base_chain(shape.base)] if isinstance(shape, DisplacedShape) else [shape]
+    return [shape, *base_chain(shape.base)] if isinstance(shape, Offset | Raised | RaisedSag) else [shape]
 
 
 def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] | dict[str, Medium]) -> str:

@@ -21,7 +21,7 @@ from wlr_render.optics.device import (
 )
 from wlr_render.optics.device_file import MM, base_chain
 from wlr_render.optics.media import AIR, FORMULAS, Medium
-from wlr_render.optics.raised import Raised
+from wlr_render.optics.raised import Raised, RaisedSag
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 from wlr_render.toml_files import write_toml
@@ -124,7 +124,7 @@ def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
     """All surfaces and the bases that displaced ones need besides, each base before what is stated by it."""
     placed, bases = list(surfaces), dict[str, str]()
     for surface in placed:  # grows by the bases, which may be displaced too
-        if not isinstance(surface.shape, Offset | Raised):
+        if not isinstance(surface.shape, Offset | Raised | RaisedSag):
             continue
         base = _base(surface, surface.shape.base, placed)
         bases[surface.name] = base.name
@@ -148,7 +148,7 @@ def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> 
 def _surface(surface: PlacedSurface, bases: dict[str, str]) -> Content:
     if isinstance(surface.shape, Offset):
         content = {"shape": "offset", "of": bases[surface.name], "distance_mm": surface.shape.distance / MM}
-    elif isinstance(surface.shape, Raised):
+    elif isinstance(surface.shape, Raised | RaisedSag):
         errors = [
             _shape(each.sag) | _pose(surface.device_from_surface @ each.surface_from_error)
             for each in surface.shape.errors

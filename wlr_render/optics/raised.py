@@ -1,13 +1,13 @@
 """A surface with form errors: raised from its prescription by heights over a plane."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.sag_surfaces import SagSurface
+from wlr_render.optics.sag_surfaces import LevelSurface, SagSurface
 from wlr_render.optics.surfaces import DisplacedShape, Offset, Shape, dot, unit
 
 _REACH = 1e-2  # metres: form errors are far smaller
@@ -38,12 +38,23 @@ class FormError:
         return height, pose[:2, :3].T @ np.stack([slope_x, slope_y])
 
 
-@dataclass(frozen=True)
-class Raised(DisplacedShape):
-    """A surface raised by form errors: along its z if it is stated as z(x, y), otherwise along its unit normal.
+class _WithErrors:
+    """A surface raised by the sum of form errors."""
 
-    The height is a function of the point itself, not of its foot, so that the normal follows without the curvature of
-    the base. With F the height of a point over the base, the surface is F(p) = h(p), and its normal grad F - grad h.
+    errors: tuple[FormError, ...]
+
+    def height_and_gradient(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Sum of the errors' heights (n,) at points (3, n), and its gradient (3, n)."""
+        heights, gradients = zip(*(error.height_and_gradient(point) for error in self.errors), strict=True)
+        return np.sum(heights, axis=0), np.sum(gradients, axis=0)
+
+
+@dataclass(frozen=True)
+class Raised(_WithErrors, DisplacedShape):
+    """A surface raised by form errors along its unit normal.
+
+    The height is a function of the point itself, not of its foot. Then the surface is F(p) = h(p), where F is the
+    distance of a point from the base, and its normal is grad F - grad h: the curvature of the base does not enter.
 
     Attributes:
         base: the surface as prescribed.
@@ -54,20 +65,14 @@ class Raised(DisplacedShape):
     errors: tuple[FormError, ...]
 
     @property
-    def _is_along_z(self) -> bool:
-        return isinstance(self.base, SagSurface)
-
-    @property
     def footing(self) -> Shape:
         """See `DisplacedShape`: normals of an offset are those of its base, so that one contraction finds both."""
         return self.base.base if isinstance(self.base, Offset) else self.base
 
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
         """See `DisplacedShape`."""
-        height = np.sum([error.height_and_gradient(point)[0] for error in self.errors], axis=0)
-        if self._is_along_z:
-            return np.asarray(height * _Z)
-        return np.asarray((height + (self.base.distance if isinstance(self.base, Offset) else 0.0)) * normal)
+        offset = self.base.distance if isinstance(self.base, Offset) else 0.0
+        return np.asarray((self.height_and_gradient(point)[0] + offset) * normal)
 
     @property
     def reach(self) -> float:
@@ -76,15 +81,39 @@ class Raised(DisplacedShape):
 
     def normal(self, point: FloatArray) -> FloatArray:
         """See `surfaces.Shape`; leads to the side that the base's normal leads to."""
-        normal = self.foot_normal(point)
-        gradient = np.sum([error.height_and_gradient(point)[1] for error in self.errors], axis=0)
-        along = normal[2] if self._is_along_z else dot(normal, normal)
-        return unit(normal - along * gradient)
+        return unit(self.foot_normal(point) - self.height_and_gradient(point)[1])
 
 
-_Z = np.array([[0.0], [0.0], [1.0]])
+@dataclass(frozen=True)
+class RaisedSag(_WithErrors, LevelSurface):
+    """A surface stated as z(x, y), raised by form errors along its z.
+
+    Attributes:
+        base: the surface as prescribed.
+        errors: added to each other.
+    """
+
+    base: SagSurface
+    errors: tuple[FormError, ...]
+
+    def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `LevelSurface`: z above the surface."""
+        height, gradient = self.height_and_gradient(point)
+        above, slope = self.base.level(point, direction)
+        return above - height, slope - dot(gradient, direction)
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """See `surfaces.Shape`; points to +z at the vertex."""
+        _, slope_x, slope_y = self.base.sag_and_slopes(point[0], point[1])
+        return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]) - self.height_and_gradient(point)[1])
 
 
-def raised(shape: Shape, error: FormError) -> Raised:
-    """A shape with one more form error."""
-    return Raised(shape.base, (*shape.errors, error)) if isinstance(shape, Raised) else Raised(shape, (error,))
+def raised(shape: Shape, *errors: FormError) -> Shape:
+    """A shape with form errors, in addition to those that it has."""
+    match shape:
+        case Raised() | RaisedSag():
+            return replace(shape, errors=(*shape.errors, *errors))
+        case SagSurface():
+            return RaisedSag(shape, errors)
+        case _:
+            return Raised(shape, errors)

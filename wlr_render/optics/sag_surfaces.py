@@ -16,26 +16,39 @@ _MAX_STEPS = 25
 _LAST_STEP = 1e-10
 
 
-class SagSurface:
-    """A shape by its height over x and y, met by Newton's method from where a ray crosses z = 0; one root."""
+class LevelSurface:
+    """A shape as the zero of a function near z = 0, met by Newton's method from where a ray crosses z = 0; one root."""
 
-    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
+    def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The function in metres at points (3, n), (n,), and its derivative along unit directions (3, n), (n,)."""
         raise NotImplementedError
 
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `surfaces.Shape`."""
-        (ox, oy, oz), (dx, dy, dz) = origin, direction
-        distance = -oz / dz
+        distance = -origin[2] / direction[2]
         step = distance
         for _ in range(_MAX_STEPS):
-            z, slope_x, slope_y = self.sag_and_slopes(ox + distance * dx, oy + distance * dy)
-            step = (oz + distance * dz - z) / (dz - slope_x * dx - slope_y * dy)
+            value, slope = self.level(origin + distance * direction, direction)
+            step = value / slope
             distance = distance - step
             if not (np.abs(step) > _LAST_STEP).any():
                 break
         return SurfaceIntersections(distance[None], ~(np.abs(step) > _LAST_STEP))
+
+
+class SagSurface(LevelSurface):
+    """A shape by its height over x and y."""
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
+        raise NotImplementedError
+
+    def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `LevelSurface`: z above the surface."""
+        (x, y, z), (dx, dy, dz) = point, direction
+        sag, slope_x, slope_y = self.sag_and_slopes(x, y)
+        return np.asarray(z - sag), np.asarray(dz - slope_x * dx - slope_y * dy)
 
     def normal(self, point: FloatArray) -> FloatArray:
         """See `surfaces.Shape`; points to +z at the vertex."""
