@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.settings import Settings
 from wlr_render.jobs import diagnose
 from wlr_render.simulation.bench_file import load_bench
 from wlr_render.simulation.session_captures import observations_of
@@ -28,7 +26,12 @@ FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_t
 
 @pytest.fixture
 def few_causes(monkeypatch):
-    quick = partial(procedure.diagnose, causes=FEW, settings=Settings(subsample=1500))
+    """A third of the readings, and few causes unless the options choose others."""
+
+    def quick(nominal, session, progress, causes, settings):
+        causes = FEW if causes == CAUSES else causes
+        return procedure.diagnose(nominal, session, progress, causes, replace(settings, subsample=1500))
+
     monkeypatch.setattr(diagnose, "diagnose_session", quick)
 
 
@@ -153,3 +156,77 @@ def test_too_few_captures_are_refused(tmp_path, capsys):
     assert status == 2
     assert "has 3 captures, too few captures to hold any out" in printed.err
     assert not (tmp_path / "out").exists()
+
+
+OWN = """
+from dataclasses import replace
+from wlr_render.diagnosis.cause import Cause, Parameter
+
+def printed_larger(bench, percent):
+    target = replace(bench.target, scale=bench.target.scale * (1.0 + 1e-2 * percent))
+    return replace(bench, target=target)
+
+CAUSES = (
+    Cause(
+        "wet_paper", "paper swollen by moisture", "target", (Parameter("growth", "%", 0.5),),
+        source="the humidity of our cellar", separated_by="a dry day", variants={"in both directions": printed_larger},
+    ),
+)
+"""
+
+
+def test_a_cause_of_the_users_own_is_found_and_the_listed_one_is_not(session, few_causes, tmp_path, capsys):
+    own = tmp_path / "cellar.py"
+    own.write_text(OWN)
+    out = tmp_path / "out"
+    status, printed = run(
+        capsys, session, "--out", out, "--add-causes", own, "--causes", "wet_paper", "target_bow", "--max-causes", 1
+    )
+    assert status == 0, printed.err
+    (cause,) = json.loads((out / "diagnosis.json").read_text())["causes"]
+    assert cause["name"] == "wet_paper"
+    growth = cause["parameters"]["growth"]
+    assert abs(growth["value"] - SCALE_PERCENT) < 4 * growth["sigma"]
+
+
+def test_stated_priors_reach_the_causes_and_go_where_the_corrected_bench_has_the_effect(
+    session, monkeypatch, tmp_path, capsys
+):
+    """A prior of a cause that is found is not in the corrected bench: it would be expected there a second time."""
+    seen = {}
+
+    def quick(nominal, session, progress, causes, settings):
+        seen.update(causes)
+        assert settings.max_causes == 0
+        return procedure.diagnose(nominal, session, progress, {name: causes[name] for name in FEW})
+
+    monkeypatch.setattr(diagnose, "diagnose_session", quick)
+    bench, stated = tmp_path / "bench.toml", (session / "bench.toml").read_text()
+    priors = "[prior]\ntarget_scale.scale_x = [0.3, 0.2]\ncamera_pupil_offset.offset_z = {mean = 0.1, sigma = 0.05}\n"
+    bench.write_text(stated + priors)
+    status, printed = run(
+        capsys, session, "--out", tmp_path / "out", "--bench", bench, "--exclude", "latency", "--max-causes", 0
+    )
+    assert status == 0, printed.err
+    assert set(seen) == set(CAUSES) - {"latency"}
+    x, y = seen["target_scale"].parameters
+    assert (x.prior_mean, x.prior_sigma, y) == (0.3, 0.2, CAUSES["target_scale"].parameters[1])
+    corrected = load_bench(tmp_path / "out" / "corrected" / "bench.toml")
+    assert corrected.priors == {"camera_pupil_offset": {"offset_z": (0.1, 0.05)}}
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--causes", "combiner_tlt"], "There is no cause 'combiner_tlt'; did you mean combiner_tilt"),
+        (["--exclude", "ghosts"], "There is no cause 'ghosts'; choose from combiner_tilt, "),
+        (["--causes", "latency", "--exclude", "latency"], "Every cause is excluded"),
+        (["--max-causes", "-1"], "--max-causes is -1; it must be a finite number of 0 or more"),
+        (["--add-causes", "none.py"], "none.py: does not exist"),
+        (["--add-causes", "no_such_module"], "no_such_module: cannot be loaded (ModuleNotFoundError"),
+    ],
+)
+def test_causes_that_cannot_be_considered_are_refused_in_a_sentence(session, tmp_path, capsys, options, sentence):
+    status, printed = run(capsys, session, "--out", tmp_path / "out", *options)
+    assert status == 2
+    assert sentence in " ".join(printed.err.split())

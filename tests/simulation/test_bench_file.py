@@ -69,7 +69,9 @@ def disturbed(part, rng):
         value = getattr(part, field.name)
         if field.name in ("device", "eye", "size_px"):
             continue
-        if is_dataclass(value):
+        if field.name == "priors":
+            changes[field.name] = {"latency": {"latency": tuple(rng.uniform(1.0, 2.0, 2).tolist())}}
+        elif is_dataclass(value):
             changes[field.name] = disturbed(value, rng)
         elif field.name == "device_from_camera":
             changes[field.name] = Rotation.random(rng=rng).as_matrix()
@@ -96,7 +98,7 @@ def assert_same(found, expected):
             assert device_content(a) == device_content(b)
         elif is_dataclass(b):
             assert_same(a, b)
-        elif isinstance(b, str):
+        elif isinstance(b, str | dict):
             assert a == b
         else:
             assert type(a) is type(b), field.name
@@ -155,6 +157,12 @@ def test_in_the_openxr_frame_numbers_are_as_in_the_file(tmp_path):
     np.testing.assert_allclose(bench.target.bow, [[0.1, 0.2]])
 
 
+def test_priors_are_pairs_or_tables(tmp_path):
+    stated = "[prior.a]\nx = [1, 2]\ny = {mean = 3, sigma = 4}\n[prior.b]\nz = {sigma = 0.5}\n[target]"
+    bench = load_bench(written(tmp_path, ("[target]", stated)))
+    assert bench.priors == {"a": {"x": (1.0, 2.0), "y": (3.0, 4.0)}, "b": {"z": (0.0, 0.5)}}
+
+
 FAULTS = {
     "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in millimetres"),
     "version": ("version = 1", "version = 2", "'version' is 2"),
@@ -175,6 +183,11 @@ FAULTS = {
     "bow": ("[[0.1, 0.2]]", "[[0, 1], [1, 0]]", "'bow_per_m' in [target] must be one pair, or 1"),
     "unknown key": ("[stage]", "[stage]\nbacklash = [0, 0]", "unknown key 'backlash'; did you mean 'backlash_mm'?"),
     "unknown table": ("[stage]", "[clocks]\n[stage]", "unknown key 'clocks'; did you mean 'clock'?"),
+    "prior's sigma": ("[target]", "[prior.a]\nb = [1, 0]\n[target]", "the sigma of 'b' is 0; it must be above 0"),
+    "prior's pair": ("[target]", "[prior.a]\nb = 1.0\n[target]", "'b' must be a list of 2 numbers"),
+    "prior's key": ("[target]", "[prior.a]\nb = {sgma = 1}\n[target]", "'sigma' is missing (found 'sgma' instead)"),
+    "prior's mean": ("[target]", "[prior.a]\nb = {sigma = 1, men = 1}\n[target]", "key 'men'; did you mean 'mean'?"),
+    "prior": ("[target]", "[prior]\na = 3\n[target]", "'a' must be a table"),
     "no stage": ("[stage]\norigin = [32, 1, 33]", "", "key 'stage' is missing"),
 }
 

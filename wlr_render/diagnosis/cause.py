@@ -1,9 +1,10 @@
 """A cause: a named change of the bench model with parameters.
 
-A new cause is an entry in the tuple of its subject's file in `causes/`. Everything else (Jacobian, fit, ranking,
-report) follows from `perturb`.
+A new cause is an entry in the tuple of its subject's file in `causes/`, or one of the user's own
+(`causes.user_causes`). Everything else (Jacobian, fit, ranking, report) follows from `perturb`.
 """
 
+import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench
@@ -52,8 +54,9 @@ class Parameter:
         unit: of its values.
         prior_sigma: standard deviation of what is met in practice, in that unit.
         role: see `Role`.
-        starts: first values of a SHAPE parameter; the first one is its null value.
+        starts: first values of a SHAPE parameter; the first one is its null value, and what is expected.
         minimum: values below are not physical.
+        prior_mean: expected value of a SIZE parameter; its null value, 0, is that of no effect whatever is expected.
     """
 
     name: str
@@ -62,6 +65,11 @@ class Parameter:
     role: Role = Role.SIZE
     starts: tuple[float, ...] = (0.0,)
     minimum: float = -np.inf
+    prior_mean: float = 0.0
+
+
+PARTS = ("device", "camera", "stage", "target", "tracking", "mount", "eye tracking", "clock")
+"""Parts of the bench that causes act on."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,7 @@ class Cause:
     Attributes:
         name: the key in reports.
         title: physical name.
-        part: of the bench: "device", "camera", "stage", "target", "tracking", "mount", "eye tracking" or "clock".
+        part: of the bench, one of `PARTS`.
         parameters: its numbers.
         source: where the prior sigmas come from.
         separated_by: the extra measurement that separates it from degenerate causes.
@@ -97,3 +105,51 @@ class Cause:
     def null(self) -> FloatArray:
         """Values (parameters,) that leave the bench unchanged."""
         return np.array([parameter.starts[0] for parameter in self.parameters])
+
+
+def with_priors(
+    causes: Mapping[str, Cause], priors: Mapping[str, Mapping[str, tuple[float, float]]]
+) -> dict[str, Cause]:
+    """The causes with stated priors of some of their parameters.
+
+    Args:
+        causes: by name.
+        priors: (mean, sigma) by name of the cause and of the parameter, in the parameter's unit. The mean of a SHAPE
+            parameter takes the place of its starts.
+
+    Raises:
+        BadInputError: an unknown cause or parameter, a prior of a time, or a mean below the parameter's minimum.
+    """
+    changed = dict(causes)
+    for name, stated in priors.items():
+        if name not in causes:
+            raise BadInputError(f"[prior.{name}]: {unknown_cause(name, causes)}")
+        cause, known = causes[name], [parameter.name for parameter in causes[name].parameters]
+        for unknown in stated.keys() - set(known):
+            raise BadInputError(f"[prior.{name}]: there is no parameter '{unknown}'; choose from {', '.join(known)}.")
+        parameters = (_with_prior(name, each, stated.get(each.name)) for each in cause.parameters)
+        changed[name] = replace(cause, parameters=tuple(parameters))
+    return changed
+
+
+def _with_prior(name: str, parameter: Parameter, prior: tuple[float, float] | None) -> Parameter:
+    if prior is None:
+        return parameter
+    mean, sigma = prior
+    if parameter.role is Role.TIME:
+        raise BadInputError(f"[prior.{name}]: '{parameter.name}' is searched for between captures; leave it out.")
+    if mean < parameter.minimum:
+        raise BadInputError(
+            f"[prior.{name}]: the mean of '{parameter.name}' is {mean:g}; the least is {parameter.minimum:g}."
+        )
+    if parameter.role is Role.SHAPE:
+        return replace(parameter, prior_sigma=sigma, starts=(mean,))
+    return replace(parameter, prior_sigma=sigma, prior_mean=mean)
+
+
+def unknown_cause(name: str, causes: Mapping[str, Cause]) -> str:
+    """A sentence on a name that no cause has, with the nearest names, or all of them where none is near."""
+    near = difflib.get_close_matches(name, causes, 3)
+    return f"There is no cause '{name}'; " + (
+        f"did you mean {' or '.join(near)}?" if near else f"choose from {', '.join(causes)}."
+    )

@@ -7,13 +7,15 @@ from typing import Annotated
 import numpy as np
 
 from wlr_render.captures.session import Session
+from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, diagnosis_report
+from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
-from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
@@ -38,13 +40,26 @@ class DiagnoseOptions(Options):
         str | None,
         described("Headset that captures are compared with: name or file (default: the shipped one that they name)."),
     ] = None
+    causes: Annotated[
+        tuple[str, ...], described("Names of the causes to consider (default: all).", flag=True, many=True)
+    ] = ()
+    exclude: Annotated[
+        tuple[str, ...], described("Names of causes to leave out (default: none).", flag=True, many=True)
+    ] = ()
+    add_causes: Annotated[
+        tuple[str, ...],
+        described("Python files or modules that define CAUSES, further causes to consider.", flag=True, many=True),
+    ] = ()
+    max_causes: Annotated[
+        int, described("Most causes that are named; 0 measures the noise only."), Range(at_least=0)
+    ] = DEFAULT.max_causes
 
 
 def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Diagnose a session; writes the report and, where causes were found, the corrected session into `options.out`.
 
     Raises:
-        BadInputError: faulty measurements, too few captures, or a file that cannot be written.
+        BadInputError: faulty measurements, too few captures, faulty causes, or a file that cannot be written.
     """
     progress.say("reading the session")
     nominal, session = load_measurements(options.session, options.bench, options.device)
@@ -55,7 +70,9 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     for path in (options.json, options.html):
         if path is not None:
             _check_writable(path)
-    found = diagnose_session(nominal, session, progress.say)
+    causes = causes_for(nominal, options.add_causes, options.causes, options.exclude)
+    settings = replace(DEFAULT, max_causes=options.max_causes)
+    found = diagnose_session(nominal, session, progress.say, causes=causes, settings=settings)
     progress.say("comparing models fitted with both benches")
     in_use = _in_use(nominal, found)
     progress.say("writing the report")
@@ -89,7 +106,11 @@ def _write_corrected(folder: Path, found: Diagnosis) -> list[Path]:
         remove_session(folder)
     if not found.causes:
         return []
-    return [save_session(folder, found.corrected, found.observations.of_rows(found.used).session)]
+    # What was expected of the causes found is now in the bench itself.
+    names = {cause.name for cause in found.causes}
+    priors = {name: stated for name, stated in found.corrected.priors.items() if name not in names}
+    corrected = replace(found.corrected, priors=priors)
+    return [save_session(folder, corrected, found.observations.of_rows(found.used).session)]
 
 
 def _check_writable(path: Path) -> None:

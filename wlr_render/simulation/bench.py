@@ -4,6 +4,7 @@ Device frame (OpenXR), metres, radians, seconds, pixels with (0, 0) at the outer
 defaults of all parts describe a perfect bench.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -179,6 +180,7 @@ class Bench:
         camera, stage, target, tracking, mount, readout, eye_tracking, clock: the parts; see there.
         wavelengths_um: (3,) vacuum wavelengths of red, green and blue light, micrometres.
         target_wavelength_um: wavelength in which targets and real dots are observed.
+        priors: (mean, sigma) by name of a cause and of its parameter, in the parameter's unit: how well it is known.
     """
 
     device: Device
@@ -193,6 +195,7 @@ class Bench:
     clock: Clock = field(default_factory=Clock)
     wavelengths_um: tuple[float, float, float] = (0.65, 0.55, 0.45)
     target_wavelength_um: float = 0.55
+    priors: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
     @property
     def optics(self) -> EyeOptics:

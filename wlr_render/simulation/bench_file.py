@@ -80,8 +80,9 @@ def bench_of(file: Table, folder: Path) -> Bench:
         EyeTracking(**stated["eye_tracking"]),
         Clock(**stated["clock"]),
     )
+    priors = _priors(file)
     file.finish()
-    return replace(bench, **stated["light"])
+    return replace(bench, **stated["light"], priors=priors)
 
 
 def save_bench(bench: Bench, path: str | Path) -> Path:
@@ -98,6 +99,7 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
         for pose, pitch in zip(bench.target.device_from_target, bench.target.pitch, strict=True)
     ]
     content = head | {name: keys for name, keys in sections.items() if keys}
+    content |= {"prior": bench.priors} if bench.priors else {}
     return write_toml(path, content | ({"target_pose": poses} if poses else {}), "docs/bench-session.md has the format")
 
 
@@ -139,6 +141,29 @@ def _section(file: Table, name: str, axes: FloatArray) -> dict[str, Any]:
     """What the table states of its part; [camera] and [stage] must be there."""
     required = name in ("camera", "stage")
     return SECTIONS[name].read(file.table(name), axes) if required or file.has(name) else {}
+
+
+def _priors(file: Table) -> dict[str, dict[str, tuple[float, float]]]:
+    """[prior.CAUSE] tables; the names are checked where the causes are known."""
+    if not file.has("prior"):
+        return {}
+    table = file.table("prior")
+    return {cause: _priors_of_cause(table.table(cause)) for cause in table.keys()}  # noqa: SIM118 (a Table)
+
+
+def _priors_of_cause(table: Table) -> dict[str, tuple[float, float]]:
+    priors = {}
+    for name in table.keys():  # noqa: SIM118 (a Table)
+        if isinstance(table.unchecked(name), dict):
+            pair = table.table(name)
+            mean, sigma = pair.number("mean", 0.0), pair.number("sigma")
+            pair.finish()
+        else:
+            mean, sigma = table.vector(name, 2).tolist()
+        if not sigma > 0.0:
+            raise table.fail(f"the sigma of '{name}' is {sigma:g}; it must be above 0.")
+        priors[name] = (mean, sigma)
+    return priors
 
 
 def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:

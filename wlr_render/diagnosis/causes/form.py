@@ -25,7 +25,7 @@ FORM_RADIUS_MM = 20.0
 _NARROWEST_MM = 0.5  # a fit may step below zero on its way
 _TOLERANCES = (
     "tolerances of injection-moulded optics (Apollo Optical Systems): 10 fringes of power and 6 of irregularity over "
-    "25 mm, that is 8 and 5 um at a radius of 20 mm"
+    "25 mm, that is 8 and 5 um over 40 mm"
 )
 
 
@@ -37,11 +37,11 @@ def _panel_bowed(optics: EyeOptics, sag_mm: FloatArray) -> EyeOptics:
 
 
 def _form_coefficients(values_um: FloatArray) -> FloatArray:
-    """Coefficients (4, 4) of x^m y^n in metres of power, astigmatism and coma: Zernike terms without their pistons."""
+    """Coefficients (4, 4) of x^m y^n, metres: Zernike terms of power, without its piston, astigmatism and coma."""
     power, astigmatism, oblique, coma_x, coma_y = 1e-6 * values_um
     radius = 1e-3 * FORM_RADIUS_MM
     coefficients = np.zeros((4, 4))
-    coefficients[2, 0], coefficients[0, 2] = 2.0 * power + astigmatism, 2.0 * power - astigmatism
+    coefficients[2, 0], coefficients[0, 2] = power + astigmatism, power - astigmatism
     coefficients[1, 1] = 2.0 * oblique
     coefficients[1, 0], coefficients[0, 1] = -2.0 * coma_x, -2.0 * coma_y
     coefficients[3, 0] = coefficients[1, 2] = 3.0 * coma_x
@@ -98,7 +98,7 @@ FORM = (
         "panel bowed",
         "device",
         (Parameter("sag_u", "mm", 0.3), Parameter("sag_v", "mm", 0.3)),
-        source="our estimate for panels in plastic frames, 0.1 to 0.5 mm at the edge; data sheets state no flatness",
+        source="our estimate for panels in plastic frames, 0.1 to 0.5 mm at the edge",
         separated_by="a straight edge on the panel's face, or the reflection of a grid in it",
         variants={"along its normal, u cross v": of_optics(_panel_bowed)},
         remedy="let the panel's frame hold it flat, or use the corrected headset",
@@ -111,7 +111,7 @@ FORM = (
             Parameter("power", "um", 8.0),
             *(Parameter(name, "um", 5.0) for name in ("astigmatism", "oblique_astigmatism", "coma_x", "coma_y")),
         ),
-        source=f"{_TOLERANCES}; each term at its largest on that circle",
+        source=_TOLERANCES,
         separated_by="display captures from more camera positions; an interferogram or a coordinate measurement of it",
         variants={
             "in all its surfaces": of_optics(_of_form),

@@ -1,0 +1,122 @@
+"""Causes that users add, choose and know priors of: taken as stated, or refused in one sentence."""
+
+import re
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wlr_render.diagnosis.cause import Role, with_priors
+from wlr_render.diagnosis.causes import CAUSES, user_causes
+from wlr_render.diagnosis.causes.user_causes import causes_for
+from wlr_render.errors import BadInputError
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "diagnosis.md"
+GOOD = """
+from dataclasses import replace
+from wlr_render.diagnosis.cause import Cause, Parameter, Role, changed
+
+CAUSES = [
+    Cause(
+        "lens_hood", "hood", "camera", (Parameter("turn", "deg", 0.1),), source="s", separated_by="m",
+        variants={"v": changed("camera", "centre_px", lambda old, deg: old + deg)},
+    )
+]
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    """Text -> path of a file of causes."""
+
+    def written(text):
+        path = tmp_path / "own.py"
+        path.write_text(text)
+        return str(path)
+
+    return written
+
+
+def test_a_file_adds_its_causes_to_the_listed_ones(bench, own):
+    causes = causes_for(bench, [own(GOOD)])
+    assert list(causes) == [*CAUSES, "lens_hood"]
+    moved = causes["lens_hood"].perturb(bench, np.array([0.5]))
+    np.testing.assert_allclose(moved.camera.centre_px, bench.camera.centre_px + 0.5)
+
+
+def test_an_installed_package_adds_its_causes(bench, tmp_path, monkeypatch):
+    (tmp_path / "cellar_of_ours.py").write_text(GOOD)
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = EntryPoint("cellar", "cellar_of_ours:CAUSES", user_causes.ENTRY_POINTS)
+    monkeypatch.setattr(user_causes, "entry_points", lambda group: [entry] if group == entry.group else [])
+    assert "lens_hood" in causes_for(bench)
+    assert "lens_hood" not in causes_for(bench, excluded=["lens_hood"])
+    broken = EntryPoint("cellar", "cellar_of_ours:NONE", user_causes.ENTRY_POINTS)
+    monkeypatch.setattr(user_causes, "entry_points", lambda group: [broken])
+    with pytest.raises(BadInputError, match=r"entry point 'cellar' .cellar_of_ours:NONE.: cannot be loaded"):
+        causes_for(bench)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("CAUSES = [", "THINGS = [", r"own.py: defines no CAUSES; add CAUSES"),
+        ("CAUSES = [", "CAUSES = 3\nTHINGS = [", r"own.py: CAUSES is 3; it must be a tuple or list"),
+        ("CAUSES = [", "CAUSES = ['lens']\nTHINGS = [", r"own.py: CAUSES holds 'lens', which is no "),
+        ("CAUSES = [", "1 / 0\nCAUSES = [", r"own.py: cannot be loaded .ZeroDivisionError: division by zero"),
+        ("CAUSES = [", "exit(3)\nCAUSES = [", r"own.py: cannot be loaded .SystemExit: 3"),
+        ("CAUSES = [", "CAUSES = [(", r"own.py: cannot be loaded .SyntaxError"),
+        ('"lens_hood"', '"latency"', r"own.py: there is a cause 'latency' already; choose another name"),
+        ('"camera", (', '"bracket", (', r"'lens_hood' has the part 'bracket'; choose from device, camera"),
+        ("0.1)", "0.0)", r"'lens_hood' has a prior_sigma of 0.0 for 'turn'"),
+        ("0.1)", "0.1, Role.SHAPE)", r"'lens_hood' has no parameter with the role SIZE"),
+        ('"centre_px"', '"center_px"', r"'lens_hood' fails in its variant 'v' .AttributeError"),
+        ('{"v": changed', '{"v": lambda b, v: None, "w": changed', r"returns NoneType in its variant 'v'"),
+        ('variants={"v"', 'variants={} and {"v"', r"'lens_hood' has no variants"),
+    ],
+)
+def test_faulty_files_of_causes_are_refused_in_a_sentence(bench, own, old, new, sentence):
+    assert old in GOOD
+    with pytest.raises(BadInputError, match=sentence):
+        causes_for(bench, [own(GOOD.replace(old, new, 1))])
+
+
+def test_only_named_causes_are_left_less_the_excluded_ones(bench):
+    assert set(causes_for(bench, only=["latency", "panel_bow"], excluded=["latency"])) == {"panel_bow"}
+
+
+def test_priors_change_mean_and_sigma_of_the_parameters_they_name(bench):
+    stated = {"combiner_dent": {"depth": (2.0, 1.0), "x": (3.0, 0.5)}, "latency": {"latency": (5.0, 2.0)}}
+    causes = causes_for(replace(bench, priors=stated), only=["combiner_dent", "panel_bow"])
+    depth, x, y, width = causes["combiner_dent"].parameters
+    assert (depth.prior_mean, depth.prior_sigma, depth.starts) == (2.0, 1.0, (0.0,))
+    assert (x.starts, x.prior_sigma, x.role) == ((3.0,), 0.5, Role.SHAPE)
+    assert (y, width) == CAUSES["combiner_dent"].parameters[2:]
+    assert causes["panel_bow"] is CAUSES["panel_bow"]
+
+
+@pytest.mark.parametrize(
+    ("priors", "sentence"),
+    [
+        ({"combiner_tlt": {}}, r"\[prior.combiner_tlt\]: There is no cause 'combiner_tlt'; did you mean combiner_tilt"),
+        ({"latency": {"delay": (0.0, 1.0)}}, r"\[prior.latency\]: there is no parameter 'delay'; choose from latency"),
+        ({"headset_slip": {"moment": (9.0, 1.0)}}, "'moment' is searched for between captures; leave it out"),
+        ({"see_through_plate": {"thickness": (-1.0, 1.0)}}, "the mean of 'thickness' is -1; the least is 0"),
+    ],
+)
+def test_priors_of_what_does_not_exist_are_refused(priors, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        with_priors(CAUSES, priors)
+
+
+def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench, own):
+    text = DOCUMENT.read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    cause = causes_for(bench, [own(example)])["stage_squareness"]
+    axes = cause.perturb(bench, np.array([1.0, 0.0])).stage.axes
+    np.testing.assert_allclose(axes, [[1.0, np.tan(np.radians(1.0)), 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    for each in CAUSES.values():
+        listed = ", ".join(f"`{p.name}`: {p.unit} ({p.prior_sigma:g})" for p in each.parameters)
+        assert f"| `{each.name}` | {listed} |\n" in text

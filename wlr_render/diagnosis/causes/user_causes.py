@@ -1,0 +1,131 @@
+"""Causes of the user's own, and the choice of those that a diagnosis considers."""
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wlr_render.diagnosis.cause import PARTS, Cause, Role, unknown_cause, with_priors
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.errors import BadInputError
+from wlr_render.simulation.bench import Bench
+
+ENTRY_POINTS = "wlr_render.causes"
+"""Group of entry points by which an installed package adds causes: each names a `CAUSES`, an iterable of `Cause`."""
+
+
+def causes_for(
+    bench: Bench, added: Sequence[str] = (), only: Sequence[str] = (), excluded: Sequence[str] = ()
+) -> dict[str, Cause]:
+    """Causes by name for the diagnosis of a bench, with the priors that the bench states.
+
+    Args:
+        bench: the nominal bench.
+        added: Python files (`.py`) or modules that define `CAUSES`, an iterable of `Cause`; they join the listed causes
+            and those of installed packages.
+        only: names of the causes that are considered; all if empty.
+        excluded: names of causes that are left out.
+
+    Raises:
+        BadInputError: a file or module that cannot be loaded or defines no causes, a cause that fails on this bench, a
+            name that exists already or that no cause has, or no cause is left.
+    """
+    causes = dict(CAUSES)
+    for where, stated in (*_installed(), *((each, _loaded(each)) for each in added)):
+        for cause in _checked(where, stated, bench):
+            if cause.name in causes:
+                raise BadInputError(f"{where}: there is a cause '{cause.name}' already; choose another name.")
+            causes[cause.name] = cause
+    causes = with_priors(causes, bench.priors)
+    for name in (*only, *excluded):
+        if name not in causes:
+            raise BadInputError(unknown_cause(name, causes))
+    chosen = {name: cause for name, cause in causes.items() if name not in excluded and (not only or name in only)}
+    if not chosen:
+        raise BadInputError("Every cause is excluded; leave one or more to be considered.")
+    return chosen
+
+
+def _installed() -> list[tuple[str, Any]]:
+    """Where installed packages state causes, and what they state."""
+    found = []
+    for entry in entry_points(group=ENTRY_POINTS):
+        where = f"entry point '{entry.name}' ({entry.value})"
+        try:
+            found.append((where, entry.load()))
+        except Exception as error:
+            raise _failed(where, error) from error
+    return found
+
+
+def _loaded(source: str) -> Any:
+    """`CAUSES` of a Python file or of a module."""
+    try:
+        module = _module_of_file(Path(source)) if source.endswith(".py") else importlib.import_module(source)
+    except BadInputError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise _failed(source, error) from error
+    if not hasattr(module, "CAUSES"):
+        raise BadInputError(f"{source}: defines no CAUSES; add CAUSES = (Cause(...),) as docs/diagnosis.md shows.")
+    return module.CAUSES
+
+
+def _module_of_file(path: Path) -> Any:
+    if not path.is_file():
+        raise BadInputError(f"{path}: does not exist; name a Python file that defines CAUSES.")
+    name = f"wlr_render_causes_of_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None, "the name ends in .py"
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def _failed(where: str, error: BaseException) -> BadInputError:
+    return BadInputError(
+        f"{where}: cannot be loaded ({type(error).__name__}: {error}); import it in Python to see where."
+    )
+
+
+def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
+    """What a source states, if all of it is causes that act on the bench."""
+    if not isinstance(stated, Iterable) or isinstance(stated, str | Mapping):
+        raise BadInputError(f"{where}: CAUSES is {stated!r:.60}; it must be a tuple or list of Cause.")
+    causes = list(stated)
+    for cause in causes:
+        if not isinstance(cause, Cause):
+            raise BadInputError(f"{where}: CAUSES holds {cause!r:.60}, which is no wlr_render.diagnosis.cause.Cause.")
+        fault = _fault(cause, bench)
+        if fault:
+            raise BadInputError(f"{where}: cause '{cause.name}' {fault}.")
+    return causes
+
+
+def _fault(cause: Cause, bench: Bench) -> str:
+    """What is wrong with a cause, after its name; empty if nothing is."""
+    if cause.part not in PARTS:
+        return f"has the part {cause.part!r}; choose from {', '.join(PARTS)}"
+    if not cause.variants:
+        return "has no variants; give one function of (bench, values)"
+    if not any(parameter.role is Role.SIZE for parameter in cause.parameters):
+        return "has no parameter with the role SIZE, so that there is nothing to fit"
+    for parameter in cause.parameters:
+        if not 0.0 < parameter.prior_sigma < np.inf:
+            return f"has a prior_sigma of {parameter.prior_sigma} for '{parameter.name}'; it must be finite and above 0"
+    sizes = np.array([0.1 * p.prior_sigma if p.role is Role.SIZE else 0.0 for p in cause.parameters])
+    for variant in cause.variants:
+        try:
+            perturbed = [cause.perturb(bench, cause.null() + share, variant) for share in (0.0 * sizes, sizes)]
+        except Exception as error:
+            return f"fails in its variant '{variant}' ({type(error).__name__}: {error})"
+        if not all(isinstance(each, Bench) for each in perturbed):
+            return f"returns {type(perturbed[-1]).__name__} in its variant '{variant}'; it must return a Bench"
+    return ""
