@@ -77,7 +77,7 @@ def _combiner_thickened(
     if len(steps) < 2:
         return bench
     chosen = steps[0 if face == "inner" else -1].surface
-    offset = outward(bench.optics, chosen, along_axis) * (-by if face == "inner" else by)
+    offset = outward(chosen, assembly.combiner_middle(bench.optics), along_axis) * (-by if face == "inner" else by)
 
     def thickened(surface: PlacedSurface) -> PlacedSurface:
         if surface.name != chosen.name or offset == 0.0:
@@ -93,9 +93,11 @@ def _combiner_thickened(
     return _with_optics(bench, bench.optics.with_surfaces(thickened))
 
 
-def outward(optics: EyeOptics, surface: PlacedSurface, along_axis: bool = False) -> float:
-    """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1."""
-    middle = assembly.combiner_middle(optics)
+def outward(surface: PlacedSurface, middle: FloatArray, along_axis: bool = False) -> float:
+    """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1.
+
+    `middle` (3,) is where it looks through, `assembly.combiner_middle`.
+    """
     pose = surface.surface_from_device
     local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
     normal = surface.shape.normal(local)[:, 0]

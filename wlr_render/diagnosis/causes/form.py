@@ -81,12 +81,13 @@ def _raised(optics: EyeOptics, names: set[str], error: Callable[[float], SagSurf
         error: see above.
         place: (2,) origin of the error from the combiner's middle, metres.
     """
-    device_from_error = rigid(np.eye(3), combiner_middle(optics) + np.append(place, 0.0))
+    middle = combiner_middle(optics)
+    device_from_error = rigid(np.eye(3), middle + np.append(place, 0.0))
 
     def with_error(surface: PlacedSurface) -> PlacedSurface:
         if surface.name not in names:
             return surface
-        added = FormError(error(outward(optics, surface)), surface.surface_from_device @ device_from_error)
+        added = FormError(error(outward(surface, middle)), surface.surface_from_device @ device_from_error)
         return replace(surface, shape=raised(surface.shape, added))
 
     return optics.with_surfaces(with_error)
