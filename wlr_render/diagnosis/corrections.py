@@ -1,19 +1,22 @@
 """Smooth corrections of the remaining residual, each a function of one set of variables.
 
-They tell where an effect lives. None of them is a cause: each is judged by what it gains on captures that it was not
-fitted to, and offered as a correction.
+They tell where an effect lives. None of them is a cause: each competes by its evidence with what is random, and is
+offered as a correction.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
-from wlr_render.diagnosis.fit import held_out_improvement
+from wlr_render.diagnosis.fit import Fit, WeighedReadings, held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.diagnosis.scatter import Scatter, marginal, surprise
+from wlr_render.diagnosis.search import LOG10_ODDS
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 
 Design = tuple[str, str, FloatArray]
@@ -23,30 +26,55 @@ _FOLDS = 8
 _RIDGE = 1e-6  # of the design's mean square: keeps terms that a session does not determine at zero
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _SCREW_PERIODS_M = (0.00025, 0.0005, 0.001, 0.002)  # of the leads of micrometer screws
+_SIZES = np.geomspace(0.01, 300.0, 40)  # of a correction that are tried, in units of sigma
+_LESS_MOTION = (1.0, 0.5, 0.2, 0.05)  # of what captures scatter by without the correction
 
 
-def corrections(observations: Observations, residual: FloatArray, used: BoolArray, part: int) -> list[Correction]:
-    """All corrections of one part's residual (n, 2), the one that gains most on held-out captures first.
-
-    Args:
-        observations: all readings.
-        residual: of all readings, units of sigma.
-        used: which count.
-        part: which part is to be corrected.
-    """
-    rows = used & (observations.part == part) & np.isfinite(residual).all(axis=1)
-    within = rows[observations.part == part]
-    group, own = observations.group[rows], residual[rows]
-    if len(np.unique(group)) < _FOLDS:
+def corrections(readings: WeighedReadings, found: Fit, part: int) -> list[Correction]:
+    """All corrections of what a fit leaves of one part, the one of best odds first."""
+    rows = readings.observations.part == part
+    own = readings.observations.of_rows(rows)
+    if len(np.unique(own.group)) < 2:
         return []
-    count = len(observations.captures)
-    before = _squares(own, group, count)
-    found = []
-    for depends_on, form, design in _designs(observations, part):
-        after = _squares(_held_out(design[within], own, group), group, count)
+    mine = WeighedReadings(readings.predictor.of_rows(rows), readings.shared.of_rows(rows), readings.motions[rows])
+    left, white = found.at.residual[rows], found.residual[rows]
+    base = _without(mine, left, found.scatter)
+    before = _squares(white, own.group, len(own.captures))
+    made = []
+    for depends_on, form, design in _designs(own, part):
+        size, odds = _evidence(mine, left, design, found.scatter, base)
+        after = _squares(_held_out(design, white, own.group, size), own.group, len(own.captures))
         gain = held_out_improvement(before, after)
-        found.append(Correction(PART_NAMES[part], depends_on, form, design.shape[1], gain))
-    return sorted(found, key=lambda correction: -correction.improvement.percent)
+        made.append(Correction(PART_NAMES[part], depends_on, form, design.shape[1], gain, odds))
+    return sorted(made, key=lambda correction: -correction.log10_odds)
+
+
+def _without(readings: WeighedReadings, left: FloatArray, scatter: Scatter) -> float:
+    sums = readings.sums(left, np.zeros((*left.shape, 0)))
+    return marginal(sums, scatter).minus_two_log + surprise(scatter, sums)
+
+
+def _evidence(
+    readings: WeighedReadings, left: FloatArray, design: FloatArray, scatter: Scatter, base: float
+) -> tuple[float, float]:
+    """Most probable size of a correction's coefficients, in sigma, and log10 of the odds for it against none."""
+    scale = np.sqrt(np.mean(design**2, axis=0)).clip(1e-12)
+    columns = np.zeros((*left.shape, 2 * design.shape[1]))
+    for axis in (0, 1):
+        columns[:, axis, axis::2] = design / scale
+    sums = readings.sums(left, columns)
+    best = (0.0, 0.0)
+    for less in _LESS_MOTION:
+        at = replace(scatter, shift_um=less * scatter.shift_um, turn_urad=less * scatter.turn_urad)
+        found, unusual = marginal(sums, at), surprise(at, sums)
+        values, axes = np.linalg.eigh(found.information)
+        pull, values = axes.T @ found.gradient, values.clip(0.0)
+        for size in _SIZES:
+            cost = found.minus_two_log + unusual + float(
+                np.sum(np.log1p(size**2 * values) - pull**2 * size**2 / (1.0 + size**2 * values))
+            )
+            best = max(best, (LOG10_ODDS * (base - cost), float(size)))
+    return best[1], best[0]
 
 
 def _squares(residual: FloatArray, group: NDArray[np.int64], count: int) -> FloatArray:
@@ -55,13 +83,16 @@ def _squares(residual: FloatArray, group: NDArray[np.int64], count: int) -> Floa
     return np.asarray(np.where(np.bincount(group, minlength=count) > 0, squares, np.nan))
 
 
-def _held_out(design: FloatArray, residual: FloatArray, group: NDArray[np.int64]) -> FloatArray:
+def _held_out(design: FloatArray, residual: FloatArray, group: NDArray[np.int64], size: float) -> FloatArray:
     """Residual (n, 2) after the correction, each capture by a fit to the captures of the other folds."""
-    left = np.empty_like(residual)
-    ridge = _RIDGE * len(design) * np.mean(design**2) * np.eye(design.shape[1])
+    left = residual.copy()
+    scale = np.sqrt(np.mean(design**2, axis=0)).clip(1e-12)
+    design = design / scale
+    ridge = (1.0 / max(size, 1e-3) ** 2 + _RIDGE * len(design)) * np.eye(design.shape[1])
     # Captures follow each other in space and time; taking turns spreads every fold over both.
-    fold = np.searchsorted(np.unique(group), group) % _FOLDS
-    for number in range(_FOLDS):
+    numbers = np.unique(group)
+    fold = np.searchsorted(numbers, group) % min(_FOLDS, len(numbers))
+    for number in range(min(_FOLDS, len(numbers))):
         out = fold == number
         kept = design[~out]
         coefficients = np.linalg.solve(kept.T @ kept + ridge, kept.T @ residual[~out])

@@ -98,6 +98,7 @@ class Correction:
         form: how it depends on them.
         terms: coefficients per axis.
         improvement: on held-out captures.
+        log10_odds: for it against what is random alone.
     """
 
     part: str
@@ -105,6 +106,7 @@ class Correction:
     form: str
     terms: int
     improvement: HeldOutImprovement
+    log10_odds: float
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,23 @@ class Correlations:
     condition: float = 1.0
 
 
+@dataclass(frozen=True)
+class MotionSize:
+    """How far the captures of a part repeat: standard deviation of their cameras' motions per axis.
+
+    Attributes:
+        part: its name.
+        shift_um, shift_error_um: of the positions, and standard error.
+        turn_urad, turn_error_urad: of the turns, and standard error.
+    """
+
+    part: str
+    shift_um: float
+    shift_error_um: float
+    turn_urad: float
+    turn_error_urad: float
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The result of a diagnosis.
@@ -204,6 +223,7 @@ class Diagnosis:
         causes: what was found, largest effect first.
         excluded: captures that moved.
         noise_floors: noise of each part.
+        motions: how far the captures of each part repeat.
         noise: the residual that noise alone would give.
         before, after: residuals with the nominal and with the corrected bench.
         unexplained: None where only noise is left.
@@ -224,6 +244,7 @@ class Diagnosis:
     causes: tuple[FoundCause, ...]
     excluded: tuple[MovedCapture, ...]
     noise_floors: tuple[NoiseFloor, ...]
+    motions: tuple[MotionSize, ...]
     noise: ResidualSummary
     before: ResidualSummary
     after: ResidualSummary

@@ -1,28 +1,106 @@
-"""Fit the values of an explanation's causes to the observations, and the evidence for the explanation.
+"""Fit the values of an explanation's causes to the readings of a bench, and the evidence for the explanation.
 
-Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An Algorithm for Least-Squares Estimation of Nonlinear
-Parameters", SIAM J. 11 (1963) 431). Evidence: reduced chi-squared, marginal likelihood, held-out captures, and
-stability across halves of the readings.
+Errors of readings are those of a bench: noise, noise that neighbours share, and a random motion of the camera in each
+capture (`whitening`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An Algorithm for
+Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on readings whose errors are made independent.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import chdtrc
+from scipy.stats import t as student
 
 from wlr_render.diagnosis.cause import Role
-from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
-from wlr_render.diagnosis.prediction import Explanation, Linearisation, Predictor, State
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.noise import Noise
+from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation, Predictor, State
+from wlr_render.diagnosis.scatter import (
+    Scatter,
+    ScatterSums,
+    best_scatter,
+    marginal,
+    minus_two_log_evidence,
+)
 from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
-_PRIOR = 1e-8  # information of an almost boundless prior, in prior sigmas: keeps degenerate directions finite
+_SAME_SCATTER = 0.1  # change of a logarithm below which the values are not fitted again
 _SPREADS = 4.0  # standard deviations above its mean up to which the square of a change may be noise
 _HELD = 1e-2  # of the whole information: a half that determines less of a parameter does not move it
+_POSE = ("camera_pupil_offset", "camera_rotation")
+_MICRO = {"mm": 1e3, "deg": float(np.radians(1e6))}
+_MOST_STEPS = 4  # whole steps from the best multiple that are counted
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedReadings:
+    """Readings with the errors that a bench gives them.
+
+    Attributes:
+        predictor: of the readings, none of which is an outlier; their sigma is that of their noise.
+        shared: whitening of the noise that neighbours share.
+        motions: (n, 2, 6) change of the white readings by a shift (micrometres) and a turn (microradians) of the camera
+            in the reading's capture; zero at run time.
+    """
+
+    predictor: Predictor
+    shared: Whitening
+    motions: FloatArray
+
+    @classmethod
+    def of(cls, predictor: Predictor, noise: Noise) -> "WeighedReadings":
+        """Of a predictor whose sigma is that of the noise."""
+        observations = predictor.observations
+        shared = shared_noise_whitening(observations, noise)
+        return cls(predictor, shared, shared(camera_motions(predictor)))
+
+    @property
+    def observations(self) -> Observations:
+        """What was read."""
+        return self.predictor.observations
+
+    def of_rows(self, keep: BoolArray, noise: Noise) -> "WeighedReadings":
+        """The readings that a mask (n,) names."""
+        return WeighedReadings.of(self.predictor.of_rows(keep), noise)
+
+    def whitening(self, scatter: Scatter) -> Whitening:
+        """That makes errors independent and of unit size, given the sizes of what is random."""
+        group, part = self.observations.group, self.observations.part
+        names, first = np.unique(group, return_index=True)
+        order = np.argsort(group, kind="stable")
+        rows = np.split(order, np.cumsum(np.bincount(group[order])[names])[:-1])
+        part_of = np.zeros(len(self.observations.captures), dtype=np.int64)
+        part_of[names] = part[first]
+        sizes = scatter.sizes(part_of)[names]
+        white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
+        return Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
+
+    def sums(self, residual: FloatArray, columns: FloatArray) -> ScatterSums:
+        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma."""
+        observed = self.observations
+        y, x = self.shared(residual), self.shared(columns)
+        return ScatterSums.over(y, self.motions, x, observed.group, observed.part, len(observed.captures))
+
+
+def camera_motions(predictor: Predictor) -> FloatArray:
+    """Change of the readings (n, 2, 6) in sigma by a micrometre or a microradian of the camera; zero at run time."""
+    nothing = Explanation()
+    state, columns = predictor.state(nothing), []
+    for name in _POSE:
+        hypothesis = Hypothesis(CAUSES[name], next(iter(CAUSES[name].variants)))
+        at = predictor.added(state, nothing.plus(hypothesis))
+        full = np.zeros((*at.residual.shape, 3))
+        full[:, :, at.free] = np.nan_to_num(at.jacobian)
+        columns += [full[:, :, [k]] / (p.prior_sigma * _MICRO[p.unit]) for k, p in enumerate(hypothesis.cause.parameters)]
+    motions = np.concatenate(columns, axis=-1)
+    motions[predictor.observations.part == RUN_TIME] = 0.0
+    return np.asarray(motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,25 +109,27 @@ class Fit:
 
     Attributes:
         explanation: with the fitted values.
-        residual: (n, 2) measured minus predicted, units of sigma.
-        chi_squared: its sum of squares over the readings that were used.
-        by_part: number of values and sum of squares in each part of the session that was used.
-        used: (n,) which were.
-        at: the linearisation at the solution.
-        information: (p, p) Fisher information on the free parameters in prior sigmas, for noise of sigma.
+        at: the linearisation at the solution, in units of sigma.
+        scatter: sizes of what is random.
+        residual: (n, 2) measured minus predicted with independent errors of unit size.
+        jacobian: (n, 2, p) of the predicted readings by the free parameters in prior sigmas, likewise.
+        chi_squared: sum of squares of `residual`.
+        information: (p, p) on the free parameters in prior sigmas, with that of their priors.
+        minus_two_log_evidence: of the readings, up to a constant; lower is better.
     """
 
     explanation: Explanation
-    residual: FloatArray
-    chi_squared: float
-    by_part: tuple[tuple[int, float], ...]
-    used: BoolArray
     at: Linearisation
+    scatter: Scatter
+    residual: FloatArray
+    jacobian: FloatArray
+    chi_squared: float
     information: FloatArray
+    minus_two_log_evidence: float
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of the free parameters (p, p) in prior sigmas, for noise of sigma."""
+        """Of the free parameters (p, p) in prior sigmas."""
         return np.asarray(np.linalg.inv(self.information))
 
     def sigmas(self) -> FloatArray:
@@ -61,41 +141,63 @@ class Fit:
 
 
 def fit(
-    predictor: Predictor, start: Explanation, used: BoolArray, iterations: int = _ITERATIONS, near: State | None = None
-) -> Fit:
-    """Fit all causes of an explanation together, from its values on.
+    readings: WeighedReadings,
+    start: Explanation,
+    scatter: Scatter,
+    iterations: int = _ITERATIONS,
+    near: State | None = None,
+) -> Fit | None:
+    """Fit all causes of an explanation together, from its values on; None where it cannot predict every reading.
 
     Args:
-        predictor: of the observations.
+        readings: to be fitted to.
         start: what to fit, and from where.
-        used: (n,) the readings that count.
+        scatter: sizes of what is random, from where they are searched for; the captures that moved stay the same.
         iterations: Gauss-Newton steps at most.
         near: a state near the start, if one is known.
     """
+    predictor = readings.predictor
     at = predictor.linearised(start, predictor.state(start, near))
-    used = used & np.isfinite(at.residual).all(axis=1)
-    chi_squared, damping = _chi_squared(at.residual, used), 1e-6
+    if not np.isfinite(at.residual).all():
+        return None
+    found = _settled(readings, at, readings.whitening(scatter), iterations)
+    scatter, evidence, off = _evidence(readings, found, scatter)
+    if iterations and off > _SAME_SCATTER and found.free.size:
+        found = _settled(readings, found, readings.whitening(scatter), iterations)
+        scatter, evidence, _ = _evidence(readings, found, scatter)
+    whiten = readings.whitening(scatter)
+    residual, jacobian = whiten(found.residual), whiten(found.jacobian)
+    rows = jacobian.reshape(residual.size, found.free.size)
+    information = rows.T @ rows + np.eye(found.free.size)
+    return Fit(
+        found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence
+    )
+
+
+def _settled(readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int) -> Linearisation:
+    damping = 1e-6
     for _ in range(iterations):
         if at.free.size == 0:
             break
-        stepped = _stepped(predictor, at, used, chi_squared, damping)
+        stepped = _stepped(readings.predictor, at, whiten, damping)
         if stepped is None:
             break
-        trial, state, found, damping = stepped
-        gained, chi_squared = chi_squared - found, found
-        at = predictor.linearised(trial, state)
+        trial, state, gained, damping = stepped
+        at = readings.predictor.linearised(trial, state)
         if gained < _SETTLED:
             break
-    by_part = _by_part(predictor.observations.part[used], at.residual[used])
-    return Fit(at.explanation, at.residual, chi_squared, by_part, used, at, _information(at, used))
+    return at
 
 
 def _stepped(
-    predictor: Predictor, at: Linearisation, used: BoolArray, chi_squared: float, damping: float
+    predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float
 ) -> tuple[Explanation, State, float, float] | None:
-    """The next explanation, its state and chi-squared, and the damping to go on with; None where no step helps."""
-    information = _information(at, used)
-    gradient = np.einsum("nkp,nk->p", at.jacobian[used], at.residual[used])
+    """The next explanation, its state, what it gains, and the damping to go on with; None where no step helps."""
+    rows = whiten(np.nan_to_num(at.jacobian)).reshape(-1, at.free.size)
+    residual, off = whiten(at.residual), _off_prior(at.explanation)[at.free]
+    information = rows.T @ rows + np.eye(len(off))
+    gradient = rows.T @ residual.ravel() - off
+    before = float(np.sum(residual**2)) + _prior_cost(at.explanation)
     prior_sigma = np.array([parameter.prior_sigma for parameter in at.explanation.parameters()])
     for _ in range(8):
         step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
@@ -103,85 +205,114 @@ def _stepped(
         moved[at.free] += step * prior_sigma[at.free]
         trial = at.explanation.at(moved)
         state = predictor.state(trial, at.state)
-        found = _chi_squared(predictor.residual_of(state), used)
-        if found < chi_squared:
-            return trial, state, found, 0.1 * damping
+        raw = predictor.residual_of(state)
+        if np.isfinite(raw).all():
+            after = float(np.sum(whiten(raw) ** 2)) + _prior_cost(trial)
+            if after < before:
+                return trial, state, before - after, 0.1 * damping
         if float(gradient @ step) < _SETTLED:
             return None
         damping = max(10.0 * damping, 1e-4)
     return None
 
 
-def _by_part(part: NDArray[np.int64], residual: FloatArray) -> tuple[tuple[int, float], ...]:
-    squares = np.sum(residual**2, axis=1)
-    return tuple((2 * int(np.sum(part == each)), float(squares[part == each].sum())) for each in np.unique(part))
+def _off_prior(explanation: Explanation) -> FloatArray:
+    """Distance of all values from what is expected of them, in prior sigmas; 0 for times."""
+    parameters = explanation.parameters()
+    mean = np.array([p.starts[0] if p.role is Role.SHAPE else p.prior_mean for p in parameters])
+    sigma = np.array([p.prior_sigma for p in parameters])
+    off = (explanation.vector() - mean) / sigma
+    off[[p.role is Role.TIME for p in parameters]] = 0.0
+    return np.asarray(off)
 
 
-def _chi_squared(residual: FloatArray, used: BoolArray) -> float:
-    """Sum of squares; infinite where a reading that counts has lost its prediction."""
-    with np.errstate(over="ignore"):
-        total = float(np.sum(residual[used] ** 2))
-    return total if np.isfinite(total) else np.inf
+def _prior_cost(explanation: Explanation) -> float:
+    off = _off_prior(explanation)
+    return float(off @ off)
 
 
-def _information(at: Linearisation, used: BoolArray) -> FloatArray:
-    rows = at.jacobian[used].reshape(2 * int(used.sum()), at.free.size)
-    return np.asarray(rows.T @ rows + _PRIOR * np.eye(rows.shape[1]))
+def _evidence(readings: WeighedReadings, at: Linearisation, scatter: Scatter) -> tuple[Scatter, float, float]:
+    """The sizes of what is random at a solution, -2 log evidence, and the largest change of the sizes' logarithms."""
+    sums = readings.sums(at.residual, np.nan_to_num(at.jacobian))
+    mean = -_off_prior(at.explanation)[at.free]
+    found, cost = best_scatter(sums, scatter, mean)
+    cost += whole_step_cost(sums, found, at.explanation, at.free)
+    cost += 2.0 * float(np.log(choices(at.explanation, readings.observations)))
+    return found, cost, float(np.max(np.abs(found.vector() - scatter.vector())))
+
+
+def choices(explanation: Explanation, observations: Observations) -> float:
+    """How many ways of acting and moments the causes of an explanation were chosen from."""
+    count = 1.0
+    for hypothesis in explanation.hypotheses:
+        count *= len(hypothesis.cause.variants)
+        if any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters):
+            count *= max(1, len(observations.captures) - 1)
+    return count
+
+
+def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanation, free: IntArray) -> float:
+    """What is to be added to -2 log evidence where values are multiples of a whole step, and not any number.
+
+    The multiple k has the probability 2^-|k| / 3, and the evidence is the sum over the multiples.
+    """
+    steps, values = _whole_steps(explanation, free)
+    whole = np.isfinite(steps)
+    if not whole.any():
+        return 0.0
+    found, mean = marginal(sums, scatter), -_off_prior(explanation)[free]
+    normal = found.information + np.eye(len(free))
+    smooth = minus_two_log_evidence(found, mean)
+    normal[np.ix_(whole, whole)] -= np.eye(int(whole.sum()))
+    right = found.gradient + np.where(whole, 0.0, mean)
+    covariance = np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal)))
+    best = covariance @ right
+    others = ~whole
+    _, determinant = np.linalg.slogdet(normal[np.ix_(others, others)])
+    flat = found.minus_two_log + float(mean[others] @ mean[others]) - float(right @ best) + determinant
+    at = (values + best)[whole] / steps[whole]
+    nearest = np.round(at)
+    reach = np.arange(-_MOST_STEPS, _MOST_STEPS + 1)
+    k = nearest[:, None] + np.stack([each.ravel() for each in np.meshgrid(*[reach] * len(at), indexing="ij")])
+    off = (k - at[:, None]) * steps[whole][:, None]
+    precision = np.linalg.inv(covariance[np.ix_(whole, whole)])
+    logs = -0.5 * np.einsum("ik,ij,jk->k", off, precision, off) - np.sum(np.log(2.0) * np.abs(k) + np.log(3.0), axis=0)
+    return float(flat - 2.0 * np.logaddexp.reduce(logs) - smooth)
+
+
+def _whole_steps(explanation: Explanation, free: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Step of each free value, NaN where it may be any number, and the values, both (p,) in prior sigmas."""
+    steps = [
+        (hypothesis.cause.whole_steps or np.nan) / parameter.prior_sigma
+        for hypothesis in explanation.hypotheses
+        for parameter in hypothesis.cause.parameters
+    ]
+    sigma = np.array([parameter.prior_sigma for parameter in explanation.parameters()])
+    return np.array(steps, dtype=np.float64)[free], (explanation.vector() / sigma)[free]
 
 
 def reduced_chi_squared(found: Fit) -> float:
-    """Mean square of the used residuals per degree of freedom: 1 where only noise is left."""
-    return float(found.chi_squared / max(1, 2 * int(found.used.sum()) - found.at.free.size))
-
-
-def minus_two_log_evidence(found: Fit, settings: Settings = DEFAULT) -> float:
-    """-2 log of the explanation's marginal likelihood, up to a constant: lower is better.
-
-    Laplace's approximation with a normal prior for every parameter (D. MacKay, "Information Theory, Inference, and
-    Learning Algorithms", 2003, chapter 28): a parameter that could have been anything pays for having been tuned. A
-    cause whose values are multiples of a whole step pays for the choice of the multiple only.
-
-    What an explanation leaves above the noise counts as noise of unknown size in each part of the session by itself.
-    So an explanation of one whole part is worth more than one that explains a little of both.
-    """
-    likelihood = 0.0
-    for count, squares in found.by_part:
-        variance = max(1.0, squares / count)
-        likelihood += count * np.log(variance) + squares / variance
-    values, parameters = found.explanation.vector(), found.explanation.parameters()
-    prior_sigma = np.array([parameter.prior_sigma for parameter in parameters])
-    whole, off_step = _whole_steps(found)
-    free = ~whole[found.at.free]
-    sizes = (values / prior_sigma)[found.at.free][free]
-    _, log_determinant = np.linalg.slogdet(found.information[np.ix_(free, free)] + np.eye(int(free.sum())))
-    choices = 2.0 * np.log(settings.whole_step_choices) * int(whole.sum())
-    return float(likelihood + sizes @ sizes + log_determinant + off_step + choices)
-
-
-def _whole_steps(found: Fit) -> tuple[BoolArray, float]:
-    """Which parameters move in whole steps (p,), and the chi-squared of rounding them."""
-    whole, off_step, first = np.zeros(len(found.explanation.vector()), dtype=bool), 0.0, 0
-    for hypothesis, values in zip(found.explanation.hypotheses, found.explanation.values, strict=True):
-        step, rows = hypothesis.cause.whole_steps, np.arange(first, first + len(values))
-        first += len(values)
-        if step is None:
-            continue
-        whole[rows] = True
-        prior_sigma = np.array([parameter.prior_sigma for parameter in hypothesis.cause.parameters])
-        places = np.flatnonzero(np.isin(found.at.free, rows))
-        off = ((values - step * np.round(values / step)) / prior_sigma)[found.at.free[places] - rows[0]]
-        off_step += float(off @ np.linalg.solve(found.covariance[np.ix_(places, places)], off))
-    return whole, off_step
+    """Mean square of the residuals with independent errors per degree of freedom: 1 where only noise is left."""
+    return float(found.chi_squared / max(1, found.residual.size - found.at.free.size))
 
 
 def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
     """Whether all values are possible: above their minimum, to three standard errors, and of a usual size."""
     parameters, values = found.explanation.parameters(), found.explanation.vector()
     minimum = np.array([parameter.minimum for parameter in parameters])
-    sizes = np.array([parameter.role is Role.SIZE for parameter in parameters])
+    sizes = np.array([parameter.role is Role.SIZE for parameter in parameters], dtype=bool)
     prior_sigma = np.array([parameter.prior_sigma for parameter in parameters])
     usual = np.abs(values[sizes]) <= settings.max_prior_sigmas * prior_sigma[sizes]
     return bool(np.all(values >= minimum - 3.0 * found.sigmas()) and np.all(usual))
+
+
+def few_captures_factor(found: Fit, observations: Observations) -> float:
+    """By how much one standard deviation is wider, as the motions' sizes are known from few captures only.
+
+    Student's t with the captures that the fit leaves free; 1 where motions do not matter.
+    """
+    freedom = max(1, len(np.unique(observations.group)) - found.at.free.size // 3)
+    return float(student.ppf(0.841344746, freedom))
 
 
 def correlation_condition(found: Fit) -> float:
@@ -193,11 +324,6 @@ def correlation_matrix(found: Fit) -> FloatArray:
     """Correlations (p, p) between the free parameters of a fit."""
     sigma = np.sqrt(np.diag(found.covariance))
     return np.asarray(found.covariance / sigma / sigma[:, None])
-
-
-def p_value(gain: float, parameters: int, tries: int) -> float:
-    """Probability that the best of `tries` causes of no effect gains so much chi-squared with so many parameters."""
-    return float(min(1.0, tries * chdtrc(parameters, max(gain, 0.0))))
 
 
 @dataclass(frozen=True)
@@ -215,21 +341,26 @@ class HeldOutImprovement:
     significance: float
 
 
-def held_out_squares(found: Fit, group: IntArray, groups: int) -> FloatArray:
-    """Sum of squared residuals of each capture (groups,) when it is left out of the fit; NaN for unused captures.
+def held_out_squares(found: Fit, observations: Observations, whiten: Whitening | None = None) -> FloatArray:
+    """Sum of squared residuals of each capture (captures,) when it is left out of the fit; NaN for unused captures.
 
     The fit without a capture is one Newton step from the fit with it, which is exact for what is left to change.
+
+    Args:
+        found: the fit.
+        observations: to which it was fitted.
+        whiten: another whitening of the residuals that are summed than the fit's own.
     """
-    rows = np.flatnonzero(found.used)
-    jacobian, residual, owner = found.at.jacobian[rows], found.residual[rows], group[rows]
-    squares, count = np.full(groups, np.nan), jacobian.shape[-1]
-    for number in np.unique(owner):
-        mine = owner == number
-        left = residual[mine]
+    squares, count = np.full(len(observations.captures), np.nan), found.jacobian.shape[-1]
+    shown = found.residual if whiten is None else whiten(found.at.residual)
+    columns = found.jacobian if whiten is None else whiten(np.nan_to_num(found.at.jacobian))
+    for number in np.unique(observations.group):
+        mine = observations.group == number
+        left = shown[mine]
         if count:
-            flat = jacobian[mine].reshape(2 * int(mine.sum()), count)
-            change = np.linalg.lstsq(found.information - flat.T @ flat, flat.T @ left.ravel(), rcond=None)[0]
-            left = left + jacobian[mine] @ change
+            flat = found.jacobian[mine].reshape(-1, count)
+            change = np.linalg.solve(found.information - flat.T @ flat, flat.T @ found.residual[mine].ravel())
+            left = left + columns[mine] @ change
         squares[number] = np.sum(left**2)
     return squares
 
@@ -239,10 +370,10 @@ def held_out_improvement(before: FloatArray, after: FloatArray) -> HeldOutImprov
     both = np.isfinite(before) & np.isfinite(after)
     old, new = before[both], after[both]
     difference = old - new
-    error = float(np.std(difference, ddof=1) * np.sqrt(len(old)))
+    error = float(np.std(difference, ddof=1) * np.sqrt(len(old))) if len(old) > 1 else 0.0
     ratio = float(np.sqrt(new.sum() / old.sum()))
     # Leave-one-capture-out values of the ratio give its standard error.
-    ratios = np.sqrt((new.sum() - new) / (old.sum() - old))
+    ratios = np.sqrt((new.sum() - new) / (old.sum() - old).clip(1e-300))
     spread = float(np.sqrt((len(old) - 1) / len(old) * np.sum((ratios - ratios.mean()) ** 2)))
     return HeldOutImprovement(100 * (1 - ratio), 100 * spread, float(difference.sum()) / error if error > 0 else 0.0)
 
@@ -261,7 +392,7 @@ def instability(observations: Observations, found: Fit) -> FloatArray:
     worst = np.zeros(len(found.explanation.values))
     scale = reduced_chi_squared(found)
     for half in _halves(observations):
-        first, second = (_solved(found, found.used & rows) for rows in (half, ~half))
+        first, second = (_solved(found, rows) for rows in (half, ~half))
         change, covariance = first[0] - second[0], scale * (first[1] + second[1])
         for cause in range(len(worst)):
             mine = owners == cause
@@ -276,12 +407,12 @@ def instability(observations: Observations, found: Fit) -> FloatArray:
 
 def _solved(found: Fit, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Change of the free parameters, and their covariance, by some rows alone; they stay where rows say nothing."""
-    jacobian = found.at.jacobian[rows].reshape(2 * int(rows.sum()), found.at.free.size)
+    jacobian = found.jacobian[rows].reshape(-1, found.at.free.size)
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + _HELD * found.information))
     return covariance @ (jacobian.T @ found.residual[rows].ravel()), covariance
 
 
-def _halves(observations: Observations) -> list[BoolArray]:
+def _halves(observations: Observations) -> Iterable[BoolArray]:
     """Masks (n,) of one half each, split at the median of every part."""
     plan, readings = observations.session.plan, observations.session.readings
     columns: dict[int, list[FloatArray]] = {}
@@ -293,12 +424,10 @@ def _halves(observations: Observations) -> list[BoolArray]:
         if table is not None and pixel is not None:
             radius = np.linalg.norm(pixel - centre, axis=1)
             columns[part] = [radius, pixel[:, 0], pixel[:, 1], table.stage[:, 0], table.stage[:, 1], table.time_s]
-    if not columns:
-        return []
-    halves = []
-    for number in range(6):
+    for number in range(6 if columns else 0):
         half = np.zeros(len(observations), dtype=bool)
         for part, variables in columns.items():
             half[observations.part == part] = variables[number] > np.median(variables[number])
-        halves.append(half)
-    return halves
+        yield half
+
+

@@ -1,24 +1,29 @@
-"""Noise of a session: from repeated photographs, from the scatter within each photograph, and as stated.
+"""Noise of a session: how large it is in each part, photograph and place of the image, and what neighbours share.
 
-Within one photograph every physical effect is smooth over the image; what a smooth surface leaves is noise. One test,
-`is_significant`, says whether two variances differ: the stated from the measured noise, and a residual from the noise.
+Within one photograph every physical effect is smooth over the image; what a smooth surface leaves is noise. The noise
+of a reading is that of its part, times a factor of its photograph, times a factor that grows from the middle of the
+image to its corner. A share of it may be a smooth random field that neighbouring readings of a photograph have in
+common (an autofocus that breathes, air that moves, a code that interpolates).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.surfaces import Surface, surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
-_DEGREE = 6
-_ROWS_PER_COEFFICIENT = 2.5
-_OUTLIER_ROUNDS = 6
+_STATED_ERROR = 0.1  # relative error of a sigma that a bench states
+_CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
 _ENOUGH_FOR_A_SPREAD = 8  # photographs
+_RIM_FACTORS = np.arange(0.3, 5.01, 0.05)
+_SPREADS = np.concatenate([[0.0], np.geomspace(0.03, 2.0, 60)])
+_SHARES = np.linspace(0.0, 0.95, 39)
+_REACHES = (1.0, 2.0, 4.0)  # of shared noise, in distances between neighbouring readings
+_PHOTOGRAPHS = 6  # in which shared noise is looked for
+_MOST_READINGS = 500  # of one photograph, for that
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,7 @@ def is_significant(difference: float, error: float, reference: float = 1.0, sett
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The noise of one part of a session, camera pixels per axis.
+    """The noise of one part of a session, camera pixels per axis: root mean square over its readings.
 
     Attributes:
         part: its name.
@@ -57,8 +62,12 @@ class NoiseFloor:
         repeats_px: from photographs taken twice from one place; NaN without such.
         measured_px: the best estimate from both; NaN without either.
         error_px: standard error of `measured_px`.
-        used_px: what the diagnosis uses: the stated noise where it is believable, else the measured one.
+        used_px: what the diagnosis uses: stated and measured noise weighted by their errors.
         is_believable: whether the stated noise does not differ significantly from the measured one.
+        rim_factor: noise in the corner of the image over that in its middle; 1 where it does not clearly differ.
+        photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 likewise.
+        shared: share of the variance that neighbouring readings have in common; 0 likewise.
+        shared_reach_px: distance in the image over which they do; NaN where nothing is shared.
     """
 
     part: str
@@ -69,28 +78,182 @@ class NoiseFloor:
     error_px: float
     used_px: float
     is_believable: bool
+    rim_factor: float = 1.0
+    photographs_differ: float = 0.0
+    shared: float = 0.0
+    shared_reach_px: float = float("nan")
 
 
-def noise_floors(
-    observations: Observations, residual: FloatArray, settings: Settings = DEFAULT
-) -> tuple[NoiseFloor, ...]:
-    """Noise of each part that the session has, from the nominal bench's residual (n, 2) in units of sigma."""
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise of all readings.
+
+    Attributes:
+        floors: of each part that the session has.
+        sigma_px: (n,) of each reading per axis, camera pixels.
+        outlier: (n,) readings far from their neighbours, which are none.
+    """
+
+    floors: tuple[NoiseFloor, ...]
+    sigma_px: FloatArray
+    outlier: BoolArray
+
+    def floor(self, part: int) -> NoiseFloor:
+        """The noise of a part by its number."""
+        return next(each for each in self.floors if each.part == PART_NAMES[part])
+
+
+def noise_of(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Noise:
+    """Noise of a session's readings from a residual (n, 2) in units of the stated sigma."""
+    found = list(surfaces(observations, residual, settings))
+    outlier, shape = np.zeros(len(observations), dtype=bool), np.ones(len(observations))
+    for surface in found:
+        outlier[surface.rows[~surface.good]] = True
     floors = []
     for part in np.unique(observations.part):
-        stated = float(observations.sigma_px[part])
-        within = _within(observations, residual, part, settings)
-        repeats = _repeats(observations, residual, settings) if part == DISPLAY else Variance(np.nan, np.nan)
-        measured = _combined(within, repeats, settings)
-        within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
-        error_px, is_believable = np.nan, True
-        if measured.value > 0.0:
-            error_px = 0.5 * measured_px * measured.error
-            # Of logarithms the relative error is the error, whichever of the two is true.
-            is_believable = not is_significant(float(np.log(measured.value)), measured.error, 1.0, settings)
-        used_px = stated if is_believable else measured_px
-        pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
-        floors.append(NoiseFloor(PART_NAMES[part], *pixels, is_believable))
-    return tuple(floors)
+        own = [each for each in found if observations.part[each.rows[0]] == part]
+        rows = observations.part == part
+        rim = _rim_factor(observations, own)
+        shape[rows] *= _over_field(observations, np.flatnonzero(rows), rim)
+        factors, differ = _photograph_factors(own, shape)
+        for surface, factor in zip(own, factors, strict=True):
+            shape[surface.rows] *= factor
+        shape[rows] /= np.sqrt(np.mean(shape[rows] ** 2))
+        floors.append(_floor(observations, residual, own, shape, int(part), rim, differ, settings))
+    sigma = observations.sigma_px * shape
+    for floor in floors:
+        sigma[observations.part == PART_NAMES.index(floor.part)] *= floor.used_px / floor.stated_px
+    return Noise(tuple(floors), sigma, outlier)
+
+
+def _floor(
+    observations: Observations,
+    residual: FloatArray,
+    own: list[Surface],
+    shape: FloatArray,
+    part: int,
+    rim: float,
+    differ: float,
+    settings: Settings,
+) -> NoiseFloor:
+    stated = float(np.sqrt(np.mean(observations.sigma_px[observations.part == part] ** 2)))
+    share, reach, kept = _shared(observations, residual, own, shape)
+    within = _within(own, shape, kept)
+    repeats = _repeats(observations, residual, shape, kept, settings) if part == DISPLAY else Variance(np.nan, np.nan)
+    measured = _combined(within, repeats, settings)
+    within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
+    error_px, used_px, is_believable = np.nan, stated, True
+    if measured.value > 0.0:
+        error_px = 0.5 * measured_px * measured.error
+        # Of logarithms the relative error is the error, whichever of the two is true.
+        logarithm = float(np.log(measured.value))
+        is_believable = not is_significant(logarithm, measured.error, 1.0, settings)
+        weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
+        used_px = stated * float(np.exp(0.5 * weight * logarithm))
+    pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
+    return NoiseFloor(PART_NAMES[part], *pixels, is_believable, rim, differ, share, reach)
+
+
+def _over_field(observations: Observations, rows: IntArray, rim: float) -> FloatArray:
+    """Factor of the noise at each of the rows that grows from 1 in the middle of the image to `rim` in its corner."""
+    centre = 0.5 * np.asarray(observations.nominal.camera.size_px, dtype=np.float64)
+    place = np.nan_to_num(observations.image_place[rows] - centre)
+    return np.asarray(1.0 + (rim - 1.0) * np.sum(place**2, axis=1) / float(centre @ centre))
+
+
+def _rim_factor(observations: Observations, own: list[Surface]) -> float:
+    """Growth of the noise to the corner by likelihood; 1 where it is not clear. Every photograph has its own size."""
+    if not own:
+        return 1.0
+    squares = np.concatenate([each.squares / np.mean(each.squares).clip(1e-300) for each in own])
+    rows = np.concatenate([each.rows[each.good] for each in own])
+    photograph = np.repeat(np.arange(len(own)), [int(each.good.sum()) for each in own])
+    count = np.bincount(photograph)
+    spread = np.stack([_over_field(observations, rows, rim) ** 2 for rim in (*_RIM_FACTORS, 1.0)])
+    size = np.stack([np.bincount(photograph, squares / each) / count for each in spread])
+    # Both axes: two values a reading.
+    likelihood = -np.sum(np.log(spread), axis=1) - np.sum(count * np.log(size.clip(1e-300)), axis=1)
+    best = int(np.argmax(likelihood[:-1]))
+    return float(_RIM_FACTORS[best]) if likelihood[best] - likelihood[-1] > _CLEARLY else 1.0
+
+
+def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArray, float]:
+    """Factor of each photograph's noise, and how much they differ: the standard deviation of their logarithms.
+
+    Their logarithms are normal about a common mean with a spread that is found, and each is shrunk by it.
+    """
+    if len(own) < 3:
+        return np.ones(len(own)), 0.0
+    variance = np.array([np.mean(each.squares / shape[each.rows[each.good]] ** 2) for each in own])
+    if np.min(variance) <= 0.0:
+        return np.ones(len(own)), 0.0
+    error = 2.0 / np.array([each.freedom for each in own])  # of the logarithm, squared
+    logarithm = np.log(variance) + 0.5 * error
+    total = _SPREADS[:, None] ** 2 + error
+    mean = np.sum(logarithm / total, axis=1) / np.sum(1.0 / total, axis=1)
+    likelihood = -0.5 * np.sum(np.log(total) + (logarithm - mean[:, None]) ** 2 / total, axis=1)
+    best = int(np.argmax(likelihood))
+    if likelihood[best] - likelihood[0] < _CLEARLY:
+        return np.ones(len(own)), 0.0
+    spread = float(_SPREADS[best]) ** 2
+    shrunk = spread / (spread + error) * (logarithm - mean[best])
+    return np.exp(0.5 * shrunk), 0.5 * float(_SPREADS[best])
+
+
+def shared_correlation(place: FloatArray, other: FloatArray, reach_px: float) -> FloatArray:
+    """Correlation of the shared noise between places (m, 2) and (k, 2) of the image, (m, k).
+
+    Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006, 4.2).
+    """
+    distance = np.sqrt(3.0) / reach_px * np.linalg.norm(place[:, None] - other, axis=-1)
+    return np.asarray((1.0 + distance) * np.exp(-distance))
+
+
+def _shared(
+    observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
+) -> tuple[float, float, float]:
+    """Share of the variance that neighbours have in common, its reach, and what surfaces leave of the whole variance.
+
+    By the likelihood of what smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood approaches
+    to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
+    """
+    if not own:
+        return 0.0, np.nan, 1.0
+    step = int(np.ceil(len(own) / _PHOTOGRAPHS))
+    blocks = [_contrasts(observations, residual, each, shape) for each in own[step // 2 :: step]]
+    spacing = float(np.median([each[2] for each in blocks]))
+    white = sum(len(values) * np.log(np.sum(values**2)) for values, _, _, _ in blocks)
+    best = (0.0, 0.0, np.nan, 1.0)
+    for reach in spacing * np.array(_REACHES):
+        likelihood, kept = np.zeros(len(_SHARES)), np.zeros(len(_SHARES))
+        for values, projection, _, place in blocks:
+            own_variance, axes = np.linalg.eigh(projection.T @ shared_correlation(place, place, reach) @ projection)
+            power = np.sum((axes.T @ values) ** 2, axis=1)
+            variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance
+            likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(np.sum(power / variance, axis=1))
+            kept += np.mean(variance, axis=1) / len(blocks)
+        at = int(np.argmax(likelihood))
+        gain = float(likelihood[at] + white)
+        if gain > max(best[0], _CLEARLY):
+            best = (gain, float(_SHARES[at]), float(reach), float(kept[at]))
+    return best[1:]
+
+
+def _contrasts(
+    observations: Observations, residual: FloatArray, surface: Surface, shape: FloatArray
+) -> tuple[FloatArray, FloatArray, float, FloatArray]:
+    """Contrasts (c, 2) of a photograph's readings that no smooth surface changes, how they follow from the readings
+    (m, c), the distance between neighbours, and the places (m, 2), for the readings nearest to one of them."""
+    rows, design = surface.rows[surface.good], surface.design[surface.good]
+    place = observations.image_place[rows]
+    if len(rows) > _MOST_READINGS:
+        near = np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]
+        rows, design, place = rows[near], design[near], place[near]
+    weighted = design / shape[rows][:, None]
+    projection = np.linalg.qr(weighted, mode="complete")[0][:, design.shape[1] :]
+    apart = np.linalg.norm(place[:, None] - place, axis=-1) + 1e9 * np.eye(len(place))
+    values = projection.T @ (residual[rows] / shape[rows][:, None])
+    return values, projection, float(np.median(apart.min(axis=1))), place
 
 
 def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:
@@ -110,90 +273,18 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
     return Variance(float(np.exp(logarithm)), within.error * repeats.error / error)
 
 
-@dataclass(frozen=True)
-class ExcessOverNoise:
-    """Mean square of a part's residual beside the noise within the same photographs, in units of sigma squared.
+def _within(own: list[Surface], shape: FloatArray, kept: float) -> Variance:
+    """Variance over that of `shape`: the median over the photographs, so that one may be bad.
 
-    Attributes:
-        mean_square: of the residual, per axis.
-        noise: of the same readings.
-        error: standard error of the difference by noise alone.
-        is_significant: whether the residual is more than noise.
+    Args:
+        own: surfaces of the part.
+        shape: (n,) relative sigma of all readings.
+        kept: what surfaces leave of the whole variance per degree of freedom.
     """
-
-    mean_square: float
-    noise: float
-    error: float
-    is_significant: bool
-
-
-def excess_over_noise(
-    observations: Observations, residual: FloatArray, used: BoolArray, settings: Settings = DEFAULT
-) -> dict[int, ExcessOverNoise]:
-    """For each part: whether a residual (n, 2) in units of sigma is more than the noise of the readings `used` (n,).
-
-    Every photograph is compared with its own noise, so that noise which differs between photographs, over the field,
-    or from the stated one is no excess. Where a photograph has too few points, sigma counts as its noise.
-    """
-    used = used & np.isfinite(residual).all(axis=1)
-    observations, residual = observations.of_rows(used), residual[used]
-    return {int(part): _excess(observations, residual, int(part), settings) for part in np.unique(observations.part)}
-
-
-def _excess(observations: Observations, residual: FloatArray, part: int, settings: Settings) -> ExcessOverNoise:
-    own = residual[observations.part == part]
-    squares, noise, error_squared, count = 0.0, 0.0, 0.0, 0
-    rest = np.ones(len(own), dtype=bool)
-    for surface in _smoothed(observations, residual, part, settings):
-        good, terms = surface.good, surface.terms
-        rows, values = surface.rows[good], int(good.sum())
-        rest[surface.rows] = False
-        # Weighted by leverage, as noise may grow towards the edge, where a surface follows it most closely.
-        variance = float(np.mean(surface.left[good] ** 2 / (1.0 - surface.leverage[good]).clip(1e-6)[:, None]))
-        squares += float(np.sum(own[rows] ** 2))
-        noise += 2 * values * variance
-        # For both axes: the difference is what the surface takes, 2 terms of n, less its share of what it leaves.
-        error_squared += variance**2 * 4.0 * terms * (1.0 + terms / (values - terms))
-        count += 2 * values
-    left = 2 * int(rest.sum())
-    total = count + left
-    error = float(np.sqrt(error_squared + 2.0 * left)) / total
-    mean_square, expected = (squares + float(np.sum(own[rest] ** 2))) / total, (noise + left) / total
-    excess = mean_square - expected
-    return ExcessOverNoise(
-        mean_square, expected, error, excess > 0 and is_significant(excess, error, expected, settings)
-    )
-
-
-def sigma_of(floors: tuple[NoiseFloor, ...], stated: FloatArray) -> FloatArray:
-    """Per part (3,), the noise to go by."""
-    sigma = stated.copy()
-    for floor in floors:
-        sigma[PART_NAMES.index(floor.part)] = floor.used_px
-    return sigma
-
-
-def _image_places(observations: Observations, part: int) -> tuple[FloatArray, NDArray[np.int64]] | None:
-    """Camera pixel (m, 2) of each reading of a part, and which of them belong to one photograph in one colour."""
-    group = observations.group[observations.part == part]
-    plan, readings = observations.session.plan, observations.session.readings
-    if part == DISPLAY and plan.display is not None:
-        return plan.display.camera_pixel, 3 * group + plan.display.channel
-    if part == SEE_THROUGH and readings.dot_pixel is not None:
-        return readings.dot_pixel, group
-    return None
-
-
-def _within(observations: Observations, residual: FloatArray, part: int, settings: Settings) -> Variance:
-    """What smooth surfaces over each photograph leave: the median over the photographs, so that one may be bad."""
-    found = [
-        (np.sum(surface.left[surface.good] ** 2) / degrees, degrees)
-        for surface in _smoothed(observations, residual, part, settings)
-        for degrees in [2 * (int(surface.good.sum()) - surface.terms)]
-    ]
-    if not found:
+    if not own:
         return Variance(np.nan, np.nan)
-    variances, degrees = np.array(found).T
+    variances = np.array([np.mean(each.squares / shape[each.rows[each.good]] ** 2) for each in own])
+    degrees = np.array([each.freedom for each in own])
     # The median of chi-squared is smaller than its mean (E. B. Wilson and M. M. Hilferty, PNAS 17 (1931) 684).
     variances = variances / (1.0 - 2.0 / (9.0 * degrees)) ** 3
     median = float(np.median(variances))
@@ -203,79 +294,12 @@ def _within(observations: Observations, residual: FloatArray, part: int, setting
         error = max(error, 1.48 * float(np.median(np.abs(variances - median))) / median)
     # 1.25: the standard error of a median over that of a mean.
     few = 1.25 if len(variances) > 2 else 1.0
-    return Variance(median, few * error / float(np.sqrt(len(variances))))
+    return Variance(median / kept, few * error / float(np.sqrt(len(variances))))
 
 
-def outlier_readings(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> BoolArray:
-    """Single readings (n,) far from a smooth surface through the rest of their photograph: wrong bits, wrong dots."""
-    outlier = np.zeros(len(observations), dtype=bool)
-    for part in np.unique(observations.part):
-        own = np.flatnonzero(observations.part == part)
-        for surface in _smoothed(observations, residual, part, settings):
-            outlier[own[surface.rows[~surface.good]]] = True
-    return outlier
-
-
-@dataclass(frozen=True, eq=False)
-class _Surface:
-    """A smooth surface through the residual of one photograph.
-
-    Attributes:
-        rows: (m,) of the photograph, within the part.
-        left: (m, 2) what the surface leaves.
-        leverage: (m,) of each row on the surface.
-        good: (m,) the rows that it was fitted to: no outliers.
-        terms: its coefficients per axis.
-    """
-
-    rows: IntArray
-    left: FloatArray
-    leverage: FloatArray
-    good: BoolArray
-    terms: int
-
-
-def _smoothed(observations: Observations, residual: FloatArray, part: int, settings: Settings) -> Iterator[_Surface]:
-    """A smooth surface for each photograph that has points enough."""
-    found = _image_places(observations, part)
-    if found is None:
-        return
-    place, photograph = found
-    own = residual[observations.part == part]
-    box = Box(np.zeros(2), observations.nominal.camera.size_px)
-    for number in np.unique(photograph):
-        rows = np.flatnonzero(photograph == number)
-        count = int(len(rows) / _ROWS_PER_COEFFICIENT)
-        degree = max((d for d in range(_DEGREE + 1) if term_count(2, d) <= count), default=-1)
-        if degree < 2:
-            continue
-        design, good = basis(place[rows], total_degree(2, degree), box), np.ones(len(rows), dtype=bool)
-        for _ in range(_OUTLIER_ROUNDS):
-            left, leverage, size = _studentised(design, own[rows], good)
-            # 1.18: the median length of a two-vector of unit normal components.
-            near = size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18)
-            if np.array_equal(near, good):
-                break
-            # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.
-            good = near
-        if good.sum() > 2 * design.shape[1]:
-            yield _Surface(rows, left, leverage, good, design.shape[1])
-
-
-def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What a surface through the good ones of `values` (n, 2) leaves, all leverages, and lengths over spread (n,).
-
-    A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
-    "Residuals and Influence in Regression", 1982, chapter 2).
-    """
-    solve = np.linalg.pinv(design[good])
-    left = values - design @ (solve @ values[good])
-    leverage = np.sum((design @ solve) ** 2, axis=1)
-    spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
-    return left, leverage, np.linalg.norm(left, axis=1) / spread
-
-
-def _repeats(observations: Observations, residual: FloatArray, settings: Settings) -> Variance:
+def _repeats(
+    observations: Observations, residual: FloatArray, shape: FloatArray, kept: float, settings: Settings
+) -> Variance:
     """From display points seen at the same camera pixel from the same place more than once, over sigma.
 
     What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
@@ -291,7 +315,10 @@ def _repeats(observations: Observations, residual: FloatArray, settings: Setting
     deviation = (own - sums[point] / times[:, None]) / np.sqrt(1.0 - 1.0 / times.clip(2))[:, None]
     repeated = np.zeros(len(observations), dtype=bool)
     repeated[np.flatnonzero(observations.part == DISPLAY)[times > 1]] = True
-    found = _within(observations.of_rows(repeated), deviation[times > 1], DISPLAY, settings)
+    if not repeated.any():
+        return Variance(np.nan, np.nan)
+    twice = list(surfaces(observations.of_rows(repeated), deviation[times > 1], settings))
+    found = _within(twice, shape[repeated], kept)
     # Of k photographs from one place, the deviations from their mean hold k - 1 independent ones.
-    again = float(np.mean(times[times > 1])) if repeated.any() else 2.0
+    again = float(np.mean(times[times > 1]))
     return Variance(found.value, found.error / float(np.sqrt(1.0 - 1.0 / again)))

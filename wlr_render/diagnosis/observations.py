@@ -49,7 +49,7 @@ class Observations:
     Attributes:
         session: what was read; only rows that the nominal bench can predict.
         nominal: the bench as its makers believe it to be.
-        sigma_px: standard deviation of a reading per part, camera pixels.
+        sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
         panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
         captures: the photographs, sorted.
         group: (n,) index into `captures` for each reading, display first, then see-through, then run-time.
@@ -81,23 +81,45 @@ class Observations:
         measured, parts = self.session.readings, []
         if measured.panel_pixel is not None and predicted.panel_pixel is not None:
             difference = (measured.panel_pixel - predicted.panel_pixel)[:, :, None]
-            parts.append((self.camera_from_panel @ difference)[:, :, 0] / self.sigma_px[DISPLAY])
+            parts.append((self.camera_from_panel @ difference)[:, :, 0] / self.sigma_of(DISPLAY))
         if measured.dot_pixel is not None and predicted.dot_pixel is not None:
-            parts.append((measured.dot_pixel - predicted.dot_pixel) / self.sigma_px[SEE_THROUGH])
+            parts.append((measured.dot_pixel - predicted.dot_pixel) / self.sigma_of(SEE_THROUGH))
         if measured.seen is not None and predicted.seen is not None:
             # The virtual dot against the real one: whoever sees both need not know where he looks.
             difference = measured.seen - predicted.seen
-            parts.append((difference[:, :2] - difference[:, 2:]) / self.sigma_px[RUN_TIME])
+            parts.append((difference[:, :2] - difference[:, 2:]) / self.sigma_of(RUN_TIME))
         return np.concatenate(parts)
+
+    def sigma_of(self, part: int) -> FloatArray:
+        """Standard deviation of a part's readings, (n_part, 1) camera pixels."""
+        return np.asarray(self.sigma_px[self.part == part][:, None])
+
+    @cached_property
+    def photograph(self) -> IntArray:
+        """Which photograph each reading comes from (n,): a capture in one colour."""
+        plan, channel = self.session.plan.display, np.zeros(len(self), dtype=np.int64)
+        if plan is not None:
+            channel[self.part == DISPLAY] = plan.channel
+        return np.asarray(3 * self.group + channel)
+
+    @cached_property
+    def image_place(self) -> FloatArray:
+        """Camera pixel (n, 2) of each reading; NaN at run time."""
+        place = np.full((len(self), 2), np.nan)
+        if self.session.plan.display is not None:
+            place[self.part == DISPLAY] = self.session.plan.display.camera_pixel
+        if self.session.readings.dot_pixel is not None:
+            place[self.part == SEE_THROUGH] = self.session.readings.dot_pixel
+        return place
 
     def panel_pixels(self, residual: FloatArray) -> FloatArray:
         """Residual of the display readings in panel pixels, (n_display, 2)."""
-        own = residual[self.part == DISPLAY] * self.sigma_px[DISPLAY]
+        own = residual[self.part == DISPLAY] * self.sigma_of(DISPLAY)
         return np.asarray((self.panel_from_camera @ own[:, :, None])[:, :, 0])
 
     def arcminutes(self, residual: FloatArray, part: int) -> FloatArray:
         """Residual of a part's readings in arcminutes at the middle of the camera's image, (n_part, 2)."""
-        own = residual[self.part == part] * self.sigma_px[part]
+        own = residual[self.part == part] * self.sigma_of(part)
         return np.asarray(own / (self.nominal.camera.focal_px * ARCMIN))
 
     def target_distance(self) -> FloatArray:
@@ -139,6 +161,7 @@ class Observations:
             self,
             session=replace(self.session, plan=kept_plan, readings=readings_of_rows(self.session.readings, masks)),
             panel_from_camera=self.panel_from_camera[masks[DISPLAY]],
+            sigma_px=self.sigma_px[keep],
             group=self.group[keep],
             part=self.part[keep],
         )
@@ -167,10 +190,11 @@ def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> 
     names = _names(session.plan)
     captures = tuple(sorted(set(names)))
     index = {name: number for number, name in enumerate(captures)}
-    sigma = nominal.camera.point_sigma_px * np.array([1.0, 1.0, np.sqrt(2.0)])
+    part = all_parts(session.plan)
     group = np.array([index[name] for name in names])
     jacobian = _panel_from_camera(nominal, session.plan)
-    observations = Observations(session, nominal, sigma, jacobian, captures, group, all_parts(session.plan))
+    sigma = _stated_sigma(nominal, session.plan, part)
+    observations = Observations(session, nominal, sigma, jacobian, captures, group, part)
     predictable = np.asarray(np.isfinite(observations.residual(predicted)).all(axis=1))
     if not predictable.any():
         raise BadInputError(
@@ -178,6 +202,16 @@ def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> 
             "stage's origin and the target's poses."
         )
     return observations.of_rows(predictable), predictable
+
+
+def _stated_sigma(nominal: Bench, plan: SessionPlan, part: IntArray) -> FloatArray:
+    """Standard deviation of each reading (n,) as the bench or the reading itself states it, camera pixels."""
+    # At run time two dots are compared.
+    sigma = nominal.camera.point_sigma_px * np.where(part == RUN_TIME, np.sqrt(2.0), 1.0)
+    for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
+        if table is not None and table.sigma_px is not None:
+            sigma[part == number] = table.sigma_px
+    return np.asarray(sigma)
 
 
 def all_parts(plan: SessionPlan) -> IntArray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.cause import Cause
+from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.corrections import corrections
 from wlr_render.diagnosis.diagnosis import (
@@ -24,6 +24,7 @@ from wlr_render.diagnosis.diagnosis import (
     DetectionLimit,
     Diagnosis,
     FoundCause,
+    MotionSize,
     ParameterValue,
     RankedCandidate,
     ResidualSummary,
@@ -31,25 +32,35 @@ from wlr_render.diagnosis.diagnosis import (
 )
 from wlr_render.diagnosis.fit import (
     Fit,
+    WeighedReadings,
     correlation_condition,
     correlation_matrix,
+    few_captures_factor,
     fit,
     instability,
-    minus_two_log_evidence,
     reduced_chi_squared,
 )
-from wlr_render.diagnosis.noise import NoiseFloor, excess_over_noise, noise_floors, outlier_readings, sigma_of
+from wlr_render.diagnosis.noise import Noise, is_significant, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.search import CandidateRanking, Progress, Search, Selection, hypotheses
+from wlr_render.diagnosis.scatter import scatter_errors
+from wlr_render.diagnosis.search import (
+    LOG10_ODDS,
+    CandidateRanking,
+    Progress,
+    Search,
+    Selection,
+    hypotheses,
+    times_between_captures,
+)
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
 
 _RANKED = 8
-_LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
+_UNUSUAL_SHIFT_UM, _UNUSUAL_TURN_URAD = 200.0, 600.0  # beyond what stages repeat to
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 _UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}
 
@@ -74,39 +85,45 @@ def diagnose(
         BadInputError: the bench predicts no reading at all.
     """
     progress("predicting the session with the nominal bench")
-    prepared = _prepared(Predictor.of_session(nominal, session), causes, settings, progress)
+    stated = Predictor.of_session(nominal, session)
+    prepared = _prepared(stated, causes, settings, progress)
     search, selection = prepared.search, prepared.selection
-    observations, used = search.full.observations, search.used
+    readings = search.full
     found, rankings = _compared(search, selection.fit, selection.first)
     progress("looking for structure in the residual")
-    left = _unexplained(observations, found, used, settings)
+    left = _unexplained(search, found, prepared.noise, settings)
     dropped: list[str] = []
     while left is not None and (spurious := _spurious(search, found)) is not None:
         number, sentence = spurious
         dropped.append(sentence)
-        found = fit(search.full, found.explanation.without(number), used)
+        found = search.refitted(found.explanation.without(number), found.scatter)
         rankings = _rankings(search, found, selection.first)
-        left = _unexplained(observations, found, used, settings)
+        left = _unexplained(search, found, prepared.noise, settings)
     named = tuple(_found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
-    before, after = (search.full.residual(each) for each in (Explanation(), found.explanation))
+    excluded = moved_captures(readings, found)
+    all_readings = stated.with_sigma(prepared.noise.sigma_px)
+    observations = all_readings.observations
+    before, after = (all_readings.residual(each) for each in (Explanation(), found.explanation))
+    used = ~prepared.noise.outlier & not_excluded(observations, excluded)
     limits: tuple[DetectionLimit, ...] = ()
     if not named and left is None:
-        limits = detection_limits(search.subsample, search.subsample_used, used, causes, settings)
+        limits = detection_limits(search, found, causes)
     return Diagnosis(
         session=session.name,
         device=nominal.device.name,
         eye=nominal.eye,
         verdict=_verdict(bool(named), left),
         causes=tuple(sorted(named, key=lambda cause: -cause.effect_over_noise)),
-        excluded=tuple(prepared.excluded),
-        noise_floors=prepared.floors,
+        excluded=tuple(excluded),
+        noise_floors=prepared.noise.floors,
+        motions=_motion_sizes(readings, found),
         noise=_noise_summary(observations, used),
         before=_residual_summary(observations, before, used),
         after=_residual_summary(observations, after, used),
         unexplained=left,
         detection_limits=limits,
-        reasons=(*_about_readings(prepared.good), *dropped, selection.reason),
-        captures=_capture_residuals(observations, before, after, prepared.good, prepared.excluded),
+        reasons=(*_about_readings(prepared.noise.outlier), *dropped, selection.reason),
+        captures=_capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
         correlations=_correlations(found),
         observations=observations,
         residual_before=before,
@@ -118,21 +135,25 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A selection, with the noise and the outliers by which it was made; `good` (n,) are no outlier readings."""
+    """A selection, and the noise by which it was made."""
 
-    floors: tuple[NoiseFloor, ...]
-    good: BoolArray
+    noise: Noise
     search: Search
     selection: Selection
-    excluded: list[MovedCapture]
 
 
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:
     """Measure the noise and select causes; again, where the residual by these causes shows another noise."""
     first = _with_noise_left_by(Explanation(), as_stated, causes, settings, progress)
-    explanation, stated = first.selection.fit.explanation, as_stated.observations.sigma_px
-    sigma = sigma_of(noise_floors(as_stated.observations, as_stated.residual(explanation), settings), stated)
-    if np.allclose(sigma, first.search.full.observations.sigma_px, rtol=settings.same_noise):
+    if not first.selection.fit.explanation.hypotheses:
+        return first
+    explanation = first.selection.fit.explanation
+    noise = noise_of(as_stated.observations, as_stated.residual(explanation), settings)
+    same = np.array_equal(noise.outlier, first.noise.outlier) and all(
+        np.allclose([new.used_px, new.shared], [old.used_px, old.shared], rtol=settings.same_noise, atol=0.1)
+        for new, old in zip(noise.floors, first.noise.floors, strict=True)
+    )
+    if same and np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=5 * settings.same_noise):
         return first
     progress("the noise is smaller than it seemed: again")
     return _with_noise_left_by(explanation, as_stated, causes, settings, progress)
@@ -141,33 +162,17 @@ def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Setti
 def _with_noise_left_by(
     explanation: Explanation, as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
 ) -> _Prepared:
-    """Select causes by the noise that an explanation leaves within the photographs.
-
-    Captures that then stand out are excluded, and causes are selected again without them.
-    """
-    observations, residual = as_stated.observations, as_stated.residual(explanation)
-    floors = noise_floors(observations, residual, settings)
-    sigma = sigma_of(floors, observations.sigma_px)
-    in_sigma = residual * (observations.sigma_px / sigma)[observations.part][:, None]
-    good = ~outlier_readings(observations, in_sigma, settings)
-    spread, full = observations.spread(settings.subsample), as_stated.with_sigma(sigma)
-    subsample, candidates = full.of_rows(spread), hypotheses(causes)
-    excluded: list[MovedCapture] = []
-    for _ in range(settings.outlier_rounds):
-        used = good & not_excluded(full, excluded)
-        search = Search(full, subsample, used, used[spread], candidates, progress, settings)
-        selection = search.select()
-        progress("looking for captures that moved")
-        more = moved_captures(full, selection.fit, good, settings)
-        if {each.capture for each in more} <= {each.capture for each in excluded}:
-            break
-        excluded = more
-    return _Prepared(floors, good, search, selection, excluded)
+    """Select causes by the noise that an explanation leaves within the photographs."""
+    noise = noise_of(as_stated.observations, as_stated.residual(explanation), settings)
+    full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
+    subsample = full.of_rows(full.observations.spread(settings.subsample), noise)
+    search = Search(full, subsample, hypotheses(causes), progress, settings)
+    return _Prepared(noise, search, search.select())
 
 
-def _about_readings(good: BoolArray) -> tuple[str, ...]:
+def _about_readings(outlier: BoolArray) -> tuple[str, ...]:
     """A sentence on the single readings that are outliers, if there are any."""
-    count = int(np.sum(~good))
+    count = int(np.sum(outlier))
     return (f"{count} single readings lie far from their neighbours and were excluded",) if count else ()
 
 
@@ -195,8 +200,8 @@ def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit,
             for candidate in ranking.candidates[:1]
             if candidate.fitted_to_all and candidate.hypothesis.cause.name != name
         ]
-        best = min(others, key=lambda each: minus_two_log_evidence(each, search.settings), default=found)
-        if minus_two_log_evidence(best, search.settings) >= minus_two_log_evidence(found, search.settings):
+        best = min(others, key=lambda each: each.minus_two_log_evidence, default=found)
+        if best.minus_two_log_evidence >= found.minus_two_log_evidence:
             break
         found = best
     return found, rankings
@@ -207,24 +212,46 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking) -> list[Candi
     if len(found.explanation.hypotheses) == 1:
         return [first]
     rests = [found.explanation.without(number) for number in range(len(found.explanation.hypotheses))]
-    return [search.rank(fit(search.full, rest, search.used)) for rest in rests]
+    return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
 
 
-def _unexplained(observations: Observations, found: Fit, used: BoolArray, settings: Settings) -> Unexplained | None:
+def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -> Unexplained | None:
     """The part of the session with the largest residual, if that is more than noise or has structure."""
     left: list[Unexplained] = []
-    for part, excess in excess_over_noise(observations, found.residual, used, settings).items():
-        tried = corrections(observations, found.residual, used, part)
-        structured = bool(tried) and (
-            tried[0].improvement.percent > settings.min_structure_percent
-            and tried[0].improvement.significance > settings.min_structure_se
-        )
-        if structured or excess.is_significant:
+    observations, raw = search.full.observations, found.at.residual
+    thin = search.subsample
+    thinned = fit(thin, found.explanation, found.scatter, 0)
+    for part in np.unique(observations.part):
+        tried = corrections(thin, thinned, part) if thinned else []
+        structured = bool(tried) and tried[0].log10_odds > settings.least_log10_odds
+        floor = noise.floor(part)
+        error = 2.0 * floor.error_px / floor.measured_px if floor.error_px > 0 else 0.0
+        error = float(np.hypot(error, np.sqrt(1.0 / np.sum(observations.part == part))))
+        excess = float(found.scatter.noise[part] ** 2 - 1.0)
+        moves = max(found.scatter.shift_um[part] / _UNUSUAL_SHIFT_UM, found.scatter.turn_urad[part] / _UNUSUAL_TURN_URAD)
+        if structured or is_significant(excess, error, 1.0, settings) or moves > 1.0:
             # A residual that nothing smooth predicts from one capture to the next depends on where the camera stood.
             depends_on = tried[0].depends_on if structured else _UNPREDICTED[part]
-            rms = float(np.sqrt(excess.mean_square))
+            rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))
             left.append(Unexplained(PART_NAMES[part], depends_on, rms, tuple(tried)))
     return max(left, key=lambda each: each.rms_over_noise, default=None)
+
+
+def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
+    """How far the captures of each part repeat, with standard errors by the curvature of the evidence."""
+    sums = readings.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
+    errors = scatter_errors(sums, found.scatter, np.zeros(found.at.free.size))
+    return tuple(
+        MotionSize(
+            PART_NAMES[part],
+            float(found.scatter.shift_um[part]),
+            float(errors[1, part] * found.scatter.shift_um[part]),
+            float(found.scatter.turn_urad[part]),
+            float(errors[2, part] * found.scatter.turn_urad[part]),
+        )
+        for part in np.unique(readings.observations.part)
+        if part != RUN_TIME
+    )
 
 
 def _verdict(has_causes: bool, left: Unexplained | None) -> str:
@@ -246,14 +273,14 @@ def _found_cause(search: Search, found: Fit, number: int, ranking: CandidateRank
     cause = hypothesis.cause
     first = sum(len(values) for values in found.explanation.values[:number])
     # Where more than noise is left, it widens the error bars.
-    widened = np.sqrt(max(1.0, reduced_chi_squared(found)))
+    widened = np.sqrt(max(1.0, reduced_chi_squared(found))) * few_captures_factor(found, search.full.observations)
     sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
     parameters = tuple(
         ParameterValue(parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma)
         for parameter, value, sigma in zip(cause.parameters, found.explanation.values[number], sigmas, strict=True)
     )
-    without = search.full.residual(found.explanation.without(number))
-    change = (without - found.residual)[found.used]
+    without = search.full.predictor.residual(found.explanation.without(number))
+    change = without - found.at.residual
     return FoundCause(
         cause.name,
         cause.title,
@@ -292,18 +319,16 @@ def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
     """Those that were fitted, then the best of the others by their gain to first order."""
     ranked = [
         RankedCandidate(
-            each.hypothesis.cause.name, each.hypothesis.variant, each.reduced_chi_squared, _LOG10_ODDS * each.behind
+            each.hypothesis.cause.name, each.hypothesis.variant, each.reduced_chi_squared, LOG10_ODDS * each.behind
         )
         for each in ranking.candidates
     ]
     named = {each.name for each in ranked}
-    values = 2 * int(ranking.subsample.used.sum())
     for screened in ranking.screened:
         name = screened.hypothesis.cause.name
         if name not in named:
             named.add(name)
-            left = max(0.0, ranking.subsample.chi_squared - screened.gain) / values
-            ranked.append(RankedCandidate(name, f"{screened.hypothesis.variant}; to first order", left, np.nan))
+            ranked.append(RankedCandidate(name, f"{screened.hypothesis.variant}; to first order", np.nan, np.nan))
     return tuple(ranked[:_RANKED])
 
 
@@ -315,32 +340,36 @@ def _correlations(found: Fit) -> Correlations:
     return Correlations(tuple(names[free] for free in found.at.free), matrix, correlation_condition(found))
 
 
-def detection_limits(
-    subsample: Predictor,
-    subsample_used: BoolArray,
-    used: BoolArray,
-    causes: Mapping[str, Cause],
-    settings: Settings = DEFAULT,
-) -> tuple[DetectionLimit, ...]:
+def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
     """Five standard errors of every parameter, each cause alone; those that a session says nothing of are left out.
 
+    Those of a cause that acts from some moment on are for the middle of the session.
+
     Args:
-        subsample: predictor of some of the readings, which stand for all of them.
-        subsample_used, used: which readings count, of those and of all.
+        search: with the subsample of the readings, which stands for all of them.
+        found: the fit without causes.
         causes: to be considered.
-        settings: thresholds.
     """
-    found = []
-    fewer = float(np.sqrt(subsample_used.sum() / used.sum()))
+    limits = []
+    fewer = 1.0 / float(np.sqrt(search.share))
+    times = times_between_captures(search.full.observations.session.plan)
+    middle = float(times[len(times) // 2]) if len(times) else 0.0
     for cause in causes.values():
         hypothesis = Hypothesis(cause, next(iter(cause.variants)))
-        start = np.array([0.0 if not np.isfinite(value) else value for value in cause.null()])
-        alone = fit(subsample, Explanation().plus(hypothesis, start), subsample_used, 0)
-        for parameter, sigma in zip(cause.parameters, alone.sigmas(), strict=True):
-            if sigma > 0.0:
-                limit = settings.detection_limit_se * fewer * float(sigma)
-                found.append(DetectionLimit(cause.name, parameter.name, parameter.unit, limit))
-    return tuple(found)
+        start = np.array([middle if p.role is Role.TIME else value for p, value in zip(cause.parameters, cause.null())])
+        alone = fit(search.subsample, Explanation().plus(hypothesis, start), found.scatter, 0)
+        if alone is None:
+            continue
+        # Without the prior, which says nothing about what would have been seen.
+        information = alone.information - np.eye(alone.at.free.size)
+        sigma = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)).clip(0.0))
+        moment = f" (from {middle:.0f} s on)" if any(p.role is Role.TIME for p in cause.parameters) else ""
+        for number, each in zip(alone.at.free, sigma, strict=True):
+            parameter = cause.parameters[number]
+            limit = search.settings.detection_limit_se * fewer * float(each) * parameter.prior_sigma
+            if limit > 0.0:
+                limits.append(DetectionLimit(cause.name, f"{parameter.name}{moment}", parameter.unit, limit))
+    return tuple(limits)
 
 
 def _capture_residuals(
@@ -379,15 +408,16 @@ def _residual_summary(observations: Observations, residual: FloatArray, used: Bo
 
 def _noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
     """The same for noise alone."""
-    camera_px = observations.panel_from_camera[used[observations.part == DISPLAY]] * observations.sigma_px[DISPLAY]
+    sigma = observations.sigma_px[used]
     arcmin = 1.0 / (np.mean(observations.nominal.camera.focal_px) * ARCMIN)
-    present = [np.any(observations.part == part) for part in range(3)]
-    return ResidualSummary(
-        float(np.sqrt(np.mean(np.sum(camera_px**2, axis=(1, 2))) / 2)) if present[DISPLAY] else None,
-        float(observations.sigma_px[SEE_THROUGH] * arcmin) if present[SEE_THROUGH] else None,
-        float(observations.sigma_px[RUN_TIME] * arcmin) if present[RUN_TIME] else None,
-        1.0,
-    )
+
+    def of(part: int) -> float | None:
+        return _rms(sigma[observations.part[used] == part] * arcmin)
+
+    display = used[observations.part == DISPLAY]
+    camera_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
+    panel_px = float(np.sqrt(np.mean(np.sum(camera_px**2, axis=(1, 2))) / 2)) if display.any() else None
+    return ResidualSummary(panel_px, of(SEE_THROUGH), of(RUN_TIME), 1.0)
 
 
 def _rms(values: FloatArray) -> float | None:

@@ -1,11 +1,12 @@
-"""Forward selection of causes: fit each candidate on top of those found so far, keep the best, and check it.
+"""Forward selection of causes by evidence: add the best candidate while the odds for it are good.
 
-Candidates are compared on a subsample of the readings first: all by their gain to first order, the best by a fit from
-their best start. Those that come close are fitted again to all readings.
+Candidates are compared on a subsample of the readings first: all to first order, the best by a fit from their best
+start. Those that come close are fitted again to all readings. Every candidate finds its own sizes of what is random.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,24 +15,34 @@ from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.fit import (
     Fit,
     HeldOutImprovement,
+    WeighedReadings,
+    choices,
     fit,
     held_out_improvement,
     held_out_squares,
     is_physical,
-    minus_two_log_evidence,
-    p_value,
     reduced_chi_squared,
 )
-from wlr_render.diagnosis.noise import excess_over_noise
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation, Predictor
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
+from wlr_render.diagnosis.scatter import (
+    Scatter,
+    ScatterSums,
+    best_scatter,
+    marginal,
+    minus_two_log_evidence,
+    one_by_one,
+    surprise,
+    with_moved_captures,
+)
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
-_NOTHING_MORE = "no other cause gains more than chance would"
+LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
+_NOTHING_MORE = "no other cause has better odds than none"
 _TIMES = 6  # tried at once
-_EDGE = 0.05  # of all captures must lie on either side of a time: fewer are captures that moved
+_FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +52,16 @@ class ScreenedHypothesis:
     Attributes:
         hypothesis: which.
         start: its values from which a fit should set out.
-        gain: by how much chi-squared would fall.
+        gain: by how much -2 log evidence would fall.
         parameters: how many numbers that takes.
+        scatter: sizes of what is random with it.
     """
 
     hypothesis: Hypothesis
     start: FloatArray
     gain: float
     parameters: int
+    scatter: Scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +71,19 @@ class Candidate:
     Attributes:
         hypothesis: which cause, acting how.
         fit: with it.
-        minus_two_log_evidence: see `evidence`; lower is better.
-        reduced_chi_squared: that it leaves.
         behind: by how much its -2 log evidence for the whole session exceeds the best one's.
         fitted_to_all: whether all readings were fitted, and not only the subsample.
     """
 
     hypothesis: Hypothesis
     fit: Fit
-    minus_two_log_evidence: float
-    reduced_chi_squared: float
     behind: float = 0.0
     fitted_to_all: bool = False
+
+    @property
+    def reduced_chi_squared(self) -> float:
+        """Of the fit."""
+        return reduced_chi_squared(self.fit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,156 +123,143 @@ class Search:
     """Inputs of a selection.
 
     Attributes:
-        full: predictor of all readings.
-        subsample: predictor of some, for the first comparison.
-        used, subsample_used: masks of their readings that are not excluded.
+        full: all readings.
+        subsample: some, for the first comparison.
         hypotheses: the candidates.
         progress: called with a sentence at each step.
         settings: thresholds.
     """
 
-    full: Predictor
-    subsample: Predictor
-    used: BoolArray
-    subsample_used: BoolArray
+    full: WeighedReadings
+    subsample: WeighedReadings
     hypotheses: Sequence[Hypothesis]
     progress: Progress = lambda _: None
     settings: Settings = DEFAULT
 
+    @cached_property
+    def share(self) -> float:
+        """Number of all readings over that of the subsample."""
+        return len(self.full.observations) / len(self.subsample.observations)
+
     def select(self) -> Selection:
-        """Add causes while each is worth it; restart from runners-up where few causes do not reach the noise."""
-        first = self.rank(fit(self.full, Explanation(), self.used))
+        """Add causes while each is worth it; restart from runners-up where the first cause was not the last."""
+        nothing = self.refitted(Explanation(), Scatter.usual(len(self.full.observations.captures)))
+        first = self.rank(nothing)
         best = self._grown(first)
-        if len(best.fit.explanation.hypotheses) > 2 or not self.is_at_noise(best.fit):
+        if len(best.fit.explanation.hypotheses) > 1:
             for seed in self._seeds(first):
                 self.progress(f"again from {seed.hypothesis.cause.name}")
-                start = seed.fit if seed.fitted_to_all else fit(self.full, seed.fit.explanation, self.used)
+                start = self.refitted(seed.fit.explanation, seed.fit.scatter)
                 other = self._grown(self.rank(start))
-                if self._evidence(other.fit) < self._evidence(best.fit):
+                if other.fit.minus_two_log_evidence < best.fit.minus_two_log_evidence:
                     best = replace(other, first=first)
         return best
 
+    def refitted(self, explanation: Explanation, scatter: Scatter) -> Fit:
+        """Fit to all readings, with the captures that moved found anew.
+
+        Raises:
+            ValueError: the explanation cannot predict every reading.
+        """
+        found = _fitted(self.full, explanation, scatter)
+        mean = np.zeros(found.at.free.size)
+        sums = self.full.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
+        again, _ = with_moved_captures(sums, found.scatter, mean)
+        if np.array_equal(again.moved, found.scatter.moved):
+            return found
+        return _fitted(self.full, found.explanation, again)
+
     def _seeds(self, first: CandidateRanking) -> list[Candidate]:
         """Runners-up of the first place that are worth a restart."""
-        settings, (best, *others) = self.settings, first.candidates or (None,)
-        if best is None:
-            return []
-        limit = settings.restart_ratio * best.reduced_chi_squared
-        return [other for other in others if other.reduced_chi_squared < limit][: settings.restarts]
+        near = [each for each in first.candidates[1:] if each.fitted_to_all]
+        return near[: self.settings.restarts]
 
     def _grown(self, start: CandidateRanking) -> Selection:
         """Add one cause after the other."""
         at, most = start, self.settings.max_causes
         while True:
+            if len(at.current.explanation.hypotheses) >= most:
+                return Selection(at.current, start, f"{most} causes are the most that are searched for")
             refusal = self._refusal(at)
             if refusal:
                 return Selection(at.current, start, refusal)
-            found = self._pruned(at.candidates[0].fit)
-            if len(found.explanation.hypotheses) >= most:
-                return Selection(found, start, f"{most} causes are the most that are searched for")
-            at = self.rank(found)
+            best = at.candidates[0].fit
+            at = self.rank(self._pruned(self.refitted(best.explanation, best.scatter)))
 
     def rank(self, current: Fit) -> CandidateRanking:
         """Rank the causes that are not yet at work."""
         taken = set(current.explanation.names)
-        at = fit(self.subsample, current.explanation, self.subsample_used, 0)
+        at = _fitted(self.subsample, current.explanation, current.scatter, 0)
         screened = []
         for number, hypothesis in enumerate(self.hypotheses):
             if hypothesis.cause.name not in taken:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
                 screened.append(screen(self.subsample, at, hypothesis))
-        found = tuple(sorted((each for each in screened if each is not None), key=lambda each: -each.gain))
-        return CandidateRanking(current, at, found, tuple(self._fitted(at, found)))
+        found = sorted((each for each in screened if each is not None), key=lambda each: -each.gain)
+        return CandidateRanking(current, at, tuple(found), tuple(self._candidates(at, found)))
 
-    def _fitted(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
+    def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
         """Fits of the hypotheses that are worth one, best first."""
-        if not screened:
+        settings = self.settings
+        if not screened or self.share * screened[0].gain * LOG10_ODDS < settings.least_first_order:
             return []
-        settings, share = self.settings, float(self.used.sum() / self.subsample_used.sum())
-        scale = max(1.0, (at.chi_squared - screened[0].gain) / (2 * self.subsample_used.sum()))
-        kept = [
-            each
-            for each in screened
-            if each.gain > settings.min_relative_gain * screened[0].gain
-            and p_value(share * each.gain / scale, each.parameters, len(self.hypotheses)) < settings.max_p_value
-        ][: settings.max_fits]
+        kept = [each for each in screened if each.gain > settings.min_relative_gain * screened[0].gain]
+        kept = kept[: settings.max_fits]
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
-        fits = [best_fit(self.subsample, at, each) for each in kept]
-        coarse = self._ranked([found for found in fits if is_physical(found, settings)])
-        behind = [share * (each.minus_two_log_evidence - coarse[0].minus_two_log_evidence) for each in coarse]
-        close = [each for each, by in zip(coarse, behind, strict=True) if by < settings.close_evidence]
-        contenders = close[: settings.max_contenders]
-        final = self._ranked([fit(self.full, each.fit.explanation, self.used) for each in contenders])
-        if not final:
+        coarse = _by_evidence(
+            Candidate(each.hypothesis, found)
+            for each in kept
+            if (found := best_fit(self.subsample, at, each)) is not None and is_physical(found, settings)
+        )
+        if not coarse:
             return []
-        best = final[0].minus_two_log_evidence
+        coarse = [replace(each, behind=self.share * each.behind) for each in coarse]
+        close = [each for each in coarse if each.behind < settings.close_evidence][: settings.max_contenders]
+        refits = ((each, fit(self.full, each.fit.explanation, each.fit.scatter)) for each in close)
+        final = _by_evidence(replace(each, fit=found, fitted_to_all=True) for each, found in refits if found)
         names = {each.hypothesis.cause.name for each in final}
-        rest = [replace(each, behind=by) for each, by in zip(coarse, behind, strict=True)]
-        return [
-            replace(each, behind=each.minus_two_log_evidence - best, fitted_to_all=True)
-            for each in _best_of_each(final)
-        ] + [each for each in _best_of_each(rest) if each.hypothesis.cause.name not in names]
+        rest = [each for each in _best_of_each(coarse) if each.hypothesis.cause.name not in names]
+        return [*_best_of_each(final), *rest] if final else []
 
     def improvement(self, before: Fit, after: Fit) -> HeldOutImprovement:
-        """By how much a fit predicts held-out captures better than another."""
-        observations = self.full.observations
-        squares = [held_out_squares(each, observations.group, len(observations.captures)) for each in (before, after)]
-        return held_out_improvement(*squares)
-
-    def is_at_noise(self, found: Fit) -> bool:
-        """Whether a fit leaves no more than noise in any part of the session."""
-        excesses = excess_over_noise(self.full.observations, found.residual, found.used, self.settings)
-        return not any(excess.is_significant for excess in excesses.values())
+        """By how much a fit predicts held-out captures better than another, in units of the better one's errors."""
+        observations, whiten = self.full.observations, self.full.whitening(after.scatter)
+        return held_out_improvement(*(held_out_squares(each, observations, whiten) for each in (before, after)))
 
     def _refusal(self, at: CandidateRanking) -> str:
         """Why the best candidate is not worth adding; empty where it is."""
         if not at.candidates:
             return _NOTHING_MORE
-        settings, current, best = self.settings, at.current, at.candidates[0]
-        name = best.hypothesis.cause.name
-        added = best.fit.at.free.size - current.at.free.size
-        gained = (current.chi_squared - best.fit.chi_squared) / max(1.0, best.reduced_chi_squared)
-        chance = p_value(gained, max(added, 1), len(self.hypotheses))
-        if chance > 0.5:
+        best = at.candidates[0]
+        odds = LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence)
+        if odds < 0.0:
             return _NOTHING_MORE
-        if chance > settings.max_p_value:
-            return f"{name} comes next, but chance alone gains as much with a probability of {chance:.2g}"
-        held_out = self.improvement(current, best.fit)
-        if held_out.significance < settings.min_held_out_se:
-            return f"{name} comes next, but held-out captures gain {held_out.significance:.1f} standard errors only"
-        above = reduced_chi_squared(current) - 1.0
-        share = (reduced_chi_squared(current) - best.reduced_chi_squared) / above if above > 0 else 1.0
-        if share < settings.min_share_explained and not self.is_at_noise(best.fit):
-            return (
-                f"{name} comes next, but explains only {100 * share:.0f} % of the excess over the noise, and more than "
-                "noise would be left"
-            )
+        if odds < self.settings.least_log10_odds:
+            return f"{best.hypothesis.cause.name} comes next, but the odds for it are 10^{odds:.1f} only"
         return ""
 
     def _pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
         for place in reversed(range(len(found.explanation.hypotheses) - 1)):
-            rest = found.explanation.without(place)
-            with_it, without_it = (fit(self.subsample, each, self.subsample_used) for each in (found.explanation, rest))
-            ratio = reduced_chi_squared(without_it) / reduced_chi_squared(with_it)
-            if ratio > self.settings.max_idle_ratio:
-                continue
-            full = fit(self.full, without_it.explanation, self.used)
-            if self._evidence(full) < self._evidence(found):
-                found = full
+            without = fit(self.full, found.explanation.without(place), found.scatter)
+            if without is not None and without.minus_two_log_evidence < found.minus_two_log_evidence:
+                found = without
         return found
 
-    def _evidence(self, found: Fit) -> float:
-        return minus_two_log_evidence(found, self.settings)
 
-    def _ranked(self, fits: Sequence[Fit]) -> list[Candidate]:
-        """Highest evidence first; a fit that lost its readings on the way has no evidence, and is no candidate."""
-        candidates = [
-            Candidate(each.explanation.hypotheses[-1], each, self._evidence(each), reduced_chi_squared(each))
-            for each in fits
-        ]
-        finite = (each for each in candidates if np.isfinite(each.minus_two_log_evidence))
-        return sorted(finite, key=lambda each: each.minus_two_log_evidence)
+def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:
+    found = fit(readings, explanation, scatter, iterations)
+    if found is None:
+        raise ValueError("the explanation cannot predict every reading")
+    return found
+
+
+def _by_evidence(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Highest evidence first, each with what it lies behind the first."""
+    ranked = sorted(candidates, key=lambda each: each.fit.minus_two_log_evidence)
+    return [
+        replace(each, behind=each.fit.minus_two_log_evidence - ranked[0].fit.minus_two_log_evidence) for each in ranked
+    ]
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -274,20 +275,38 @@ def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
     return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
 
 
-def screen(predictor: Predictor, current: Fit, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
-    """The gain of a hypothesis over a fit by the same predictor; None where it changes nothing."""
+def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
+    """The gain of a hypothesis over a fit to the same readings; None where it changes nothing."""
+    predictor, mean = readings.predictor, np.zeros(current.at.free.size)
+    own = readings.sums(current.at.residual, np.nan_to_num(current.at.jacobian))
+    base = minus_two_log_evidence(marginal(own, current.scatter), mean)
+
+    def joined(start: FloatArray) -> tuple[Linearisation, ScatterSums]:
+        added = predictor.added(current.at.state, current.explanation.plus(hypothesis, start))
+        columns = np.concatenate([current.at.jacobian, added.jacobian], axis=-1)
+        return added, readings.sums(current.at.residual, np.nan_to_num(columns))
 
     def of(start: FloatArray) -> ScreenedHypothesis:
-        at = predictor.added(current.at.state, current.explanation.plus(hypothesis, start))
-        return ScreenedHypothesis(hypothesis, start, _gain(current, at) if at.free.size else 0.0, at.free.size)
+        added, sums = joined(start)
+        zero, gain = np.zeros(sums.xy.shape[1]), 0.0
+        if added.free.size:
+            gain = base - minus_two_log_evidence(marginal(sums, current.scatter), zero)
+        return ScreenedHypothesis(hypothesis, start, gain, added.free.size, current.scatter)
 
-    plan, roles = predictor.observations.session.plan, [parameter.role for parameter in hypothesis.cause.parameters]
+    plan, roles = readings.observations.session.plan, [parameter.role for parameter in hypothesis.cause.parameters]
     best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
     if best is None or best.parameters == 0:
         return None
-    if Role.TIME not in roles:
-        return best
-    return _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
+    if Role.TIME in roles:
+        best = _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
+    _, sums = joined(best.start)
+    zero = np.zeros(sums.xy.shape[1])
+    scatter, cost = best_scatter(sums, current.scatter, zero)
+    if scatter.moved.any():
+        scatter, cost = one_by_one(sums, scatter, cost, np.flatnonzero(scatter.moved), zero)
+    chosen = Explanation().plus(hypothesis)
+    cost += 2.0 * float(np.log(choices(chosen, readings.observations)))
+    return replace(best, gain=base + surprise(current.scatter, own) - cost, scatter=scatter)
 
 
 def _with_better_time(
@@ -306,25 +325,10 @@ def _with_better_time(
     return best
 
 
-def _gain(current: Fit, added: Linearisation) -> float:
-    """Fall of chi-squared when the added columns join those of the current fit."""
-    used = current.used & np.isfinite(added.jacobian).all(axis=(1, 2))
-    columns = np.concatenate([current.at.jacobian[used], added.jacobian[used]], axis=-1)
-    columns = columns.reshape(2 * int(used.sum()), columns.shape[-1])
-    residual = current.residual[used].ravel()
-    information, gradient = columns.T @ columns, columns.T @ residual
-    scale = np.sqrt(np.diag(information)).clip(1e-300)
-    information = information / scale / scale[:, None] + 1e-10 * np.eye(len(scale))
-    gradient, old = gradient / scale, current.at.free.size
-    total = float(gradient @ np.linalg.solve(information, gradient))
-    already = float(gradient[:old] @ np.linalg.solve(information[:old, :old], gradient[:old])) if old else 0.0
-    return total - already
-
-
-def best_fit(predictor: Predictor, current: Fit, prospect: ScreenedHypothesis) -> Fit:
+def best_fit(readings: WeighedReadings, current: Fit, prospect: ScreenedHypothesis) -> Fit | None:
     """Fit an explanation with one more cause from the start of its prospect."""
     corrected = current.explanation.plus(prospect.hypothesis, prospect.start)
-    return fit(predictor, corrected, current.used, near=current.at.state)
+    return fit(readings, corrected, prospect.scatter, near=current.at.state)
 
 
 def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
@@ -339,11 +343,10 @@ def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
 
 
 def times_between_captures(plan: SessionPlan) -> FloatArray:
-    """Times in the middle between captures, ascending, without those near either end."""
+    """Times in the middle between captures, ascending, with some captures on either side."""
     parts = [part for part in plan.parts if part is not None]
     times = np.unique(np.concatenate([part.time_s for part in parts]))
-    edge = int(np.ceil(_EDGE * len(times)))
-    return np.asarray(0.5 * (times[1:] + times[:-1]))[edge : len(times) - 1 - edge]
+    return np.asarray(0.5 * (times[1:] + times[:-1]))[_FEWEST - 1 : len(times) - _FEWEST]
 
 
 def _some(values: FloatArray) -> FloatArray:

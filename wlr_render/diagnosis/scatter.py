@@ -1,0 +1,302 @@
+"""How captures scatter: each has a small random motion of its camera, whose size is found from the readings.
+
+    y = J c + E_g b_g + e,   c ~ N(mean, 1),   b_g ~ N(0, D^2),   e ~ N(0, noise^2)
+
+y are white residuals of all captures, c the causes' values in prior sigmas, b_g the motion of the camera of capture g.
+The sizes of motions and noise in each part of the session maximise the evidence, weighed with what is usual. A capture
+that moved by far more than the others has a wide prior of its own, and pays for it.
+
+Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pinheiro and Bates, "Mixed-Effects Models in
+S and S-PLUS" (2000), chapter 2.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from wlr_render.diagnosis.observations import PART_NAMES
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_SHIFT, _TURN = 1e-6, 1e-6  # metres, radians: units of motions
+USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
+"""Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
+_USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
+_MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
+_COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
+_LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
+_NOISIEST = np.log(100.0)
+_STEP = 1e-3
+_PARTS = len(PART_NAMES)
+_FEWEST = 4  # captures of a part among which one may stand out
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """Sizes of what is random.
+
+    Attributes:
+        noise: (3,) noise of each part over what was found within its photographs.
+        shift_um, turn_urad: (3,) standard deviations of a capture's motion in each part, per axis.
+        moved: (captures,) whether each moved by far more.
+    """
+
+    noise: FloatArray
+    shift_um: FloatArray
+    turn_urad: FloatArray
+    moved: BoolArray
+
+    @classmethod
+    def usual(cls, captures: int) -> "Scatter":
+        """Of an ordinary bench."""
+        ones = np.ones(_PARTS)
+        return cls(ones, 0.5 * USUAL_SHIFT * ones, 0.5 * USUAL_TURN * ones, np.zeros(captures, dtype=bool))
+
+    def vector(self) -> FloatArray:
+        """Logarithms of all sizes (9,)."""
+        return np.log(np.concatenate([self.noise, self.shift_um, self.turn_urad]))
+
+    def at(self, vector: FloatArray) -> "Scatter":
+        """With other sizes."""
+        noise, shift, turn = np.exp(vector).reshape(3, _PARTS)
+        return replace(self, noise=noise, shift_um=shift, turn_urad=turn)
+
+    def sizes(self, part_of: IntArray) -> FloatArray:
+        """Standard deviations of the motions of captures of given parts (g,) over the noise, (g, 6)."""
+        usual = np.repeat(np.stack([self.shift_um, self.turn_urad], axis=1), 3, axis=1)[part_of]
+        sizes = np.where(self.moved[:, None], np.hypot(usual, _MOVED), usual)
+        return np.asarray(sizes / self.noise[part_of][:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class ScatterSums:
+    """Sums over the readings of each capture g, and of each part, from which the evidence follows.
+
+    Attributes:
+        part_of: (g,) of each capture. used: (g,) whether it has readings. count: (parts,) values.
+        square: (parts,) of y. ee: (g, 6, 6), ey: (g, 6), ex: (g, 6, m) of motions E, y and columns J.
+        xx: (parts, m, m), xy: (parts, m).
+    """
+
+    part_of: IntArray
+    used: BoolArray
+    count: FloatArray
+    square: FloatArray
+    ee: FloatArray
+    ey: FloatArray
+    ex: FloatArray
+    xx: FloatArray
+    xy: FloatArray
+
+    @classmethod
+    def over(
+        cls, y: FloatArray, motions: FloatArray, columns: FloatArray, group: IntArray, part: IntArray, captures: int
+    ) -> "ScatterSums":
+        """Over white readings.
+
+        Args:
+            y: (n, 2).
+            motions: (n, 2, 6) for micrometres and microradians.
+            columns: (n, 2, m).
+            group, part: (n,) of each reading.
+            captures: number of groups.
+        """
+        m = columns.shape[-1]
+        part_of, used = np.zeros(captures, dtype=np.int64), np.zeros(captures, dtype=bool)
+        ee, ey, ex = np.zeros((captures, 6, 6)), np.zeros((captures, 6)), np.zeros((captures, 6, m))
+        count, square = np.zeros(_PARTS), np.zeros(_PARTS)
+        xx, xy = np.zeros((_PARTS, m, m)), np.zeros((_PARTS, m))
+        order = np.argsort(group, kind="stable")
+        names, first = np.unique(group[order], return_index=True)
+        for name, rows in zip(names, np.split(order, first[1:]), strict=True):
+            mine, e, x = y[rows].ravel(), motions[rows].reshape(-1, 6), columns[rows].reshape(2 * len(rows), m)
+            part_of[name], used[name], at = part[rows[0]], True, part[rows[0]]
+            ee[name], ey[name], ex[name] = e.T @ e, e.T @ mine, e.T @ x
+            count[at] += len(mine)
+            square[at] += float(mine @ mine)
+            xx[at] += x.T @ x
+            xy[at] += x.T @ mine
+        return cls(part_of, used, count, square, ee, ey, ex, xx, xy)
+
+    def of_columns(self, which: IntArray) -> "ScatterSums":
+        """For some of the columns."""
+        return replace(
+            self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Marginal:
+    """The readings with all motions integrated out: a quadratic form in the causes' values.
+
+    Attributes:
+        minus_two_log: of the probability density of the readings at values of zero, up to a constant.
+        information: (m, m), gradient: (m,): y's dependence on the values.
+    """
+
+    minus_two_log: float
+    information: FloatArray
+    gradient: FloatArray
+
+
+def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
+    """Integrate the motions out."""
+    variance = scatter.noise**2
+    per = 1.0 / variance[sums.part_of]
+    sizes = scatter.sizes(sums.part_of)
+    normal = sizes[:, :, None] * sums.ee * sizes[:, None, :]
+    normal[:, range(6), range(6)] += 1.0
+    factor = np.linalg.cholesky(normal)
+    sides = np.concatenate([sums.ey[:, :, None], sums.ex], axis=2) * sizes[:, :, None]
+    half = np.linalg.solve(factor, sides)
+    half_y, half_x = half[:, :, 0], half[:, :, 1:]
+    determinant = 2.0 * float(np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2))))
+    present = sums.count > 0
+    total = determinant + float(np.sum((sums.square / variance)[present])) - float(np.sum(per * np.sum(half_y**2, 1)))
+    total += float(np.sum((sums.count * np.log(variance))[present]))
+    weighted = half_x * per[:, None, None]
+    flat = half_x.reshape(half_y.size, half_x.shape[2])
+    information = np.einsum("pij,p->ij", sums.xx, 1.0 / variance) - weighted.reshape(flat.shape).T @ flat
+    gradient = np.einsum("pi,p->i", sums.xy, 1.0 / variance) - weighted.reshape(flat.shape).T @ half_y.ravel()
+    return Marginal(total, information, gradient)
+
+
+def minus_two_log_evidence(found: Marginal, mean: FloatArray, sigma: FloatArray | float = 1.0) -> float:
+    """With the causes' values integrated out, too, over normal priors of mean (m,) and sigma (m,)."""
+    if len(found.gradient) == 0:
+        return found.minus_two_log
+    sigma = np.broadcast_to(sigma, mean.shape)
+    # The unknown is the distance from the mean over sigma.
+    gradient = sigma * (found.gradient - found.information @ mean)
+    normal = sigma[:, None] * found.information * sigma + np.eye(len(mean))
+    at_mean = found.minus_two_log - 2.0 * float(found.gradient @ mean) + float(mean @ found.information @ mean)
+    _, determinant = np.linalg.slogdet(normal)
+    return float(at_mean + determinant - gradient @ np.linalg.solve(normal, gradient))
+
+
+def surprise(scatter: Scatter, sums: ScatterSums) -> float:
+    """Twice the negative logarithm of how usual the sizes are."""
+    parts = [part for part in range(_PARTS) if np.any(sums.used & (sums.part_of == part))]
+    off = [
+        np.log(size[part] / usual) / _USUAL_RANGE
+        for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
+        for part in parts
+    ]
+    return float(np.sum(np.square(off))) + 2.0 * _COST_OF_MOVING * int(scatter.moved.sum())
+
+
+def best_scatter(
+    sums: ScatterSums, start: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
+) -> tuple[Scatter, float]:
+    """The sizes of highest evidence and -2 log of it, from a start on; which captures moved stays as it is."""
+    moving = np.array([bool(np.any(sums.ee[sums.part_of == part])) for part in range(_PARTS)])
+    present = sums.count > 0
+    free = np.concatenate([present, moving, moving])
+    first = start.vector()
+    first[~free] = np.concatenate([np.zeros(_PARTS), np.full(_PARTS, np.log(USUAL_SHIFT)), np.full(_PARTS, np.log(USUAL_TURN))])[~free]
+
+    def cost(inner: FloatArray) -> float:
+        vector = first.copy()
+        vector[free] = inner
+        at = start.at(vector)
+        return minus_two_log_evidence(marginal(sums, at), mean, sigma) + surprise(at, sums)
+
+    def with_slope(inner: FloatArray) -> tuple[float, FloatArray]:
+        value = cost(inner)
+        return value, np.array([(cost(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))])
+
+    low = np.concatenate([np.zeros(_PARTS), np.full(2 * _PARTS, _LOWEST)])[free]
+    high = np.concatenate([np.full(_PARTS, _NOISIEST), np.full(2 * _PARTS, _HIGHEST)])[free]
+    inside = np.clip(first[free], low, high)
+    found = minimize(
+        with_slope, inside, jac=True, method="L-BFGS-B", bounds=np.stack([low, high], axis=1),
+        options={"maxiter": 40, "ftol": 1e-9, "gtol": 0.05},
+    )
+    vector = first.copy()
+    vector[free] = found.x
+    return start.at(vector), float(found.fun)
+
+
+def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> tuple[Scatter, float]:
+    """The sizes of highest evidence where captures may have moved by far more than the others; and -2 log of it.
+
+    Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
+    of highest evidence is kept, and each is tried once more by itself.
+    """
+    best, cost = best_scatter(sums, replace(start, moved=np.zeros_like(start.moved)), mean)
+    if start.moved.any():
+        best, cost = min((best, cost), best_scatter(sums, start, mean), key=lambda each: each[1])
+    for part in range(_PARTS):
+        own = np.flatnonzero(sums.used & (sums.part_of == part))
+        if len(own) < _FEWEST or not np.any(sums.ee[own]):
+            continue
+        order = own[np.argsort(-_own_gain(sums, best, mean)[own])]
+        best, cost = _prefix(sums, best, cost, order, mean)
+        order = own[np.argsort(-_own_gain(sums, best, mean)[own])]
+        best, cost = _prefix(sums, best, cost, order, mean)
+        best, cost = one_by_one(sums, best, cost, own[best.moved[own]], mean)
+    return best, cost
+
+
+def _prefix(
+    sums: ScatterSums, best: Scatter, cost: float, order: IntArray, mean: FloatArray
+) -> tuple[Scatter, float]:
+    """The best number of captures that moved, taken in an order."""
+    at = best
+    for count in range(1, len(order) // 2 + 1):
+        moved = best.moved.copy()
+        moved[order] = False
+        moved[order[:count]] = True
+        at, found = best_scatter(sums, replace(at, moved=moved), mean)
+        if found < cost:
+            best, cost = at, found
+    return best, cost
+
+
+def one_by_one(
+    sums: ScatterSums, best: Scatter, cost: float, captures: IntArray, mean: FloatArray
+) -> tuple[Scatter, float]:
+    """Take each of some captures out of, or into, those that moved, if that has the higher evidence."""
+    for number in captures:
+        moved = best.moved.copy()
+        moved[number] = not moved[number]
+        at = replace(best, moved=moved)
+        if minus_two_log_evidence(marginal(sums, at), mean) + surprise(at, sums) < cost:
+            best, cost = best_scatter(sums, at, mean)
+    return best, cost
+
+
+def scatter_errors(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+    """Standard errors of the logarithms of noise, shifts and turns (3, parts) by the curvature of the evidence."""
+    first, step = scatter.vector(), 0.1
+
+    def cost(vector: FloatArray) -> float:
+        at = scatter.at(vector)
+        return minus_two_log_evidence(marginal(sums, at), mean) + surprise(at, sums)
+
+    at_best = cost(first)
+    curvature = np.array([(cost(first + step * u) - 2 * at_best + cost(first - step * u)) / step**2 for u in np.eye(9)])
+    return np.asarray(np.sqrt(2.0 / curvature.clip(1e-3)).reshape(3, _PARTS))
+
+
+def one_at_rest(scatter: Scatter, number: int) -> Scatter:
+    """With one capture among those that did not move."""
+    moved = scatter.moved.copy()
+    moved[number] = False
+    return replace(scatter, moved=moved)
+
+
+def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+    """What a wide motion of its own gains each capture (g,), the causes' values being those of the other captures."""
+    found = marginal(sums, scatter)
+    values = np.linalg.solve(found.information + np.eye(len(mean)), found.gradient + mean) if len(mean) else mean
+    pull = sums.ey - sums.ex @ values
+    normal = sums.ee + np.diag(1.0 / _MOVED**2)
+    return np.asarray(np.einsum("gi,gi->g", pull, np.linalg.solve(normal, pull[:, :, None])[:, :, 0]))
+
+
+def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:
+    """Most probable motion of each capture (g, 6), micrometres and microradians, the causes' values being fitted."""
+    sizes = scatter.sizes(sums.part_of)
+    normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
+    return np.asarray(sizes * np.linalg.solve(normal, (sizes * sums.ey)[:, :, None])[:, :, 0])

@@ -1,0 +1,113 @@
+"""Smooth surfaces through the residual of each photograph: what they leave is noise, and what is far off is no reading."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.diagnosis.observations import Observations
+from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
+
+_DEGREE = 6
+_ROWS_PER_COEFFICIENT = 2.5
+_OUTLIER_ROUNDS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A smooth surface through the residual of one photograph.
+
+    Attributes:
+        rows: (m,) the photograph's readings.
+        design: (m, terms) its polynomials of the camera pixel.
+        left: (m, 2) what the surface leaves.
+        leverage: (m,) of each row on the surface.
+        good: (m,) the rows that it was fitted to: no outliers.
+    """
+
+    rows: IntArray
+    design: FloatArray
+    left: FloatArray
+    leverage: FloatArray
+    good: BoolArray
+
+    @property
+    def terms(self) -> int:
+        """Coefficients per axis."""
+        return self.design.shape[1]
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of what is left, both axes."""
+        return 2 * (int(self.good.sum()) - self.terms)
+
+    @property
+    def variance(self) -> float:
+        """Of what is left per axis."""
+        return float(np.sum(self.left[self.good] ** 2)) / self.freedom
+
+    @property
+    def squares(self) -> FloatArray:
+        """Estimate of the variance of each good reading, per axis (m_good,)."""
+        # Weighted by leverage, as noise may grow towards the edge, where a surface follows it most closely.
+        unfollowed = (1.0 - self.leverage[self.good]).clip(1e-6)
+        return np.asarray(np.mean(self.left[self.good] ** 2, axis=1) / unfollowed)
+
+
+def image_basis(observations: Observations, rows: IntArray) -> FloatArray | None:
+    """Polynomials of the camera pixel at the readings of a photograph, as many as they bear; None where too few."""
+    count = int(len(rows) / _ROWS_PER_COEFFICIENT)
+    degree = max((each for each in range(_DEGREE + 1) if term_count(2, each) <= count), default=-1)
+    if degree < 2 or not np.isfinite(observations.image_place[rows[0]]).all():
+        return None
+    box = Box(np.zeros(2), observations.nominal.camera.size_px)
+    return basis(observations.image_place[rows], total_degree(2, degree), box)
+
+
+def photographs(observations: Observations) -> Iterator[IntArray]:
+    """The readings of each photograph."""
+    order = np.argsort(observations.photograph, kind="stable")
+    _, first = np.unique(observations.photograph[order], return_index=True)
+    yield from np.split(order, first[1:])
+
+
+def surfaces(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Iterator[Surface]:
+    """A smooth surface for each photograph that has points enough, through its residual (n, 2)."""
+    for rows in photographs(observations):
+        design = image_basis(observations, rows)
+        if design is None:
+            continue
+        own, good = residual[rows], np.ones(len(rows), dtype=bool)
+        for _ in range(_OUTLIER_ROUNDS):
+            left, leverage, size = _studentised(design, own, good)
+            # 1.18: the median length of a two-vector of unit normal components.
+            near = size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18)
+            if np.array_equal(near, good):
+                break
+            # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.
+            good = near
+        if good.sum() > 2 * design.shape[1]:
+            yield Surface(rows, design, left, leverage, good)
+
+
+def outlier_readings(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> BoolArray:
+    """Single readings (n,) far from a smooth surface through the rest of their photograph: wrong bits, wrong dots."""
+    outlier = np.zeros(len(observations), dtype=bool)
+    for surface in surfaces(observations, residual, settings):
+        outlier[surface.rows[~surface.good]] = True
+    return outlier
+
+
+def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What a surface through the good ones of `values` (n, 2) leaves, all leverages, and lengths over spread (n,).
+
+    A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
+    "Residuals and Influence in Regression", 1982, chapter 2).
+    """
+    solve = np.linalg.pinv(design[good])
+    left = values - design @ (solve @ values[good])
+    leverage = np.sum((design @ solve) ** 2, axis=1)
+    spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
+    return left, leverage, np.linalg.norm(left, axis=1) / spread

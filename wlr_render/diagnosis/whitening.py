@@ -1,0 +1,106 @@
+"""Readings whose errors go together, turned into ones whose errors do not.
+
+Errors of a group of readings have the covariance 1 + U U': white noise of unit size, and what a few random numbers of
+unit size do to the whole group (a motion of the camera, noise that neighbours share). With U = Q S R' the readings are
+multiplied by 1 - Q (1 - 1 / sqrt(1 + S^2)) Q', the inverse root of that covariance.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wlr_render.diagnosis.noise import Noise, shared_correlation
+from wlr_render.diagnosis.observations import Observations
+from wlr_render.diagnosis.surfaces import image_basis, photographs
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_NEGLIGIBLE = 1e-4  # variance over that of white noise
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Some readings (m,) with axes (m, q) of their common errors, and the share (q,) of each axis to be taken off."""
+
+    rows: IntArray
+    axes: FloatArray
+    taken: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Linear map that makes errors independent and of unit size.
+
+    Attributes:
+        scale: (n,) factor of each reading.
+        by_axis: groups whose common errors are alike and independent in both axes of the image.
+        by_reading: groups whose common errors join both axes: their axes are (2 m, q).
+    """
+
+    scale: FloatArray
+    by_axis: tuple[_Group, ...] = ()
+    by_reading: tuple[_Group, ...] = ()
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Values (n, 2) or (n, 2, p) in units of sigma, with independent errors of unit size."""
+        white = values * self.scale.reshape(-1, *(1,) * (values.ndim - 1))
+        for group in self.by_axis:
+            mine = white[group.rows].reshape(len(group.rows), int(np.prod(values.shape[1:])))
+            white[group.rows] -= _common(group, mine).reshape(len(group.rows), *values.shape[1:])
+        for group in self.by_reading:
+            mine = white[group.rows].reshape(2 * len(group.rows), int(np.prod(values.shape[2:])))
+            white[group.rows] -= _common(group, mine).reshape(len(group.rows), *values.shape[1:])
+        return white
+
+    def of_rows(self, keep: BoolArray) -> "Whitening":
+        """Of the readings that a mask (n,) names; of a group either all or none."""
+        number = np.cumsum(keep) - 1
+
+        def kept(groups: tuple[_Group, ...]) -> tuple[_Group, ...]:
+            return tuple(replace(each, rows=number[each.rows]) for each in groups if keep[each.rows].all())
+
+        return Whitening(self.scale[keep], kept(self.by_axis), kept(self.by_reading))
+
+    def then(self, rows: Iterable[IntArray], effects: Iterable[FloatArray]) -> "Whitening":
+        """With groups of readings that have further common errors.
+
+        Args:
+            rows: (m,) of each group.
+            effects: (m, 2, q) of each group's random numbers of unit size, on white readings.
+        """
+        groups = [_group(mine, effect.reshape(2 * len(mine), -1)) for mine, effect in zip(rows, effects, strict=True)]
+        return Whitening(self.scale, self.by_axis, (*self.by_reading, *(each for each in groups if each is not None)))
+
+
+def _common(group: _Group, values: FloatArray) -> FloatArray:
+    return np.asarray(group.axes @ (group.taken[:, None] * (group.axes.T @ values)))
+
+
+def _group(rows: IntArray, effects: FloatArray) -> _Group | None:
+    axes, sizes, _ = np.linalg.svd(effects, full_matrices=False)
+    kept = sizes**2 > _NEGLIGIBLE
+    return _Group(rows, axes[:, kept], 1.0 - 1.0 / np.sqrt(1.0 + sizes[kept] ** 2)) if kept.any() else None
+
+
+def shared_noise_whitening(observations: Observations, noise: Noise) -> Whitening:
+    """Of the noise that neighbouring readings of a photograph share: its part that varies slowly over the image.
+
+    What varies faster than the polynomials of a smooth surface counts as white.
+    """
+    scale, groups = np.ones(len(observations)), []
+    share = {part: noise.floor(part).shared for part in np.unique(observations.part)}
+    for rows in photographs(observations) if any(share.values()) else ():
+        part = observations.part[rows[0]]
+        design = image_basis(observations, rows) if share[part] else None
+        if design is None:
+            continue
+        place, axes = observations.image_place[rows], np.linalg.qr(design)[0]
+        slow = axes.T @ shared_correlation(place, place, noise.floor(part).shared_reach_px) @ axes
+        size, turn = np.linalg.eigh(share[part] * slow)
+        effects = axes @ turn * np.sqrt(size.clip(0.0))
+        white = (1.0 - np.sum(effects**2, axis=1)).clip(0.05)
+        scale[rows] = 1.0 / np.sqrt(white)
+        group = _group(rows, effects * scale[rows][:, None])
+        if group is not None:
+            groups.append(group)
+    return Whitening(scale, tuple(groups))
