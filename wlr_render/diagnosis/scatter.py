@@ -24,6 +24,7 @@ USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 _USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
 _MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
 _COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
+_STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
 _LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
 _NOISIEST = np.log(100.0)
 _STEP = 1e-3
@@ -230,10 +231,11 @@ def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> 
         own = np.flatnonzero(sums.used & (sums.part_of == part))
         if len(own) < _FEWEST or not np.any(sums.ee[own]):
             continue
-        order = own[np.argsort(-_own_gain(sums, best, mean)[own])]
-        best, cost = _prefix(sums, best, cost, order, mean)
-        order = own[np.argsort(-_own_gain(sums, best, mean)[own])]
-        best, cost = _prefix(sums, best, cost, order, mean)
+        for _ in range(2):  # captures that are known to have moved no longer hide others
+            gain = _own_gain(sums, best, mean)[own]
+            if np.max(gain) < _STANDS_OUT:
+                break
+            best, cost = _prefix(sums, best, cost, own[np.argsort(-gain)], mean)
         best, cost = one_by_one(sums, best, cost, own[best.moved[own]], mean)
     return best, cost
 
@@ -242,15 +244,24 @@ def _prefix(
     sums: ScatterSums, best: Scatter, cost: float, order: IntArray, mean: FloatArray
 ) -> tuple[Scatter, float]:
     """The best number of captures that moved, taken in an order."""
-    at = best
-    for count in range(1, len(order) // 2 + 1):
-        moved = best.moved.copy()
-        moved[order] = False
-        moved[order[:count]] = True
-        at, found = best_scatter(sums, replace(at, moved=moved), mean)
-        if found < cost:
-            best, cost = at, found
-    return best, cost
+    most = len(order) // 2
+    tried: dict[int, tuple[Scatter, float]] = {}
+
+    def at(count: int) -> float:
+        if count not in tried:
+            moved = best.moved.copy()
+            moved[order] = False
+            moved[order[:count]] = True
+            tried[count] = best_scatter(sums, replace(best, moved=moved), mean)
+        return tried[count][1]
+
+    coarse = sorted({round(each) for each in np.geomspace(1, most, 8)})
+    count = min(coarse, key=at)
+    while (nearer := min((n for n in (count - 1, count + 1) if 1 <= n <= most), key=at, default=count)) != count:
+        if at(nearer) >= at(count):
+            break
+        count = nearer
+    return tried[count] if at(count) < cost else (best, cost)
 
 
 def one_by_one(
@@ -287,12 +298,21 @@ def one_at_rest(scatter: Scatter, number: int) -> Scatter:
 
 
 def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """What a wide motion of its own gains each capture (g,), the causes' values being those of the other captures."""
+    """Twice the log likelihood that a wide motion of its own gains each capture (g,), others' values being as fitted."""
     found = marginal(sums, scatter)
     values = np.linalg.solve(found.information + np.eye(len(mean)), found.gradient + mean) if len(mean) else mean
     pull = sums.ey - sums.ex @ values
-    normal = sums.ee + np.diag(1.0 / _MOVED**2)
-    return np.asarray(np.einsum("gi,gi->g", pull, np.linalg.solve(normal, pull[:, :, None])[:, :, 0]))
+    noise = scatter.noise[sums.part_of][:, None]
+    usual = replace(scatter, moved=np.zeros_like(scatter.moved)).sizes(sums.part_of)
+    wide = np.hypot(usual, _MOVED / noise)
+
+    def likelihood(sizes: FloatArray) -> FloatArray:
+        normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
+        side = sizes * pull / noise
+        _, determinant = np.linalg.slogdet(normal)
+        return np.asarray(np.einsum("gi,gi->g", side, np.linalg.solve(normal, side[:, :, None])[:, :, 0]) - determinant)
+
+    return likelihood(wide) - likelihood(usual)
 
 
 def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:

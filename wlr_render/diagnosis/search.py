@@ -39,6 +39,8 @@ from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
+import os
+DEBUG=os.environ.get('DG')
 LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
 _NOTHING_MORE = "no other cause has better odds than none"
 _TIMES = 6  # tried at once
@@ -149,8 +151,7 @@ class Search:
         if len(best.fit.explanation.hypotheses) > 1:
             for seed in self._seeds(first):
                 self.progress(f"again from {seed.hypothesis.cause.name}")
-                start = self.refitted(seed.fit.explanation, seed.fit.scatter)
-                other = self._grown(self.rank(start))
+                other = self._grown(self.rank(self._with_moved(seed.fit)))
                 if other.fit.minus_two_log_evidence < best.fit.minus_two_log_evidence:
                     best = replace(other, first=first)
         return best
@@ -161,7 +162,10 @@ class Search:
         Raises:
             ValueError: the explanation cannot predict every reading.
         """
-        found = _fitted(self.full, explanation, scatter)
+        return self._with_moved(_fitted(self.full, explanation, scatter))
+
+    def _with_moved(self, found: Fit) -> Fit:
+        """A fit to all readings with the captures that moved found anew."""
         mean = np.zeros(found.at.free.size)
         sums = self.full.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
         again, _ = with_moved_captures(sums, found.scatter, mean)
@@ -184,7 +188,7 @@ class Search:
             if refusal:
                 return Selection(at.current, start, refusal)
             best = at.candidates[0].fit
-            at = self.rank(self._pruned(self.refitted(best.explanation, best.scatter)))
+            at = self.rank(self._pruned(self._with_moved(best)))
 
     def rank(self, current: Fit) -> CandidateRanking:
         """Rank the causes that are not yet at work."""
@@ -205,6 +209,7 @@ class Search:
             return []
         kept = [each for each in screened if each.gain > settings.min_relative_gain * screened[0].gain]
         kept = kept[: settings.max_fits]
+        if DEBUG: print([(str(e.hypothesis),round(e.gain,1)) for e in screened[:6]])
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
         coarse = _by_evidence(
             Candidate(each.hypothesis, found)
@@ -231,6 +236,7 @@ class Search:
         if not at.candidates:
             return _NOTHING_MORE
         best = at.candidates[0]
+        if DEBUG: print('   ',at.current.explanation.names,'->',[(str(c.hypothesis),round(c.behind,1),c.fitted_to_all) for c in at.candidates], LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence), 'tau',best.fit.scatter.shift_um,best.fit.scatter.turn_urad,best.fit.scatter.noise,best.fit.scatter.moved.sum())
         odds = LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence)
         if odds < 0.0:
             return _NOTHING_MORE
@@ -241,10 +247,24 @@ class Search:
     def _pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
         for place in reversed(range(len(found.explanation.hypotheses) - 1)):
+            if self._loss_without(found, place) > self.settings.close_evidence:
+                continue
             without = fit(self.full, found.explanation.without(place), found.scatter)
             if without is not None and without.minus_two_log_evidence < found.minus_two_log_evidence:
                 found = without
         return found
+
+    def _loss_without(self, found: Fit, place: int) -> float:
+        """By how much -2 log evidence rises without one of the causes, to first order."""
+        explanation, at = found.explanation, found.at
+        owner = np.repeat(np.arange(len(explanation.values)), [len(each) for each in explanation.values])[at.free]
+        sigma = np.array([parameter.prior_sigma for parameter in explanation.parameters()])
+        values = (explanation.vector() / sigma)[at.free]
+        mine, jacobian = owner == place, np.nan_to_num(at.jacobian)
+        residual = at.residual + jacobian[:, :, mine] @ values[mine]
+        zero = np.zeros(int(np.sum(~mine)))
+        _, without = best_scatter(self.full.sums(residual, jacobian[:, :, ~mine]), found.scatter, zero)
+        return without - found.minus_two_log_evidence
 
 
 def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:
