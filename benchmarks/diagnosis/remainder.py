@@ -5,40 +5,45 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import Fit, fit
-from wlr_render.diagnosis.observations import Observations
-from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.search import best_fit, hypotheses, screen
+from wlr_render.diagnosis.fit import Fit, WeighedReadings, fit
+from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.diagnosis.search import hypotheses, screen
 
 _OTHERS = 6
 _WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does
 
 
-def remainder(observations: Observations, hidden: Sequence[str], name: str) -> float:
+def remainder(readings: WeighedReadings, scatter: Scatter, hidden: Sequence[str], name: str) -> float:
     """Chi-squared that the best other cause in the place of a hidden one leaves above the truth; 25 are 5 sigma.
 
     No cause at all competes, too. All readings count, also those that a diagnosis excludes: a slip before the last
     captures must not pass for captures that moved.
 
     Args:
-        observations: readings in which nothing but the hidden causes is at work, with the noise that is really there.
+        readings: in which nothing but the hidden causes is at work, with the noise that is really there.
+        scatter: how far captures really scatter.
         hidden: all causes that are at work.
         name: which of them is to be replaced, the others being at work.
     """
-    predictor = Predictor(observations)
-    rest = fit(predictor, Explanation(), np.ones(len(observations), dtype=bool))
+    rest = fit(readings, Explanation(), scatter, vary_scatter=False)
+    assert rest is not None
     for other in hidden:
         if other != name:
-            rest = min(_fitted(predictor, rest, [other], 1), key=lambda each: each.chi_squared)
-    truth = min(each.chi_squared for each in _fitted(predictor, rest, [name], _OTHERS))
+            rest = min(_fitted(readings, rest, [other], 1), key=lambda each: each.chi_squared)
+    truth = min(each.chi_squared for each in _fitted(readings, rest, [name], _OTHERS))
     least = _WORTH_A_FIT * (rest.chi_squared - truth)
-    others = _fitted(predictor, rest, set(CAUSES) - set(hidden), _OTHERS, least)
+    others = _fitted(readings, rest, set(CAUSES) - set(hidden), _OTHERS, least)
     return float(min([rest.chi_squared, *(each.chi_squared for each in others)]) - truth)
 
 
-def _fitted(predictor: Predictor, rest: Fit, names: Iterable[str], most: int, least_gain: float = -np.inf) -> list[Fit]:
+def _fitted(
+    readings: WeighedReadings, rest: Fit, names: Iterable[str], most: int, least_gain: float = -np.inf
+) -> list[Fit]:
     """One more cause on top of the rest, in the most promising ways; none that gains less than `least_gain`."""
     causes = {name: CAUSES[name] for name in names}
-    screened = [found for each in hypotheses(causes) if (found := screen(predictor, rest, each)) is not None]
+    screened = [found for each in hypotheses(causes) if (found := screen(readings, rest, each)) is not None]
     chosen = sorted((p for p in screened if p.gain > least_gain), key=lambda p: -p.gain)[:most]
-    return [best_fit(predictor, rest, each) for each in chosen] or [rest]
+    starts = [rest.explanation.plus(each.hypothesis, each.start) for each in chosen]
+    fits = [fit(readings, each, rest.scatter, near=rest.at.state, vary_scatter=False) for each in starts]
+    return [each for each in fits if each is not None] or [rest]

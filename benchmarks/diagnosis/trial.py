@@ -32,7 +32,9 @@ from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, CaptureName, Observations, observe
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.bench import Bench
@@ -47,6 +49,7 @@ _IN_COLOUR = 0.25  # of the sessions, besides those whose effect is one of colou
 _SIGMA_PX = (0.05, 0.2)
 _MOST_MOVED = 6
 _LATE = 2  # captures after a late slip
+_LEAST_UNITS = 0.1  # micrometres and microradians of motions
 _SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
 
 
@@ -197,7 +200,7 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
         depends_on=said.unexplained.depends_on if said.unexplained else "",
         excluded=tuple(str(moved_capture.capture) for moved_capture in said.excluded),
         deviations=_deviations(said, [effect for effect in effects if effect.name in CAUSES], plan),
-        remainder=_remainders(said, trial),
+        remainder=_remainders(said, trial, nature),
         held_out=_rms(said.corrected, of_bench),
         seconds=seconds,
     )
@@ -246,14 +249,18 @@ def _moved(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> Se
     return ()
 
 
-def _remainders(said: Diagnosis, trial: DiagnosisTrial) -> tuple[float, ...]:
+def _remainders(said: Diagnosis, trial: DiagnosisTrial, nature: BenchNature) -> tuple[float, ...]:
     """See `remainder`; in the part in which an unlisted effect is, a listed one beside it changes nothing."""
     if trial.kind not in JUDGED_BY_REMAINDER:
         return ()
-    observations = said.observations
+    readings = said.readings
     if trial.kind is TrialKind.UNLISTED_BESIDE:
-        observations = _as_predicted(observations, DISPLAY if trial.causes[0] in SEE_THROUGH_ONLY else SEE_THROUGH)
-    return tuple(remainder(observations, trial.causes, name) for name in trial.causes)
+        part = DISPLAY if trial.causes[0] in SEE_THROUGH_ONLY else SEE_THROUGH
+        readings = replace(readings, predictor=Predictor(_as_predicted(readings.observations, part)))
+    shift, turn = (max(each, _LEAST_UNITS) for each in (1e3 * nature.repeatability_mm, 1e6 * nature.turns_rad))
+    usual = Scatter.usual(len(readings.observations.captures))
+    scatter = replace(usual, shift_um=np.full(3, shift), turn_urad=np.full(3, turn))
+    return tuple(remainder(readings, scatter, trial.causes, name) for name in trial.causes)
 
 
 def _as_predicted(observations: Observations, part: int) -> Observations:

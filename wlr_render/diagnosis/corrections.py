@@ -5,7 +5,8 @@ offered as a correction.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
 from wlr_render.diagnosis.fit import Fit, WeighedReadings, held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.diagnosis.scatter import Scatter, marginal, surprise
+from wlr_render.diagnosis.scatter import Scatter, best_scatter, marginal, surprise
 from wlr_render.diagnosis.search import LOG10_ODDS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
@@ -27,26 +28,74 @@ _RIDGE = 1e-6  # of the design's mean square: keeps terms that a session does no
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _SCREW_PERIODS_M = (0.00025, 0.0005, 0.001, 0.002)  # of the leads of micrometer screws
 _SIZES = np.geomspace(0.01, 300.0, 40)  # of a correction that are tried, in units of sigma
-_LESS_MOTION = (1.0, 0.5, 0.2, 0.05)  # of what captures scatter by without the correction
+_LESS_MOTION = (1.0, 0.3, 0.1, 0.02)  # of what captures scatter by without the correction
 
 
-def corrections(readings: WeighedReadings, found: Fit, part: int) -> list[Correction]:
+@dataclass(frozen=True, eq=False)
+class FittedCorrection:
+    """A smooth correction of one part, and its columns.
+
+    Attributes:
+        correction: its record.
+        size: most probable size of its coefficients, in units of sigma.
+        columns: (n, 2, c) of all readings, zero in other parts.
+    """
+
+    correction: Correction
+    size: float
+    columns: FloatArray
+
+
+def corrections(readings: WeighedReadings, found: Fit, part: int) -> list[FittedCorrection]:
     """All corrections of what a fit leaves of one part, the one of best odds first."""
     rows = readings.observations.part == part
-    own = readings.observations.of_rows(rows)
+    mine = readings.of_rows(rows)
+    own = mine.observations
     if len(np.unique(own.group)) < 2:
         return []
-    mine = WeighedReadings(readings.predictor.of_rows(rows), readings.shared.of_rows(rows), readings.motions[rows])
     left, white = found.at.residual[rows], found.residual[rows]
     base = _without(mine, left, found.scatter)
     before = _squares(white, own.group, len(own.captures))
     made = []
     for depends_on, form, design in _designs(own, part):
-        size, odds = _evidence(mine, left, design, found.scatter, base)
+        columns = _columns(design)
+        size, odds = _evidence(mine, left, columns, found.scatter, base)
         after = _squares(_held_out(design, white, own.group, size), own.group, len(own.captures))
         gain = held_out_improvement(before, after)
-        made.append(Correction(PART_NAMES[part], depends_on, form, design.shape[1], gain, odds))
-    return sorted(made, key=lambda correction: -correction.log10_odds)
+        full = np.zeros((len(rows), *columns.shape[1:]))
+        full[rows] = columns
+        made.append(
+            FittedCorrection(Correction(PART_NAMES[part], depends_on, form, design.shape[1], gain, odds), size, full)
+        )
+    return sorted(made, key=lambda each: -each.correction.log10_odds)
+
+
+def odds_beside(readings: WeighedReadings, found: Fit, number: int, beside: FittedCorrection) -> float:
+    """Log10 odds for one of a fit's causes against none where a smooth correction may explain the same.
+
+    The correction's size is what it takes without the cause; so a cause that it can imitate gains nothing.
+    """
+    at, explanation = found.at, found.explanation
+    owner = np.repeat(np.arange(len(explanation.values)), [len(each) for each in explanation.values])[at.free]
+    prior_sigma = np.array([parameter.prior_sigma for parameter in explanation.parameters()])
+    values = (explanation.vector() / prior_sigma)[at.free]
+    mine, jacobian = owner == number, np.nan_to_num(at.jacobian)
+    without = at.residual + jacobian[:, :, mine] @ values[mine]
+
+    def cost(columns: FloatArray) -> float:
+        both = np.concatenate([columns, beside.columns], axis=-1)
+        sigma = np.r_[np.ones(columns.shape[-1]), np.full(beside.columns.shape[-1], beside.size)]
+        return best_scatter(readings.sums(without, both), found.scatter, np.zeros(both.shape[-1]), sigma)[1]
+
+    return float(LOG10_ODDS * (cost(jacobian[:, :, ~mine]) - cost(jacobian)))
+
+
+def _columns(design: FloatArray) -> FloatArray:
+    """Columns (n, 2, 2 c) of unit mean square for each axis of a design (n, c)."""
+    columns = np.zeros((len(design), 2, 2 * design.shape[1]))
+    for axis in (0, 1):
+        columns[:, axis, axis::2] = design / np.sqrt(np.mean(design**2, axis=0)).clip(1e-12)
+    return columns
 
 
 def _without(readings: WeighedReadings, left: FloatArray, scatter: Scatter) -> float:
@@ -55,24 +104,21 @@ def _without(readings: WeighedReadings, left: FloatArray, scatter: Scatter) -> f
 
 
 def _evidence(
-    readings: WeighedReadings, left: FloatArray, design: FloatArray, scatter: Scatter, base: float
+    readings: WeighedReadings, left: FloatArray, columns: FloatArray, scatter: Scatter, base: float
 ) -> tuple[float, float]:
     """Most probable size of a correction's coefficients, in sigma, and log10 of the odds for it against none."""
-    scale = np.sqrt(np.mean(design**2, axis=0)).clip(1e-12)
-    columns = np.zeros((*left.shape, 2 * design.shape[1]))
-    for axis in (0, 1):
-        columns[:, axis, axis::2] = design / scale
     sums = readings.sums(left, columns)
     best = (0.0, 0.0)
-    for less in _LESS_MOTION:
-        at = replace(scatter, shift_um=less * scatter.shift_um, turn_urad=less * scatter.turn_urad)
+    for less, noise in product(_LESS_MOTION, {1.0, float(scatter.noise[sums.part_of[sums.used][0]])}):
+        at = Scatter(
+            np.full_like(scatter.noise, noise), less * scatter.shift_um, less * scatter.turn_urad, scatter.moved
+        )
         found, unusual = marginal(sums, at), surprise(at, sums)
         values, axes = np.linalg.eigh(found.information)
         pull, values = axes.T @ found.gradient, values.clip(0.0)
         for size in _SIZES:
-            cost = found.minus_two_log + unusual + float(
-                np.sum(np.log1p(size**2 * values) - pull**2 * size**2 / (1.0 + size**2 * values))
-            )
+            shrunk = pull**2 * size**2 / (1.0 + size**2 * values)
+            cost = found.minus_two_log + unusual + float(np.sum(np.log1p(size**2 * values) - shrunk))
             best = max(best, (LOG10_ODDS * (base - cost), float(size)))
     return best[1], best[0]
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from wlr_render.diagnosis.fit import HeldOutImprovement
+from wlr_render.diagnosis.fit import Fit, HeldOutImprovement, WeighedReadings
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
@@ -235,6 +235,8 @@ class Diagnosis:
         residual_before, residual_after: (n, 2) units of sigma, of all readings, excluded ones too.
         used: (n,) readings that are not excluded.
         corrected: the corrected bench.
+        readings: those that are no outliers by themselves, with the errors that the bench gives them.
+        fit: of all causes to them.
     """
 
     session: str
@@ -258,3 +260,5 @@ class Diagnosis:
     residual_after: FloatArray = field(metadata={"json": False})
     used: BoolArray = field(metadata={"json": False})
     corrected: Bench = field(metadata={"json": False})
+    readings: WeighedReadings = field(metadata={"json": False})
+    fit: Fit = field(metadata={"json": False})

@@ -44,12 +44,14 @@ class WeighedReadings:
 
     Attributes:
         predictor: of the readings, none of which is an outlier; their sigma is that of their noise.
+        noise: of the session.
         shared: whitening of the noise that neighbours share.
         motions: (n, 2, 6) change of the white readings by a shift (micrometres) and a turn (microradians) of the camera
             in the reading's capture; zero at run time.
     """
 
     predictor: Predictor
+    noise: Noise
     shared: Whitening
     motions: FloatArray
 
@@ -58,16 +60,16 @@ class WeighedReadings:
         """Of a predictor whose sigma is that of the noise."""
         observations = predictor.observations
         shared = shared_noise_whitening(observations, noise)
-        return cls(predictor, shared, shared(camera_motions(predictor)))
+        return cls(predictor, noise, shared, shared(camera_motions(predictor)))
 
     @property
     def observations(self) -> Observations:
         """What was read."""
         return self.predictor.observations
 
-    def of_rows(self, keep: BoolArray, noise: Noise) -> "WeighedReadings":
+    def of_rows(self, keep: BoolArray) -> "WeighedReadings":
         """The readings that a mask (n,) names."""
-        return WeighedReadings.of(self.predictor.of_rows(keep), noise)
+        return WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
 
     def whitening(self, scatter: Scatter) -> Whitening:
         """That makes errors independent and of unit size, given the sizes of what is random."""
@@ -97,7 +99,7 @@ def camera_motions(predictor: Predictor) -> FloatArray:
         at = predictor.added(state, nothing.plus(hypothesis))
         full = np.zeros((*at.residual.shape, 3))
         full[:, :, at.free] = np.nan_to_num(at.jacobian)
-        columns += [full[:, :, [k]] / (p.prior_sigma * _MICRO[p.unit]) for k, p in enumerate(hypothesis.cause.parameters)]
+        columns.append(full / [each.prior_sigma * _MICRO[each.unit] for each in hypothesis.cause.parameters])
     motions = np.concatenate(columns, axis=-1)
     motions[predictor.observations.part == RUN_TIME] = 0.0
     return np.asarray(motions)
@@ -146,6 +148,7 @@ def fit(
     scatter: Scatter,
     iterations: int = _ITERATIONS,
     near: State | None = None,
+    vary_scatter: bool = True,
 ) -> Fit | None:
     """Fit all causes of an explanation together, from its values on; None where it cannot predict every reading.
 
@@ -155,23 +158,22 @@ def fit(
         scatter: sizes of what is random, from where they are searched for; the captures that moved stay the same.
         iterations: Gauss-Newton steps at most.
         near: a state near the start, if one is known.
+        vary_scatter: False where the sizes of what is random are known.
     """
     predictor = readings.predictor
     at = predictor.linearised(start, predictor.state(start, near))
     if not np.isfinite(at.residual).all():
         return None
     found = _settled(readings, at, readings.whitening(scatter), iterations)
-    scatter, evidence, off = _evidence(readings, found, scatter)
+    scatter, evidence, off = _evidence(readings, found, scatter, vary_scatter)
     if iterations and off > _SAME_SCATTER and found.free.size:
         found = _settled(readings, found, readings.whitening(scatter), iterations)
-        scatter, evidence, _ = _evidence(readings, found, scatter)
+        scatter, evidence, _ = _evidence(readings, found, scatter, vary_scatter)
     whiten = readings.whitening(scatter)
     residual, jacobian = whiten(found.residual), whiten(found.jacobian)
     rows = jacobian.reshape(residual.size, found.free.size)
     information = rows.T @ rows + np.eye(found.free.size)
-    return Fit(
-        found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence
-    )
+    return Fit(found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence)
 
 
 def _settled(readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int) -> Linearisation:
@@ -231,11 +233,16 @@ def _prior_cost(explanation: Explanation) -> float:
     return float(off @ off)
 
 
-def _evidence(readings: WeighedReadings, at: Linearisation, scatter: Scatter) -> tuple[Scatter, float, float]:
+def _evidence(
+    readings: WeighedReadings, at: Linearisation, scatter: Scatter, vary: bool
+) -> tuple[Scatter, float, float]:
     """The sizes of what is random at a solution, -2 log evidence, and the largest change of the sizes' logarithms."""
     sums = readings.sums(at.residual, np.nan_to_num(at.jacobian))
     mean = -_off_prior(at.explanation)[at.free]
-    found, cost = best_scatter(sums, scatter, mean)
+    if vary:
+        found, cost = best_scatter(sums, scatter, mean)
+    else:
+        found, cost = scatter, minus_two_log_evidence(marginal(sums, scatter), mean)
     cost += whole_step_cost(sums, found, at.explanation, at.free)
     cost += 2.0 * float(np.log(choices(at.explanation, readings.observations)))
     return found, cost, float(np.max(np.abs(found.vector() - scatter.vector())))
@@ -302,7 +309,8 @@ def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
     minimum = np.array([parameter.minimum for parameter in parameters])
     sizes = np.array([parameter.role is Role.SIZE for parameter in parameters], dtype=bool)
     prior_sigma = np.array([parameter.prior_sigma for parameter in parameters])
-    usual = np.abs(values[sizes]) <= settings.max_prior_sigmas * prior_sigma[sizes]
+    mean = np.array([parameter.prior_mean for parameter in parameters])
+    usual = np.abs((values - mean)[sizes]) <= settings.max_prior_sigmas * prior_sigma[sizes]
     return bool(np.all(values >= minimum - 3.0 * found.sigmas()) and np.all(usual))
 
 
@@ -341,28 +349,22 @@ class HeldOutImprovement:
     significance: float
 
 
-def held_out_squares(found: Fit, observations: Observations, whiten: Whitening | None = None) -> FloatArray:
-    """Sum of squared residuals of each capture (captures,) when it is left out of the fit; NaN for unused captures.
+def held_out_residual(found: Fit, observations: Observations) -> FloatArray:
+    """Residual (n, 2) in units of sigma of each capture when it is left out of the fit.
 
     The fit without a capture is one Newton step from the fit with it, which is exact for what is left to change.
 
     Args:
         found: the fit.
         observations: to which it was fitted.
-        whiten: another whitening of the residuals that are summed than the fit's own.
     """
-    squares, count = np.full(len(observations.captures), np.nan), found.jacobian.shape[-1]
-    shown = found.residual if whiten is None else whiten(found.at.residual)
-    columns = found.jacobian if whiten is None else whiten(np.nan_to_num(found.at.jacobian))
-    for number in np.unique(observations.group):
+    left, jacobian = found.at.residual.copy(), np.nan_to_num(found.at.jacobian)
+    for number in np.unique(observations.group) if found.at.free.size else ():
         mine = observations.group == number
-        left = shown[mine]
-        if count:
-            flat = found.jacobian[mine].reshape(-1, count)
-            change = np.linalg.solve(found.information - flat.T @ flat, flat.T @ found.residual[mine].ravel())
-            left = left + columns[mine] @ change
-        squares[number] = np.sum(left**2)
-    return squares
+        flat = found.jacobian[mine].reshape(-1, found.at.free.size)
+        change = np.linalg.solve(found.information - flat.T @ flat, flat.T @ found.residual[mine].ravel())
+        left[mine] += jacobian[mine] @ change
+    return left
 
 
 def held_out_improvement(before: FloatArray, after: FloatArray) -> HeldOutImprovement:
@@ -429,5 +431,3 @@ def _halves(observations: Observations) -> Iterable[BoolArray]:
         for part, variables in columns.items():
             half[observations.part == part] = variables[number] > np.median(variables[number])
         yield half
-
-

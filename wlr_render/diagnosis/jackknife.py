@@ -7,7 +7,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 def left_out_changes(found: Fit, group: IntArray, groups: int) -> FloatArray:
-    """Changes (groups, p) of the free parameters when a capture is left out; NaN for captures without used readings.
+    """Changes (groups, p) of the free parameters when a capture is left out; NaN for captures without readings.
 
     A fit without a capture is one Newton step from the fit with it (as in `fit.held_out_squares`).
 
@@ -19,11 +19,10 @@ def left_out_changes(found: Fit, group: IntArray, groups: int) -> FloatArray:
     Returns:
         The changes in the parameters' units, in the order of `found.at.free`.
     """
-    rows = np.flatnonzero(found.used)
-    jacobian, residual, owner = found.at.jacobian[rows], found.residual[rows], group[rows]
+    jacobian, residual = found.jacobian, found.residual
     changes = np.full((groups, found.at.free.size), np.nan)
-    for number in np.unique(owner):
-        mine = owner == number
+    for number in np.unique(group):
+        mine = group == number
         flat = jacobian[mine].reshape(2 * int(mine.sum()), found.at.free.size)
         gradient = flat.T @ residual[mine].ravel()
         changes[number] = -np.linalg.lstsq(found.information - flat.T @ flat, gradient, rcond=None)[0]

@@ -48,8 +48,9 @@ def moved_captures(readings: WeighedReadings, found: Fit) -> list[MovedCapture]:
         odds = LOG10_ODDS * (minus_two_log_evidence(marginal(sums, rest), mean) + surprise(rest, sums) - cost)
         shift, turn = (1e-3 * motion[number, :3]).tolist(), np.degrees(1e-6 * motion[number, 3:]).tolist()
         name, rms = observations.captures[number], [float(np.sqrt(np.mean(each**2))) for each in (before, after)]
-        by_bare = _is_placed_by_bare(observations, name)
-        made.append(MovedCapture(name, None if by_bare else tuple(shift), None if by_bare else tuple(turn), *rms, odds))
+        known = not _is_placed_by_bare(observations, name)
+        pose = [tuple(each) if known else None for each in (shift, turn)]
+        made.append(MovedCapture(name, pose[0], pose[1], rms[0], rms[1], odds))
     return made
 
 

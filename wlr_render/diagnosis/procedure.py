@@ -4,7 +4,7 @@ Noise, outlier readings, selection of causes, captures that moved, comparison of
 stays unexplained; in that order. Generic over causes: nothing here knows any of them.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.corrections import corrections
+from wlr_render.diagnosis.corrections import corrections, odds_beside
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
     NO_EFFECT,
@@ -93,10 +93,8 @@ def diagnose(
     progress("looking for structure in the residual")
     left = _unexplained(search, found, prepared.noise, settings)
     dropped: list[str] = []
-    while left is not None and (spurious := _spurious(search, found)) is not None:
-        number, sentence = spurious
-        dropped.append(sentence)
-        found = search.refitted(found.explanation.without(number), found.scatter)
+    if left and found.explanation.hypotheses:
+        found, dropped = _without_imitations(search, found, left)
         rankings = _rankings(search, found, selection.first)
         left = _unexplained(search, found, prepared.noise, settings)
     named = tuple(_found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
@@ -106,13 +104,13 @@ def diagnose(
     before, after = (all_readings.residual(each) for each in (Explanation(), found.explanation))
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
     limits: tuple[DetectionLimit, ...] = ()
-    if not named and left is None:
+    if not named and not left:
         limits = detection_limits(search, found, causes)
     return Diagnosis(
         session=session.name,
         device=nominal.device.name,
         eye=nominal.eye,
-        verdict=_verdict(bool(named), left),
+        verdict=_verdict(bool(named), bool(left)),
         causes=tuple(sorted(named, key=lambda cause: -cause.effect_over_noise)),
         excluded=tuple(excluded),
         noise_floors=prepared.noise.floors,
@@ -120,7 +118,7 @@ def diagnose(
         noise=_noise_summary(observations, used),
         before=_residual_summary(observations, before, used),
         after=_residual_summary(observations, after, used),
-        unexplained=left,
+        unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
         detection_limits=limits,
         reasons=(*_about_readings(prepared.noise.outlier), *dropped, selection.reason),
         captures=_capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
@@ -130,6 +128,8 @@ def diagnose(
         residual_after=after,
         used=used,
         corrected=found.explanation.bench(nominal),
+        readings=readings,
+        fit=found,
     )
 
 
@@ -165,7 +165,7 @@ def _with_noise_left_by(
     """Select causes by the noise that an explanation leaves within the photographs."""
     noise = noise_of(as_stated.observations, as_stated.residual(explanation), settings)
     full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
-    subsample = full.of_rows(full.observations.spread(settings.subsample), noise)
+    subsample = full.of_rows(full.observations.spread(settings.subsample))
     search = Search(full, subsample, hypotheses(causes), progress, settings)
     return _Prepared(noise, search, search.select())
 
@@ -174,20 +174,6 @@ def _about_readings(outlier: BoolArray) -> tuple[str, ...]:
     """A sentence on the single readings that are outliers, if there are any."""
     count = int(np.sum(outlier))
     return (f"{count} single readings lie far from their neighbours and were excluded",) if count else ()
-
-
-def _spurious(search: Search, found: Fit) -> tuple[int, str] | None:
-    """The cause whose value depends most on where it is measured, and a sentence on it; None where all are stable."""
-    if not found.explanation.hypotheses:
-        return None
-    change = instability(search.full.observations, found)
-    worst = int(np.argmax(change))
-    if change[worst] < search.settings.max_instability:
-        return None
-    return worst, (
-        f"{found.explanation.names[worst]} would explain part of it, but its value differs by "
-        f"{100 * change[worst]:.0f} % between halves of the readings: a spurious match"
-    )
 
 
 def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit, list[CandidateRanking]]:
@@ -215,26 +201,83 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking) -> list[Candi
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
 
 
-def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -> Unexplained | None:
-    """The part of the session with the largest residual, if that is more than noise or has structure."""
+def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -> list[Unexplained]:
+    """The parts of the session whose residual is more than noise, or has structure."""
     left: list[Unexplained] = []
-    observations, raw = search.full.observations, found.at.residual
-    thin = search.subsample
-    thinned = fit(thin, found.explanation, found.scatter, 0)
+    observations, raw, scatter = search.full.observations, found.at.residual, found.scatter
+    thinned = fit(search.subsample, found.explanation, scatter, 0)
     for part in np.unique(observations.part):
-        tried = corrections(thin, thinned, part) if thinned else []
+        tried = [each.correction for each in corrections(search.subsample, thinned, part)] if thinned else []
         structured = bool(tried) and tried[0].log10_odds > settings.least_log10_odds
         floor = noise.floor(part)
         error = 2.0 * floor.error_px / floor.measured_px if floor.error_px > 0 else 0.0
         error = float(np.hypot(error, np.sqrt(1.0 / np.sum(observations.part == part))))
-        excess = float(found.scatter.noise[part] ** 2 - 1.0)
-        moves = max(found.scatter.shift_um[part] / _UNUSUAL_SHIFT_UM, found.scatter.turn_urad[part] / _UNUSUAL_TURN_URAD)
+        excess = float(scatter.noise[part] ** 2 - 1.0)
+        moves = max(scatter.shift_um[part] / _UNUSUAL_SHIFT_UM, scatter.turn_urad[part] / _UNUSUAL_TURN_URAD)
         if structured or is_significant(excess, error, 1.0, settings) or moves > 1.0:
             # A residual that nothing smooth predicts from one capture to the next depends on where the camera stood.
             depends_on = tried[0].depends_on if structured else _UNPREDICTED[part]
             rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))
             left.append(Unexplained(PART_NAMES[part], depends_on, rms, tuple(tried)))
-    return max(left, key=lambda each: each.rms_over_noise, default=None)
+    return left
+
+
+def _without_imitations(search: Search, found: Fit, left: Sequence[Unexplained]) -> tuple[Fit, list[str]]:
+    """Leave out the causes that only imitate what no cause explains; and a sentence on each.
+
+    What explains the parts that are explained, by themselves, stays. Of the other causes each must explain more than
+    smooth functions of what the residual depends on, and must have the same value in all halves of the readings.
+    """
+    parts = [PART_NAMES.index(each.part) for each in left]
+    clean = ~np.isin(search.full.observations.part, parts)
+    kept: set[str] = set()
+    if clean.any():
+        of_subsample = ~np.isin(search.subsample.observations.part, parts)
+        full, subsample = search.full.of_rows(clean), search.subsample.of_rows(of_subsample)
+        alone = Search(full, subsample, search.hypotheses, search.progress, search.settings).select().fit
+        kept = set(alone.explanation.names)
+        if not kept <= set(found.explanation.names):
+            found = search.refitted(alone.explanation, found.scatter)
+    dropped = []
+    while (spurious := _spurious(search, found, kept, parts)) is not None:
+        number, sentence = spurious
+        dropped.append(sentence)
+        found = search.refitted(found.explanation.without(number), found.scatter)
+    return found, dropped
+
+
+def _spurious(search: Search, found: Fit, kept: set[str], parts: Sequence[int]) -> tuple[int, str] | None:
+    """A cause that is a spurious match, and a sentence on it; None where all hold."""
+    names, settings = found.explanation.names, search.settings
+    if set(names) <= kept:
+        return None
+    change = instability(search.full.observations, found)
+    worst = max((number for number, name in enumerate(names) if name not in kept), key=lambda number: change[number])
+    if change[worst] > settings.max_instability:
+        return worst, (
+            f"{names[worst]} would explain part of it, but its value differs by {100 * change[worst]:.0f} % between "
+            "halves of the readings: a spurious match"
+        )
+    thinned = fit(search.subsample, found.explanation, found.scatter, 0)
+    if thinned is None:
+        return None
+    for number in reversed(range(len(names))):
+        if names[number] in kept:
+            continue
+        rest = search.refitted(found.explanation.without(number), found.scatter)
+        without = fit(search.subsample, rest.explanation, rest.scatter, 0)
+        beside = (
+            [each for part in parts for each in corrections(search.subsample, without, part)[:1]] if without else []
+        )
+        beside = [each for each in beside if each.correction.log10_odds > settings.least_log10_odds]
+        odds = [odds_beside(search.subsample, thinned, number, each) for each in beside]
+        if odds and min(odds) < settings.least_log10_odds:
+            smooth = beside[int(np.argmin(odds))].correction
+            return number, (
+                f"{names[number]} would explain part of it, but smooth functions of {smooth.depends_on} explain as "
+                "much: a spurious match"
+            )
+    return None
 
 
 def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
@@ -254,8 +297,8 @@ def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ..
     )
 
 
-def _verdict(has_causes: bool, left: Unexplained | None) -> str:
-    if left is None:
+def _verdict(has_causes: bool, has_more: bool) -> str:
+    if not has_more:
         return EXPLAINED if has_causes else NO_EFFECT
     return PARTLY if has_causes else UNEXPLAINED
 
@@ -356,14 +399,15 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
     middle = float(times[len(times) // 2]) if len(times) else 0.0
     for cause in causes.values():
         hypothesis = Hypothesis(cause, next(iter(cause.variants)))
-        start = np.array([middle if p.role is Role.TIME else value for p, value in zip(cause.parameters, cause.null())])
+        is_time = [parameter.role is Role.TIME for parameter in cause.parameters]
+        start = np.where(is_time, middle, cause.null())
         alone = fit(search.subsample, Explanation().plus(hypothesis, start), found.scatter, 0)
         if alone is None:
             continue
         # Without the prior, which says nothing about what would have been seen.
         information = alone.information - np.eye(alone.at.free.size)
         sigma = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)).clip(0.0))
-        moment = f" (from {middle:.0f} s on)" if any(p.role is Role.TIME for p in cause.parameters) else ""
+        moment = f" (from {middle:.0f} s on)" if any(is_time) else ""
         for number, each in zip(alone.at.free, sigma, strict=True):
             parameter = cause.parameters[number]
             limit = search.settings.detection_limit_se * fewer * float(each) * parameter.prior_sigma

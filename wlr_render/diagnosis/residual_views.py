@@ -190,7 +190,8 @@ def _where(used: BoolArray, residual: FloatArray) -> FloatArray:
 
 
 def _sigma_arcmin(observations: Observations, part: int) -> float:
-    return float(observations.sigma_px[part] / (np.mean(observations.nominal.camera.focal_px) * ARCMIN))
+    sigma_px = float(np.sqrt(np.mean(observations.sigma_of(part) ** 2)))
+    return sigma_px / float(np.mean(observations.nominal.camera.focal_px) * ARCMIN)
 
 
 def _times_and_stage(observations: Observations, plan: DisplayPlan | SeeThroughPlan) -> list[Variable]:

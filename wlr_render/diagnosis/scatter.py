@@ -6,8 +6,8 @@ y are white residuals of all captures, c the causes' values in prior sigmas, b_g
 The sizes of motions and noise in each part of the session maximise the evidence, weighed with what is usual. A capture
 that moved by far more than the others has a wide prior of its own, and pays for it.
 
-Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pinheiro and Bates, "Mixed-Effects Models in
-S and S-PLUS" (2000), chapter 2.
+Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pinheiro and Bates, "Mixed-Effects Models
+in S and S-PLUS" (2000), chapter 2.
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ class Scatter:
 
     def vector(self) -> FloatArray:
         """Logarithms of all sizes (9,)."""
-        return np.log(np.concatenate([self.noise, self.shift_um, self.turn_urad]))
+        return np.asarray(np.log(np.concatenate([self.noise, self.shift_um, self.turn_urad])))
 
     def at(self, vector: FloatArray) -> "Scatter":
         """With other sizes."""
@@ -121,9 +121,7 @@ class ScatterSums:
 
     def of_columns(self, which: IntArray) -> "ScatterSums":
         """For some of the columns."""
-        return replace(
-            self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which]
-        )
+        return replace(self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +192,8 @@ def best_scatter(
     present = sums.count > 0
     free = np.concatenate([present, moving, moving])
     first = start.vector()
-    first[~free] = np.concatenate([np.zeros(_PARTS), np.full(_PARTS, np.log(USUAL_SHIFT)), np.full(_PARTS, np.log(USUAL_TURN))])[~free]
+    usual = np.repeat(np.log([1.0, USUAL_SHIFT, USUAL_TURN]), _PARTS)
+    first[~free] = usual[~free]
 
     def cost(inner: FloatArray) -> float:
         vector = first.copy()
@@ -210,7 +209,11 @@ def best_scatter(
     high = np.concatenate([np.full(_PARTS, _NOISIEST), np.full(2 * _PARTS, _HIGHEST)])[free]
     inside = np.clip(first[free], low, high)
     found = minimize(
-        with_slope, inside, jac=True, method="L-BFGS-B", bounds=np.stack([low, high], axis=1),
+        with_slope,
+        inside,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.stack([low, high], axis=1),
         options={"maxiter": 40, "ftol": 1e-9, "gtol": 0.05},
     )
     vector = first.copy()
@@ -240,9 +243,7 @@ def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> 
     return best, cost
 
 
-def _prefix(
-    sums: ScatterSums, best: Scatter, cost: float, order: IntArray, mean: FloatArray
-) -> tuple[Scatter, float]:
+def _prefix(sums: ScatterSums, best: Scatter, cost: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
     """The best number of captures that moved, taken in an order."""
     most = len(order) // 2
     tried: dict[int, tuple[Scatter, float]] = {}
@@ -298,7 +299,7 @@ def one_at_rest(scatter: Scatter, number: int) -> Scatter:
 
 
 def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """Twice the log likelihood that a wide motion of its own gains each capture (g,), others' values being as fitted."""
+    """Twice the log likelihood that a wide motion of its own gains each capture (g,)."""
     found = marginal(sums, scatter)
     values = np.linalg.solve(found.information + np.eye(len(mean)), found.gradient + mean) if len(mean) else mean
     pull = sums.ey - sums.ex @ values

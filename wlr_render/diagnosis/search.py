@@ -19,7 +19,7 @@ from wlr_render.diagnosis.fit import (
     choices,
     fit,
     held_out_improvement,
-    held_out_squares,
+    held_out_residual,
     is_physical,
     reduced_chi_squared,
 )
@@ -39,8 +39,6 @@ from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
-import os
-DEBUG=os.environ.get('DG')
 LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
 _NOTHING_MORE = "no other cause has better odds than none"
 _TIMES = 6  # tried at once
@@ -209,7 +207,6 @@ class Search:
             return []
         kept = [each for each in screened if each.gain > settings.min_relative_gain * screened[0].gain]
         kept = kept[: settings.max_fits]
-        if DEBUG: print([(str(e.hypothesis),round(e.gain,1)) for e in screened[:6]])
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
         coarse = _by_evidence(
             Candidate(each.hypothesis, found)
@@ -229,14 +226,18 @@ class Search:
     def improvement(self, before: Fit, after: Fit) -> HeldOutImprovement:
         """By how much a fit predicts held-out captures better than another, in units of the better one's errors."""
         observations, whiten = self.full.observations, self.full.whitening(after.scatter)
-        return held_out_improvement(*(held_out_squares(each, observations, whiten) for each in (before, after)))
+        squares = [
+            np.bincount(observations.group, np.sum(whiten(held_out_residual(each, observations)) ** 2, axis=1))
+            for each in (before, after)
+        ]
+        present = np.bincount(observations.group) > 0
+        return held_out_improvement(*(np.asarray(each[present], dtype=np.float64) for each in squares))
 
     def _refusal(self, at: CandidateRanking) -> str:
         """Why the best candidate is not worth adding; empty where it is."""
         if not at.candidates:
             return _NOTHING_MORE
         best = at.candidates[0]
-        if DEBUG: print('   ',at.current.explanation.names,'->',[(str(c.hypothesis),round(c.behind,1),c.fitted_to_all) for c in at.candidates], LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence), 'tau',best.fit.scatter.shift_um,best.fit.scatter.turn_urad,best.fit.scatter.noise,best.fit.scatter.moved.sum())
         odds = LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence)
         if odds < 0.0:
             return _NOTHING_MORE

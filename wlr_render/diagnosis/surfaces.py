@@ -1,4 +1,4 @@
-"""Smooth surfaces through the residual of each photograph: what they leave is noise, and what is far off is no reading."""
+"""Smooth surfaces through the residual of each photograph: what they leave is noise; a reading far off is none."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Surface:
     @property
     def terms(self) -> int:
         """Coefficients per axis."""
-        return self.design.shape[1]
+        return int(self.design.shape[1])
 
     @property
     def freedom(self) -> int:

@@ -6,14 +6,14 @@ multiplied by 1 - Q (1 - 1 / sqrt(1 + S^2)) Q', the inverse root of that covaria
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.diagnosis.noise import Noise, shared_correlation
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.surfaces import image_basis, photographs
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NEGLIGIBLE = 1e-4  # variance over that of white noise
 
@@ -51,15 +51,6 @@ class Whitening:
             mine = white[group.rows].reshape(2 * len(group.rows), int(np.prod(values.shape[2:])))
             white[group.rows] -= _common(group, mine).reshape(len(group.rows), *values.shape[1:])
         return white
-
-    def of_rows(self, keep: BoolArray) -> "Whitening":
-        """Of the readings that a mask (n,) names; of a group either all or none."""
-        number = np.cumsum(keep) - 1
-
-        def kept(groups: tuple[_Group, ...]) -> tuple[_Group, ...]:
-            return tuple(replace(each, rows=number[each.rows]) for each in groups if keep[each.rows].all())
-
-        return Whitening(self.scale[keep], kept(self.by_axis), kept(self.by_reading))
 
     def then(self, rows: Iterable[IntArray], effects: Iterable[FloatArray]) -> "Whitening":
         """With groups of readings that have further common errors.

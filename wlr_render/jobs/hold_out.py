@@ -11,18 +11,18 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.fit import Fit, fit, held_out_squares
+from wlr_render.diagnosis.fit import fit, held_out_residual
 from wlr_render.diagnosis.jackknife import jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.outliers import not_excluded
+from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.options import Options, ProgressArgument, described
-from wlr_render.numerics.arrays import BoolArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
@@ -50,20 +50,18 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
     nominal, session = load_session(options.session)
     check_enough_captures(session)
     folder = output_folder(options.out)
-    found = diagnose(nominal, session, progress.say)
+    found = diagnose(nominal, session, progress.say, causes=causes_for(nominal))
     if not found.causes:
         raise BadInputError(
             f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out; to test a "
             "bench model on other captures, use wlr-render predict BENCH SESSION."
         )
     progress.say("predicting left-out captures and distances")
-    predictor, explanation = Predictor(found.observations), _explanation(found)
-    whole = fit(predictor, explanation, found.used)
-    table = hold_out_table(found, predictor, whole)
+    table = hold_out_table(found)
     report = Report(
         f"Cross-validation of {session.name}",
         verdict=" ".join(_sentences(table)),
-        blocks=[table, _values_table(found, whole)],
+        blocks=[table, _values_table(found)],
         inputs=[options.session],
     )
     return save_report(report, folder)
@@ -82,21 +80,16 @@ def _sentences(table: ReportTable) -> Iterator[str]:
         )
 
 
-def hold_out_table(found: Diagnosis, predictor: Predictor, whole: Fit) -> ReportTable:
-    """Rms angle of measured minus simulated in what was held out, with the bench as described and as corrected.
-
-    Args:
-        found: the diagnosis.
-        predictor: of its readings.
-        whole: fit of its causes to all of them.
-    """
-    observations = found.observations
-    rows = _by_capture(found, whole)
+def hold_out_table(found: Diagnosis) -> ReportTable:
+    """Rms angle of measured minus simulated in what was held out, with the bench as described and as corrected."""
+    rows = _by_capture(found)
     for fitted_to, tested_on, tested in _splits(found):
-        refitted = fit(predictor, whole.explanation, found.used & ~tested)
-        tested = tested & found.used
-        before, after = (float(np.sum(each[tested] ** 2)) for each in (found.residual_before, refitted.residual))
-        rows.append([fitted_to, tested_on, *_figures(observations, SEE_THROUGH, int(tested.sum()), before, after)])
+        rest = found.readings.of_rows(~tested)
+        refitted = fit(rest, found.fit.explanation, found.fit.scatter)
+        if refitted is None:
+            continue
+        after = found.readings.predictor.residual(refitted.explanation)
+        rows.append([fitted_to, tested_on, *_figures(found, SEE_THROUGH, tested, after)])
     columns = (
         "fitted to",
         "tested on",
@@ -105,18 +98,19 @@ def hold_out_table(found: Diagnosis, predictor: Predictor, whole: Fit) -> Report
         "corrected (arcmin)",
         "noise (arcmin)",
     )
-    return ReportTable(f"Held out of {observations.session.name}", columns, rows, _notes(found))
+    return ReportTable(f"Held out of {found.session}", columns, rows, _notes(found))
 
 
-def _values_table(found: Diagnosis, whole: Fit) -> ReportTable:
+def _values_table(found: Diagnosis) -> ReportTable:
     """The values found, with the standard error of the diagnosis and that of leaving out each capture in turn."""
-    observations = found.observations
+    observations, whole = found.readings.observations, found.fit
     errors = np.full(len(whole.explanation.vector()), np.nan)
     errors[whole.at.free] = jackknife(whole, observations.group, len(observations.captures))
-    values = [(cause.name, parameter) for cause in found.causes for parameter in cause.parameters]
+    by_name = dict(zip(_value_names(whole.explanation), errors, strict=True))
     rows: list[list[Cell]] = [
-        [name, parameter.name, parameter.value, parameter.unit, parameter.sigma, float(error)]
-        for (name, parameter), error in zip(values, errors, strict=True)
+        [cause.name, each.name, each.value, each.unit, each.sigma, float(by_name[cause.name, each.name])]
+        for cause in found.causes
+        for each in cause.parameters
     ]
     columns = ("cause", "parameter", "value", "unit", "one sigma by the diagnosis", "one sigma by the captures")
     note = (
@@ -126,31 +120,32 @@ def _values_table(found: Diagnosis, whole: Fit) -> ReportTable:
     return ReportTable("Values found, and how captures scatter about them", columns, rows, (note,))
 
 
-def _explanation(found: Diagnosis) -> Explanation:
-    explanation = Explanation()
-    for cause in found.causes:
-        values = np.array([parameter.value for parameter in cause.parameters])
-        explanation = explanation.plus(Hypothesis(CAUSES[cause.name], cause.variant), values)
-    return explanation
+def _value_names(explanation: Explanation) -> list[tuple[str, str]]:
+    """Cause and parameter of each value."""
+    causes = [hypothesis.cause for hypothesis in explanation.hypotheses]
+    return [(cause.name, parameter.name) for cause in causes for parameter in cause.parameters]
 
 
-def _by_capture(found: Diagnosis, whole: Fit) -> list[list[Cell]]:
+def _by_capture(found: Diagnosis) -> list[list[Cell]]:
     """For each part of the session: every capture as the fit to all others predicts it."""
-    observations, rows = found.observations, list[list[Cell]]()
-    held_out = held_out_squares(whole, observations.group, len(observations.captures))
-    for part in np.unique(observations.part[found.used]):
-        tested = found.used & (observations.part == part)
-        before = float(np.sum(found.residual_before[tested] ** 2))
-        after = float(np.sum(held_out[np.unique(observations.group[tested])]))
-        figures = _figures(observations, part, int(tested.sum()), before, after)
+    observations, rows = found.readings.observations, list[list[Cell]]()
+    after = held_out_residual(found.fit, observations)
+    for part in np.unique(observations.part):
+        figures = _figures(found, part, _counted(found) & (observations.part == part), after)
         rows.append(["all other captures", f"each {PART_NAMES[part]} capture", *figures])
     return rows
 
 
+def _counted(found: Diagnosis) -> BoolArray:
+    """Readings (n,) of captures that did not move."""
+    return not_excluded(found.readings.observations, found.excluded)
+
+
 def _splits(found: Diagnosis) -> Iterator[tuple[str, str, BoolArray]]:
     """What is fitted to, what is tested on, and its readings (n,): target distances held out, and fitted to alone."""
-    at_distance = _distances(found.observations)
-    distance = {name: rows for name, rows in at_distance.items() if np.any(rows & found.used)}
+    counted = _counted(found)
+    at_distance = _distances(found.readings.observations)
+    distance = {name: rows & counted for name, rows in at_distance.items() if np.any(rows & counted)}
     if len(distance) < 2:
         return
     everything = np.any(list(distance.values()), axis=0)
@@ -177,15 +172,19 @@ def _distances(observations: Observations) -> dict[str, BoolArray]:
     return named
 
 
-def _figures(observations: Observations, part: int, count: int, before: float, after: float) -> list[Cell]:
-    """A count of readings, and rms angles of sums of squares in units of sigma and of noise, arcminutes."""
-    sigma_arcmin = observations.sigma_px[part] / np.mean(observations.nominal.camera.focal_px) / ARCMIN
-    return [count, *(float(sigma_arcmin * np.sqrt(squares / count)) for squares in (before, after, 2.0 * count))]
+def _figures(found: Diagnosis, part: int, tested: BoolArray, after: FloatArray) -> list[Cell]:
+    """A count of readings, and rms angles of their residual by both benches and of the noise, arcminutes."""
+    observations = found.readings.observations
+    before = found.readings.predictor.residual(Explanation())
+    rows = tested[observations.part == part]
+    noise = np.ones_like(after)
+    angles = (observations.arcminutes(each, part)[rows] for each in (before, after, noise))
+    return [int(rows.sum()), *(float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in angles)]
 
 
 def _notes(found: Diagnosis) -> tuple[str, ...]:
     observations, excluded = found.observations, [moved.capture for moved in found.excluded]
-    kept = ~np.isin(observations.group, [observations.captures.index(capture) for capture in excluded])
+    kept = not_excluded(observations, found.excluded)
     acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in found.causes)
     captures = ", ".join(str(capture) for capture in excluded) or "no capture"
     return (
