@@ -27,8 +27,8 @@ _FOLDS = 8
 _RIDGE = 1e-6  # of the design's mean square: keeps terms that a session does not determine at zero
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _SCREW_PERIODS_M = (0.00025, 0.0005, 0.001, 0.002)  # of the leads of micrometer screws
-_SIZES = np.geomspace(0.01, 300.0, 40)  # of a correction that are tried, in units of sigma
-_LESS_MOTION = (1.0, 0.3, 0.1, 0.02)  # of what captures scatter by without the correction
+_SIZES = np.geomspace(0.01, 300.0, 30)  # of a correction that are tried, in units of sigma
+_LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def _evidence(
     """Most probable size of a correction's coefficients, in sigma, and log10 of the odds for it against none."""
     sums = readings.sums(left, columns)
     best = (0.0, 0.0)
-    for less, noise in product(_LESS_MOTION, {1.0, float(scatter.noise[sums.part_of[sums.used][0]])}):
+    for less, noise in product(_LESS_MOTION, {1.0, round(float(scatter.noise[sums.part_of[sums.used][0]]), 1)}):
         at = Scatter(
             np.full_like(scatter.noise, noise), less * scatter.shift_um, less * scatter.turn_urad, scatter.moved
         )

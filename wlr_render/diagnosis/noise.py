@@ -7,6 +7,7 @@ common (an autofocus that breathes, air that moves, a code that interpolates).
 """
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.surfaces import Surface, surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, total_degree
 
 _STATED_ERROR = 0.1  # relative error of a sigma that a bench states
 _CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
@@ -21,9 +23,11 @@ _ENOUGH_FOR_A_SPREAD = 8  # photographs
 _RIM_FACTORS = np.arange(0.3, 5.01, 0.05)
 _SPREADS = np.concatenate([[0.0], np.geomspace(0.03, 2.0, 60)])
 _SHARES = np.linspace(0.0, 0.95, 39)
-_REACHES = (1.0, 2.0, 4.0)  # of shared noise, in distances between neighbouring readings
-_PHOTOGRAPHS = 6  # in which shared noise is looked for
-_MOST_READINGS = 500  # of one photograph, for that
+_REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # of shared noise, in distances between neighbouring readings
+_USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # in the same distances, and standard deviation of its logarithm
+_WORK = 4e7  # cube of the readings of a photograph, times the photographs in which shared noise is looked for
+_MOST_READINGS = 250  # of one photograph, for that
+_SMOOTHEST = 3  # degree of what the bench and its optics do to a photograph; what is finer may be shared noise
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ class NoiseFloor:
         photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 likewise.
         shared: share of the variance that neighbouring readings have in common; 0 likewise.
         shared_reach_px: distance in the image over which they do; NaN where nothing is shared.
+        shared_is_smooth: whether what they share varies smoothly over the image.
     """
 
     part: str
@@ -82,6 +87,11 @@ class NoiseFloor:
     photographs_differ: float = 0.0
     shared: float = 0.0
     shared_reach_px: float = float("nan")
+    shared_is_smooth: bool = True
+
+    def shared_correlation(self, place: FloatArray) -> FloatArray:
+        """Correlation of the shared noise between places (m, 2) of the image, (m, m)."""
+        return shared_correlation(place, self.shared_reach_px, self.shared_is_smooth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +147,7 @@ def _floor(
     settings: Settings,
 ) -> NoiseFloor:
     stated = float(np.sqrt(np.mean(observations.sigma_px[observations.part == part] ** 2)))
-    share, reach, kept = _shared(observations, residual, own, shape)
+    share, reach, smooth, kept = _shared(observations, residual, own, shape)
     within = _within(own, shape, kept)
     repeats = _repeats(observations, residual, shape, kept, settings) if part == DISPLAY else Variance(np.nan, np.nan)
     measured = _combined(within, repeats, settings)
@@ -151,7 +161,7 @@ def _floor(
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
         used_px = stated * float(np.exp(0.5 * weight * logarithm))
     pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
-    return NoiseFloor(PART_NAMES[part], *pixels, is_believable, rim, differ, share, reach)
+    return NoiseFloor(PART_NAMES[part], *pixels, is_believable, rim, differ, share, reach, smooth)
 
 
 def _over_field(observations: Observations, rows: IntArray, rim: float) -> FloatArray:
@@ -200,60 +210,85 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
     return np.exp(0.5 * shrunk), 0.5 * float(_SPREADS[best])
 
 
-def shared_correlation(place: FloatArray, other: FloatArray, reach_px: float) -> FloatArray:
-    """Correlation of the shared noise between places (m, 2) and (k, 2) of the image, (m, k).
+def shared_correlation(place: FloatArray, reach_px: float, smooth: bool) -> FloatArray:
+    """Correlation of the shared noise between places (m, 2) of the image, (m, m).
 
-    Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes for Machine Learning", 2006, 4.2).
+    Gaussian where it is smooth, else Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes
+    for Machine Learning", 2006, 4.2).
     """
-    distance = np.sqrt(3.0) / reach_px * np.linalg.norm(place[:, None] - other, axis=-1)
-    return np.asarray((1.0 + distance) * np.exp(-distance))
+    square = np.sum(place**2, axis=1)
+    distance = np.sqrt((square[:, None] + square - 2.0 * place @ place.T).clip(0.0)) / reach_px
+    if smooth:
+        return np.asarray(np.exp(-0.5 * distance**2))
+    return np.asarray((1.0 + np.sqrt(3.0) * distance) * np.exp(-np.sqrt(3.0) * distance))
 
 
 def _shared(
     observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
-) -> tuple[float, float, float]:
-    """Share of the variance that neighbours have in common, its reach, and what surfaces leave of the whole variance.
+) -> tuple[float, float, bool, float]:
+    """Share of the variance that neighbours have in common, its reach, whether it is smooth, and what surfaces leave.
 
-    By the likelihood of what smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood approaches
-    to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
+    By the likelihood of what very smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood
+    approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
     """
     if not own:
-        return 0.0, np.nan, 1.0
-    step = int(np.ceil(len(own) / _PHOTOGRAPHS))
-    blocks = [_contrasts(observations, residual, each, shape) for each in own[step // 2 :: step]]
-    spacing = float(np.median([each[2] for each in blocks]))
-    white = sum(len(values) * np.log(np.sum(values**2)) for values, _, _, _ in blocks)
-    best = (0.0, 0.0, np.nan, 1.0)
-    for reach in spacing * np.array(_REACHES):
-        likelihood, kept = np.zeros(len(_SHARES)), np.zeros(len(_SHARES))
-        for values, projection, _, place in blocks:
-            own_variance, axes = np.linalg.eigh(projection.T @ shared_correlation(place, place, reach) @ projection)
+        return 0.0, np.nan, True, 1.0
+    readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
+    step = int(np.ceil(len(own) / max(4.0, _WORK / readings**3)))
+    chosen = own[step // 2 :: step]
+    blocks = [_contrasts(observations, residual, each, shape) for each in chosen]
+    spacing = float(np.median([_spacing(place) for _, _, place in blocks]))
+    white = sum(len(values) * np.log(np.sum(values**2)) for values, _, _ in blocks)
+    gain, share, reach, smooth = 0.0, 0.0, np.nan, True
+    for tried, is_smooth in product(spacing * np.array(_REACHES), (True, False)):
+        likelihood = np.zeros(len(_SHARES))
+        for values, projection, place in blocks:
+            shared = projection.T @ shared_correlation(place, tried, is_smooth) @ projection
+            own_variance, axes = np.linalg.eigh(shared)
             power = np.sum((axes.T @ values) ** 2, axis=1)
-            variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance
+            variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance.clip(0.0)
             likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(np.sum(power / variance, axis=1))
-            kept += np.mean(variance, axis=1) / len(blocks)
+        likelihood -= 0.5 * (np.log(tried / spacing / _USUAL_REACH) / _REACH_RANGE) ** 2
+        likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
         at = int(np.argmax(likelihood))
-        gain = float(likelihood[at] + white)
-        if gain > max(best[0], _CLEARLY):
-            best = (gain, float(_SHARES[at]), float(reach), float(kept[at]))
-    return best[1:]
+        if likelihood[at] + white > max(gain, _CLEARLY):
+            gain, share, reach, smooth = float(likelihood[at] + white), float(_SHARES[at]), float(tried), is_smooth
+    kept = [_kept(observations, each, share, reach, smooth) for each in chosen]
+    return share, reach, smooth, float(np.mean(kept))
+
+
+def _spacing(place: FloatArray) -> float:
+    """Distance between neighbouring places (m, 2)."""
+    apart = np.linalg.norm(place[:, None] - place, axis=-1)
+    apart[np.diag_indices_from(apart)] = np.inf
+    return float(np.median(apart.min(axis=1)))
+
+
+def _kept(observations: Observations, surface: Surface, share: float, reach: float, smooth: bool) -> float:
+    """What a surface leaves of noise of unit variance, per degree of freedom."""
+    if share == 0.0:
+        return 1.0
+    place = observations.image_place[surface.rows[surface.good]]
+    axes = np.linalg.qr(surface.design[surface.good])[0]
+    taken = float(np.sum(axes * (shared_correlation(place, reach, smooth) @ axes)))
+    return 1.0 - share + share * (len(place) - taken) / (len(place) - surface.terms)
 
 
 def _contrasts(
     observations: Observations, residual: FloatArray, surface: Surface, shape: FloatArray
-) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-    """Contrasts (c, 2) of a photograph's readings that no smooth surface changes, how they follow from the readings
-    (m, c), the distance between neighbours, and the places (m, 2), for the readings nearest to one of them."""
-    rows, design = surface.rows[surface.good], surface.design[surface.good]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Contrasts (c, 2) of a photograph's readings that no very smooth surface changes.
+
+    And how they follow from the readings (m, c), and the readings' places (m, 2): those nearest to each other.
+    """
+    rows = surface.rows[surface.good]
     place = observations.image_place[rows]
     if len(rows) > _MOST_READINGS:
         near = np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]
-        rows, design, place = rows[near], design[near], place[near]
-    weighted = design / shape[rows][:, None]
-    projection = np.linalg.qr(weighted, mode="complete")[0][:, design.shape[1] :]
-    apart = np.linalg.norm(place[:, None] - place, axis=-1) + 1e9 * np.eye(len(place))
-    values = projection.T @ (residual[rows] / shape[rows][:, None])
-    return values, projection, float(np.median(apart.min(axis=1))), place
+        rows, place = rows[near], place[near]
+    design = basis(place, total_degree(2, _SMOOTHEST), Box.around(place)) / shape[rows][:, None]
+    projection = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    return projection.T @ (residual[rows] / shape[rows][:, None]), projection, place
 
 
 def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:

@@ -400,8 +400,9 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
     for cause in causes.values():
         hypothesis = Hypothesis(cause, next(iter(cause.variants)))
         is_time = [parameter.role is Role.TIME for parameter in cause.parameters]
-        start = np.where(is_time, middle, cause.null())
-        alone = fit(search.subsample, Explanation().plus(hypothesis, start), found.scatter, 0)
+        values = np.where(is_time, middle, cause.null())
+        start = Explanation().plus(hypothesis, values)
+        alone = fit(search.subsample, start, found.scatter, 0, vary_scatter=False)
         if alone is None:
             continue
         # Without the prior, which says nothing about what would have been seen.

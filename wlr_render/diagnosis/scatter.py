@@ -28,6 +28,7 @@ _STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a ca
 _LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
 _NOISIEST = np.log(100.0)
 _STEP = 1e-3
+_ENOUGH = 0.02  # of -2 log evidence: a step that gains less ends the search
 _PARTS = len(PART_NAMES)
 _FEWEST = 4  # captures of a part among which one may stand out
 
@@ -214,7 +215,7 @@ def best_scatter(
         jac=True,
         method="L-BFGS-B",
         bounds=np.stack([low, high], axis=1),
-        options={"maxiter": 40, "ftol": 1e-9, "gtol": 0.05},
+        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(cost(inside)), 1.0), "gtol": 0.05},
     )
     vector = first.copy()
     vector[free] = found.x

@@ -42,6 +42,7 @@ Progress = Callable[[str], None]
 LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
 _NOTHING_MORE = "no other cause has better odds than none"
 _TIMES = 6  # tried at once
+_HOPELESS = -2.0  # gain with the sizes of what is random as they are, below which others do not help
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 
 
@@ -182,6 +183,7 @@ class Search:
         while True:
             if len(at.current.explanation.hypotheses) >= most:
                 return Selection(at.current, start, f"{most} causes are the most that are searched for")
+            at = self._equally_searched(at)
             refusal = self._refusal(at)
             if refusal:
                 return Selection(at.current, start, refusal)
@@ -232,6 +234,15 @@ class Search:
         ]
         present = np.bincount(observations.group) > 0
         return held_out_improvement(*(np.asarray(each[present], dtype=np.float64) for each in squares))
+
+    def _equally_searched(self, at: CandidateRanking) -> CandidateRanking:
+        """With the sizes of what is random found for the current fit from those of the best candidate, too."""
+        if not at.candidates:
+            return at
+        again = fit(self.full, at.current.explanation, at.candidates[0].fit.scatter, 0)
+        if again is None or again.minus_two_log_evidence >= at.current.minus_two_log_evidence:
+            return at
+        return replace(at, current=again)
 
     def _refusal(self, at: CandidateRanking) -> str:
         """Why the best candidate is not worth adding; empty where it is."""
@@ -320,6 +331,8 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
         return None
     if Role.TIME in roles:
         best = _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
+    if best.gain < _HOPELESS:
+        return best
     _, sums = joined(best.start)
     zero = np.zeros(sums.xy.shape[1])
     scatter, cost = best_scatter(sums, current.scatter, zero)

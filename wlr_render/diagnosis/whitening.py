@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.diagnosis.noise import Noise, shared_correlation
+from wlr_render.diagnosis.noise import Noise
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.surfaces import image_basis, photographs
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -86,7 +86,7 @@ def shared_noise_whitening(observations: Observations, noise: Noise) -> Whitenin
         if design is None:
             continue
         place, axes = observations.image_place[rows], np.linalg.qr(design)[0]
-        slow = axes.T @ shared_correlation(place, place, noise.floor(part).shared_reach_px) @ axes
+        slow = axes.T @ noise.floor(part).shared_correlation(place) @ axes
         size, turn = np.linalg.eigh(share[part] * slow)
         effects = axes @ turn * np.sqrt(size.clip(0.0))
         white = (1.0 - np.sum(effects**2, axis=1)).clip(0.05)
