@@ -40,7 +40,7 @@ from wlr_render.diagnosis.fit import (
     instability,
     reduced_chi_squared,
 )
-from wlr_render.diagnosis.noise import Noise, is_significant, noise_of
+from wlr_render.diagnosis.noise import Noise, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
@@ -214,7 +214,7 @@ def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -
         error = float(np.hypot(error, np.sqrt(1.0 / np.sum(observations.part == part))))
         excess = float(scatter.noise[part] ** 2 - 1.0)
         moves = max(scatter.shift_um[part] / _UNUSUAL_SHIFT_UM, scatter.turn_urad[part] / _UNUSUAL_TURN_URAD)
-        if structured or is_significant(excess, error, 1.0, settings) or moves > 1.0:
+        if structured or excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
             # A residual that nothing smooth predicts from one capture to the next depends on where the camera stood.
             depends_on = tried[0].depends_on if structured else _UNPREDICTED[part]
             rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))

@@ -10,6 +10,8 @@ class Settings:
     Attributes:
         significant_se: standard errors from which two variances differ: chance exceeds 3 in one of 700 comparisons.
         material_variance: share of a variance below which a difference changes neither verdict nor error bars by much.
+        material_excess: share by which the variance of a residual without structure must exceed that of the noise to be
+            an effect: how noise is shared by neighbours is not known better.
         outlier_reading: residual of a single reading over the noise of its photograph from which it is an outlier;
             neither noise nor a smooth effect is so far off.
         same_noise: relative change of sigma below which the causes are not selected again with the new sigma.
@@ -38,6 +40,7 @@ class Settings:
 
     significant_se: float = 3.0
     material_variance: float = 0.1
+    material_excess: float = 0.25
     outlier_reading: float = 6.0
     same_noise: float = 0.02
     subsample: int = 6000
