@@ -73,8 +73,13 @@ def test_the_files_hold_the_record(report, explained, tmp_path):
     assert cause["improvement"]["percent"] == found.improvement.percent
     assert record["excluded"][0]["capture"]["capture"] == 3
     assert record["noise_floors"][0]["is_believable"] is True
+    assert [each["part"] for each in record["motions"]] == ["display", "see-through"]
+    assert record["motions"][0]["shift_um"] == explained.motions[0].shift_um
+    assert record["expected"]["over_noise"] == explained.expected.over_noise
+    assert cause["log10_odds"] == found.log10_odds > 20
+    assert record["excluded"][0]["log10_odds"] > 20
     assert record["after"]["rms_over_noise"] == pytest.approx(1.0, abs=0.05)
-    assert not {"observations", "residual_before", "used", "corrected"} & set(record)
+    assert not {"observations", "residual_before", "used", "corrected", "fit", "readings"} & set(record)
     page = (tmp_path / "diagnosis.html").read_text()
     assert "Session session" not in page
     assert len(page) < 8e6
@@ -139,25 +144,26 @@ def test_a_radial_residual_is_outwards_everywhere(explained):
     see_through = part_views(explained)[1]
     radius = next(variable for variable in see_through.variables if variable.name.startswith("radius on camera"))
     seen = 0.001 * radius.values[:, None] * radius.outwards
-    found = plots.binned(radius, seen, 0.1)
+    found = plots.binned(radius, seen, see_through)
     np.testing.assert_allclose(found.means[0], 1e-3 * found.middle)
     np.testing.assert_allclose(found.means[1], 0.0, atol=1e-12)
 
 
 def test_curves_show_what_averages_out_and_nothing_where_there_is_noise_alone(explained):
     part = part_views(explained)[0]
+    part = replace(part, motion=0.0 * part.motion)
     rng, sigma = np.random.default_rng(4), part.sigma_arcmin
     noise = rng.normal(0, sigma, part.place.shape)
     # Half of the readings to the right, half to the left: no mean, but an rms.
     sides = np.where(rng.random(len(noise)) < 0.5, 1.0, -1.0)[:, None] * [3 * sigma, 0.0]
     for residual, low, high in ((noise, 0.0, 0.5), (noise + sides, 1.9, 2.2)):
-        found = plots.binned(part.variables[0], residual, sigma)
+        found = plots.binned(part.variables[0], residual, part)
         assert np.median(found.excess / sigma) == pytest.approx(0.5 * (low + high), abs=0.5 * (high - low))
         assert np.abs(found.means[1]).max() < 4 * sigma / np.sqrt(len(noise) / len(found.middle))
 
 
 def test_the_histogram_shows_noise_that_sigma_does_not_cover(explained):
-    wide = replace(explained, residual_after=2.0 * explained.residual_after)
+    wide = replace(explained, fit=replace(explained.fit, residual=2.0 * explained.fit.residual))
     for diagnosis, slope in ((explained, 1.0), (wide, 2.0)):
         quantiles = plots.normality_plot(diagnosis).data[2]
         assert np.polyfit(quantiles["x"], quantiles["y"], 1)[0] == pytest.approx(slope, rel=0.05)

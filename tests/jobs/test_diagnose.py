@@ -12,13 +12,15 @@ from oracle.effects import Effect
 from oracle.session_writer import write_session
 
 from wlr_render.captures.capture_file import save_captures
+from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.observations import readings_of_rows
 from wlr_render.jobs import diagnose
 from wlr_render.simulation.bench_file import load_bench
 from wlr_render.simulation.session_captures import observations_of
-from wlr_render.simulation.session_folder import load_session
+from wlr_render.simulation.session_folder import load_session, save_session
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
@@ -144,7 +146,7 @@ def test_faults_are_told_in_one_line_before_any_work(session, tmp_path, capsys, 
         assert words in printed.err
 
 
-def test_too_few_captures_are_refused(tmp_path, capsys):
+def test_captures_of_one_point_each_are_refused(tmp_path, capsys):
     folder = tmp_path / "few"
     write_session(folder, Plan(grid=(4, 3), dots=(3, 3)), [], np.random.default_rng(1))
     for name in ("display", "seethrough"):
@@ -154,8 +156,46 @@ def test_too_few_captures_are_refused(tmp_path, capsys):
     (folder / "display.csv").write_text(plan + "".join(rows))
     status, printed = run(capsys, folder, "--out", tmp_path / "out")
     assert status == 2
-    assert "has 3 captures, too few captures to hold any out" in printed.err
+    assert "few: no capture has more than 1 points, and a small motion of the camera explains them" in printed.err
     assert not (tmp_path / "out").exists()
+
+
+def test_few_captures_are_diagnosed_with_what_cannot_be_told(session, few_causes, tmp_path, capsys):
+    """One display capture and two of see-through at two distances show the wrong print."""
+    bench, whole = load_session(session)
+    display, see_through = whole.plan.display, whole.plan.see_through
+    first = [np.flatnonzero(see_through.target_pose == pose)[0] for pose in (0, len(bench.target.pitch) - 1)]
+    pairs = zip(see_through.capture[first], see_through.target_pose[first], strict=True)
+    kept = [display.capture == display.capture[0], np.zeros(len(see_through), dtype=bool)]
+    for capture, pose in pairs:
+        kept[1] |= (see_through.capture == capture) & (see_through.target_pose == pose)
+    plan = replace(whole.plan, display=select_rows(display, kept[0]), see_through=select_rows(see_through, kept[1]))
+    few = replace(whole, plan=plan, readings=readings_of_rows(whole.readings, [*kept, kept[0]]))
+    folder = save_session(tmp_path / "few", bench, few)
+    status, printed = run(capsys, folder, "--out", tmp_path / "out")
+    assert status == 0, printed.err
+    assert "Explained: printed size of the target" in printed.out
+    warned = json.loads((tmp_path / "out" / "diagnosis.json").read_text())["warnings"]
+    (one,) = [each for each in warned if "The display part has 1 capture" in each]
+    assert "how far captures repeat cannot be told" in one
+    assert "6 or more captures of the part" in one
+    assert any("The see-through part has 2 captures: which of them moved cannot be told" in each for each in warned)
+    assert any("a slip, or another cause with a moment, cannot be told" in each for each in warned) == (
+        len({*plan.display.time_s, *plan.see_through.time_s}) < 4
+    )
+    assert "Display: noise 0." in printed.out  # and no repeatability of one capture
+
+
+def test_captures_of_calibrated_photographs_are_diagnosed(photo_session, tmp_path, capsys):
+    """A session of photographs from end to end: its places and lens are fitted, its headset is as its prescription."""
+    out = tmp_path / "diagnosis"
+    status, printed = run(capsys, photo_session.out, "--device", photo_session.recipe.device, "--out", out)
+    assert status == 0, printed.err
+    record = json.loads((out / "diagnosis.json").read_text())
+    assert [each["part"] for each in record["motions"]] == ["display", "see-through"]
+    for each in record["motions"]:
+        assert 0.0 < each["shift_um"] < 200.0
+    assert "repeat to " in printed.out
 
 
 OWN = """

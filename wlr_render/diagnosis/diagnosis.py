@@ -73,6 +73,7 @@ class FoundCause:
         degenerate: causes that it could be confused with.
         ranking: the candidates for its place, best first, itself among them.
         effect_over_noise: rms change of the readings by it, in units of sigma.
+        log10_odds: for it against none, the others being as found.
         remedy: what to do about it; empty where nothing but what its part asks for.
     """
 
@@ -85,6 +86,7 @@ class FoundCause:
     degenerate: tuple[DegenerateCause, ...]
     ranking: tuple[RankedCandidate, ...]
     effect_over_noise: float
+    log10_odds: float
     remedy: str = ""
 
 
@@ -222,9 +224,11 @@ class Diagnosis:
         verdict: NO_EFFECT, EXPLAINED, PARTLY or UNEXPLAINED.
         causes: what was found, largest effect first.
         excluded: captures that moved.
+        too_many_moved: captures of parts of which too many moved to tell which did; they are not excluded.
         noise_floors: noise of each part.
-        motions: how far the captures of each part repeat.
+        motions: how far the captures repeat, of each part that has two or more.
         noise: the residual that noise alone would give.
+        expected: the residual that noise and the motions of the captures would give.
         before, after: residuals with the nominal and with the corrected bench.
         unexplained: None where only noise is left.
         detection_limits: of every cause; for a verdict of no effect.
@@ -233,6 +237,8 @@ class Diagnosis:
         correlations: between all values found.
         observations: what was compared, with the noise that was used.
         residual_before, residual_after: (n, 2) units of sigma, of all readings, excluded ones too.
+        usual_motion: (n, 2, 6) units of sigma: change of the readings by a motion of their capture's camera along and
+            about each axis, of the size to which captures repeat.
         used: (n,) readings that are not excluded.
         corrected: the corrected bench.
         readings: those that are no outliers by themselves, with the errors that the bench gives them.
@@ -245,9 +251,11 @@ class Diagnosis:
     verdict: str
     causes: tuple[FoundCause, ...]
     excluded: tuple[MovedCapture, ...]
+    too_many_moved: tuple[MovedCapture, ...]
     noise_floors: tuple[NoiseFloor, ...]
     motions: tuple[MotionSize, ...]
     noise: ResidualSummary
+    expected: ResidualSummary
     before: ResidualSummary
     after: ResidualSummary
     unexplained: Unexplained | None
@@ -258,6 +266,7 @@ class Diagnosis:
     observations: Observations = field(metadata={"json": False})
     residual_before: FloatArray = field(metadata={"json": False})
     residual_after: FloatArray = field(metadata={"json": False})
+    usual_motion: FloatArray = field(metadata={"json": False})
     used: BoolArray = field(metadata={"json": False})
     corrected: Bench = field(metadata={"json": False})
     readings: WeighedReadings = field(metadata={"json": False})

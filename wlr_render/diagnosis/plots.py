@@ -44,13 +44,17 @@ def residual_maps(part: PartView) -> Plot:
     count = len(part.states)
     steps = [
         {
-            "label": field.title.replace("\n", " "),
-            "method": "restyle",
-            "args": [{"visible": [row // count == number for row in range(len(data))]}],
+            "label": field.title.partition("\n")[0],
+            "method": "update",
+            "args": [
+                {"visible": [row // count == number for row in range(len(data))]},
+                {f"annotations[{count}].text": field.title.replace("\n", " ")},
+            ],
         }
         for number, field in enumerate(part.maps)
     ]
-    layout: dict[str, Any] = {"sliders": [{"steps": steps, "active": largest, "pad": {"t": 50}}], "annotations": []}
+    slider = {"steps": steps, "active": largest, "pad": {"t": 50}, "x": 0.06, "len": 0.88}
+    layout: dict[str, Any] = {"sliders": [slider | {"currentvalue": {"visible": False}}], "annotations": []}
     layout["yaxis"] = {"range": [high[1], low[1] - pitch]} | axis(part.place_label[1])
     for place, state in enumerate(part.states):
         domain = [place / count + 0.02, (place + 1) / count - 0.02]
@@ -61,8 +65,13 @@ def residual_maps(part: PartView) -> Plot:
         layout["annotations"].append(
             {"text": state.name, "xref": "paper", "yref": "paper", "x": domain[0], "y": 1.08, "showarrow": False}
         )
+    layout["annotations"].append(
+        {"text": part.maps[largest].title.replace("\n", " "), "xref": "paper", "yref": "paper", "showarrow": False}
+        | {"x": 0.0, "xanchor": "left", "y": 1.16, "font": {"size": 14}}
+    )
+    layout["margin"] = {"t": 70, "r": 20, "b": 50}
     caption = (
-        f"Each arrow is the mean of the readings around it, measured minus simulated; both maps have one scale. The "
+        f"Each arrow is the mean of the readings around it, measured minus simulated; all maps have one scale. The "
         f"arrow in the first corner is {unit:g} {part.map_unit}. Arrows in all directions at once are noise."
     )
     return Plot(f"Residual over the field of view: {part.name}", data, layout, caption, 520)
@@ -87,8 +96,9 @@ def residual_curves(part: PartView) -> Plot:
     layout["legend"] = {"orientation": "h", "y": 1.08, "yanchor": "bottom"}
     caption = (
         "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where so "
-        "marked, outwards (solid) and around (dotted). Band: how far noise alone would move a mean (two standard "
-        "errors). Click on the legend to see what the rms has beyond the noise: a pattern that averages out."
+        "marked, outwards (solid) and around (dotted). Band: how far the noise, and positions that do not repeat, "
+        "would move a mean (two standard errors). Click on the legend to see what the rms has beyond these: a pattern "
+        "that averages out."
     )
     return Plot(f"Residual against each variable: {part.name}", data, layout, caption, 120 + 230 * rows)
 
@@ -96,7 +106,7 @@ def residual_curves(part: PartView) -> Plot:
 def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[str, Any]]:
     data: list[dict[str, Any]] = []
     for place, state in enumerate(part.states):
-        curve = binned(variable, state.seen, part.sigma_arcmin)
+        curve = binned(variable, state.seen, part)
         colour = (_BEFORE, _AFTER)[place]
         if place == 0:
             band = {"x": [*curve.middle, *curve.middle[::-1]], "y": [*curve.band, *-curve.band[::-1]]}
@@ -112,7 +122,7 @@ def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[st
                 | {"line": line, "marker": {"size": 4}, "showlegend": in_legend and number == 0}
                 | {"x": curve.middle, "y": mean}
             )
-        name = f"{state.name}: rms beyond the noise"
+        name = f"{state.name}: rms beyond the band"
         data.append(
             {"type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "visible": "legendonly"}
             | {"line": {"color": _GREY}, "x": curve.middle, "y": curve.excess, "showlegend": in_legend}
@@ -127,8 +137,8 @@ class BinnedResidual:
     Attributes:
         middle: (k,) of the bins, by the variable.
         means: (2, k) of both components.
-        band: (k,) how far noise alone would move a mean.
-        excess: (k,) rms of the readings beyond what noise alone would give.
+        band: (k,) how far noise and the usual motion of captures would move a mean.
+        excess: (k,) rms of the readings beyond what these would give.
     """
 
     middle: FloatArray
@@ -137,25 +147,33 @@ class BinnedResidual:
     excess: FloatArray
 
 
-def binned(variable: Variable, residual: FloatArray, sigma: float) -> BinnedResidual:
-    """Mean and excess of a residual (n, 2) in bins of a variable; sigma is its noise per axis."""
+def binned(variable: Variable, residual: FloatArray, part: PartView) -> BinnedResidual:
+    """Mean and excess of a residual (n, 2) of a part in bins of a variable."""
     good = np.isfinite(residual).all(axis=1)
-    along = residual[good] if variable.outwards is None else _radial(residual[good], variable.outwards[good])
+    both = np.concatenate([residual[good][:, :, None], part.motion[good]], axis=2)
+    if variable.outwards is not None:
+        both = np.stack([_radial(each, variable.outwards[good]) for each in np.moveaxis(both, 2, 0)], axis=2)
+    along, motion = both[:, :, 0], both[:, :, 1:]
     index, counts = _bins(variable.values[good])
+    # Readings of one capture move together; both axes have one band.
+    capture = np.unique(np.stack([index, part.group[good]]), axis=1, return_inverse=True)
+    bin_of, together = capture[0][0], capture[1].ravel()
+    sums = [np.bincount(together, each, len(bin_of)) for each in motion.reshape(len(motion), -1).T]
+    of_mean = np.bincount(bin_of, np.sum(np.square(sums), axis=0) / 2.0, len(counts)) / counts**2
+    of_reading = part.sigma_arcmin**2 + np.bincount(index, np.sum(motion**2, axis=(1, 2)) / 2.0) / counts
     square = np.bincount(index, np.mean(along**2, axis=1)) / counts
     return BinnedResidual(
         middle=np.bincount(index, variable.values[good]) / counts,
         means=np.stack([np.bincount(index, component) / counts for component in along.T]),
-        band=_BAND * sigma / np.sqrt(counts),
+        band=_BAND * np.sqrt(part.sigma_arcmin**2 / counts + of_mean),
         # The mean square of n readings of two components scatters by sigma^2 / sqrt(n).
-        excess=np.sqrt(np.clip(square - sigma**2 * (1.0 + _BAND / np.sqrt(counts)), 0.0, None)),
+        excess=np.sqrt(np.clip(square - of_reading * (1.0 + _BAND / np.sqrt(counts)), 0.0, None)),
     )
 
 
 def normality_plot(diagnosis: Diagnosis) -> Plot:
-    """Histogram of the residual in units of sigma, and its quantiles against those of a normal distribution."""
-    values = diagnosis.residual_after[diagnosis.used]
-    values = values[np.isfinite(values).all(axis=1)].ravel()
+    """Histogram of the whitened residual, and its quantiles against those of the standard normal distribution."""
+    values = diagnosis.fit.residual.ravel()
     counts, _ = np.histogram(values, _HISTOGRAM)
     middle, width = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1]), float(_HISTOGRAM[1] - _HISTOGRAM[0])
     normal = np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)
@@ -176,16 +194,18 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
         | {"line": {"color": _GREY}, "xaxis": "x2", "yaxis": "y2"},
     ]
     layout = {
-        "xaxis": {"domain": [0, 0.46]} | axis("residual (sigma)"),
+        "xaxis": {"domain": [0, 0.46]} | axis("whitened residual"),
         "yaxis": axis("density"),
         "xaxis2": {"domain": [0.56, 1]} | axis("normal quantile"),
-        "yaxis2": {"anchor": "x2"} | axis("residual quantile (sigma)"),
+        "yaxis2": {"anchor": "x2"} | axis("residual quantile"),
         "bargap": 0,
     }
     caption = (
-        "Right: points on the line are normal; a steeper line is more noise than sigma, bent ends are heavy tails."
+        "Residual of the readings that were fitted, divided by all errors that the bench has: noise, what neighbouring "
+        "points share, and the motion of each capture. Right: points on the line are standard normal; a steeper line "
+        "is more noise than was found, bent ends are heavy tails."
     )
-    return Plot("Residual in units of sigma", data, layout, caption, 380)
+    return Plot("Whitened residual", data, layout, caption, 380)
 
 
 def captures_plot(diagnosis: Diagnosis) -> Plot:
@@ -200,8 +220,15 @@ def captures_plot(diagnosis: Diagnosis) -> Plot:
         | {"marker": {"color": colour, "symbol": marks}}
         for name, colour, values in shown
     ]
-    layout = {"yaxis": axis("rms residual (sigma)", log=True), "xaxis": {"showticklabels": False}}
-    return Plot("Residual of each capture", data, layout, "1 is noise. Crosses: excluded captures.", 340)
+    layout = {"yaxis": axis("rms residual (sigma)", log=True) | {"dtick": "D2"}}
+    layout["xaxis"] = {"showticklabels": False, "showgrid": False} | axis("captures, in the order of the table")
+    return Plot(
+        "Residual of each capture",
+        data,
+        layout,
+        "1 is noise; the motion of each capture adds to it. Crosses: excluded captures.",
+        340,
+    )
 
 
 def correlations_plot(diagnosis: Diagnosis) -> Plot:
@@ -209,7 +236,7 @@ def correlations_plot(diagnosis: Diagnosis) -> Plot:
     found = diagnosis.correlations
     data = [
         {"type": "heatmap", "x": found.names, "y": found.names, "z": found.matrix}
-        | {"zmin": -1, "zmax": 1, "colorscale": "RdBu", "reversescale": True}
+        | {"zmin": -1, "zmax": 1, "colorscale": "RdBu", "reversescale": True, "texttemplate": "%{z:.2f}"}
     ]
     layout = {"yaxis": {"autorange": "reversed"}}
     return Plot("Correlations between the values found", data, layout, "", 160 + 28 * len(found.names))

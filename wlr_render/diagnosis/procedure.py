@@ -4,8 +4,9 @@ Noise, outlier readings, selection of causes, captures that moved, comparison of
 stays unexplained; in that order. Generic over causes: nothing here knows any of them.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from wlr_render.diagnosis.diagnosis import (
 from wlr_render.diagnosis.fit import (
     Fit,
     WeighedReadings,
+    camera_motions,
     correlation_condition,
     correlation_matrix,
     few_captures_factor,
@@ -98,24 +100,27 @@ def diagnose(
         rankings = _rankings(search, found, selection.first)
         left = _unexplained(search, found, prepared.noise, settings)
     named = tuple(_found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
-    excluded = moved_captures(readings, found)
+    excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
     observations = all_readings.observations
     before, after = (all_readings.residual(each) for each in (Explanation(), found.explanation))
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
+    motion = _usual_motion(all_readings, found)
     limits: tuple[DetectionLimit, ...] = ()
-    if not named and not left:
+    if not named and not left and not too_many:
         limits = detection_limits(search, found, causes)
     return Diagnosis(
         session=session.name,
         device=nominal.device.name,
         eye=nominal.eye,
-        verdict=_verdict(bool(named), bool(left)),
+        verdict=_verdict(bool(named), bool(left) or bool(too_many)),
         causes=tuple(sorted(named, key=lambda cause: -cause.effect_over_noise)),
-        excluded=tuple(excluded),
+        excluded=excluded,
+        too_many_moved=too_many,
         noise_floors=prepared.noise.floors,
         motions=_motion_sizes(readings, found),
         noise=_noise_summary(observations, used),
+        expected=_expected_summary(observations, motion, used),
         before=_residual_summary(observations, before, used),
         after=_residual_summary(observations, after, used),
         unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
@@ -126,6 +131,7 @@ def diagnose(
         observations=observations,
         residual_before=before,
         residual_after=after,
+        usual_motion=motion,
         used=used,
         corrected=found.explanation.bench(nominal),
         readings=readings,
@@ -280,6 +286,20 @@ def _spurious(search: Search, found: Fit, kept: set[str], parts: Sequence[int]) 
     return None
 
 
+def _excluded(
+    readings: WeighedReadings, found: Fit, settings: Settings
+) -> tuple[tuple[MovedCapture, ...], tuple[MovedCapture, ...]]:
+    """The captures that moved, and those of parts of which too many moved to tell which did."""
+    moved = moved_captures(readings, found)
+    of_part = Counter(name.part for name in readings.observations.captures)
+    moved_of_part = Counter(each.capture.part for each in moved)
+    too_many = {part for part, count in moved_of_part.items() if count > settings.max_moved_captures * of_part[part]}
+    return (
+        tuple(each for each in moved if each.capture.part not in too_many),
+        tuple(each for each in moved if each.capture.part in too_many),
+    )
+
+
 def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
     """How far the captures of each part repeat, with standard errors by the curvature of the evidence."""
     sums = readings.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
@@ -293,7 +313,7 @@ def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ..
             float(errors[2, part] * found.scatter.turn_urad[part]),
         )
         for part in np.unique(readings.observations.part)
-        if part != RUN_TIME
+        if part != RUN_TIME and np.sum(sums.used & (sums.part_of == part)) > 1
     )
 
 
@@ -334,6 +354,7 @@ def _found_cause(search: Search, found: Fit, number: int, ranking: CandidateRank
         _degenerate(ranking, cause.name, search.settings.degenerate_cosine),
         _ranked(ranking),
         float(np.sqrt(np.nanmean(change**2))),
+        LOG10_ODDS * (ranking.current.minus_two_log_evidence - found.minus_two_log_evidence),
         cause.remedy,
     )
 
@@ -463,6 +484,29 @@ def _noise_summary(observations: Observations, used: BoolArray) -> ResidualSumma
     camera_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
     panel_px = float(np.sqrt(np.mean(np.sum(camera_px**2, axis=(1, 2))) / 2)) if display.any() else None
     return ResidualSummary(panel_px, of(SEE_THROUGH), of(RUN_TIME), 1.0)
+
+
+def _usual_motion(readings: Predictor, found: Fit) -> FloatArray:
+    """Change of readings (n, 2, 6), in units of sigma, by a motion of their capture of the usual size."""
+    observations, scatter = readings.observations, found.scatter
+    usual = replace(scatter, noise=np.ones_like(scatter.noise), moved=np.zeros_like(scatter.moved))
+    part_of = np.array([name.part for name in observations.captures])
+    return camera_motions(readings) * usual.sizes(part_of)[observations.group][:, None, :]
+
+
+def _expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
+    """The same for noise and the usual motion of each capture (n, 2, 6)."""
+    noise = _noise_summary(observations, used)
+    by_axis = [_residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
+
+    def total(attribute: str) -> float | None:
+        own = getattr(noise, attribute)
+        return None if own is None else float(np.linalg.norm([own, *(getattr(each, attribute) for each in by_axis)]))
+
+    display, see_through, run_time = (
+        total(name) for name in ("display_rms_px", "see_through_rms_arcmin", "run_time_rms_arcmin")
+    )
+    return ResidualSummary(display, see_through, run_time, total("over_noise") or 1.0)
 
 
 def _rms(values: FloatArray) -> float | None:

@@ -7,6 +7,7 @@ from typing import Any
 from wlr_render.diagnosis import explain, plots, tables
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse
+from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text
 from wlr_render.report.records import fields_of
@@ -75,10 +76,11 @@ def diagnosis_report(
     blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis), tables.degenerate_table(diagnosis)]
     blocks += [plots.correlations_plot(diagnosis)] if len(diagnosis.correlations.names) > 1 else []
     blocks += [tables.unexplained_table(diagnosis), Text("Why the search ended:", diagnosis.reasons)]
-    blocks += [Section("Noise"), tables.noise_table(diagnosis), plots.normality_plot(diagnosis)]
+    blocks += [Section("Noise"), tables.repeatability_table(diagnosis), tables.noise_table(diagnosis)]
+    blocks += [plots.normality_plot(diagnosis)]
     return Report(
         f"Diagnosis of {diagnosis.session} ({diagnosis.device}, {diagnosis.eye} eye)",
-        explain.verdict_sentence(diagnosis),
+        f"{explain.verdict_sentence(diagnosis)} {bench_sentence(diagnosis)}",
         explain.advice(diagnosis),
         explain.warnings(diagnosis),
         [block for block in blocks if not isinstance(block, ReportTable) or block.rows],

@@ -67,6 +67,8 @@ class PartView:
         name: of the part.
         states: by the bench as described and, where causes were found, by the corrected one.
         sigma_arcmin: noise, per axis.
+        motion: (m, 2, 6) change of the readings, right and down in arcminutes, by the usual motion of their capture.
+        group: (m,) the capture of each reading, by number.
         place: (m, 2) where in the field each reading is, right and down.
         map_unit: of what the maps show.
         place_label: their axes.
@@ -77,6 +79,8 @@ class PartView:
     name: str
     states: tuple[BenchResiduals, ...]
     sigma_arcmin: float
+    motion: FloatArray
+    group: IntArray
     place: FloatArray
     map_unit: str
     place_label: tuple[str, str]
@@ -114,7 +118,17 @@ def _display(diagnosis: Diagnosis) -> PartView:
         for name, residual in _residuals(diagnosis)
     )
     sigma, labels = _sigma_arcmin(observations, DISPLAY), ("panel u (px)", "panel v (px)")
-    return PartView(PART_NAMES[DISPLAY], states, sigma, pixel, "panel px", labels, maps, _varying(variables))
+    return PartView(
+        PART_NAMES[DISPLAY],
+        states,
+        sigma,
+        *_motion(diagnosis, DISPLAY),
+        pixel,
+        "panel px",
+        labels,
+        maps,
+        _varying(variables),
+    )
 
 
 def _see_through(diagnosis: Diagnosis) -> PartView:
@@ -168,7 +182,15 @@ def _angular_part(
     seen = [(name, _seen(diagnosis, part, residual)) for name, residual in _residuals(diagnosis)]
     states = tuple(BenchResiduals(name, residual, residual) for name, residual in seen)
     sigma, labels = _sigma_arcmin(diagnosis.observations, part), ("right (deg)", "down (deg)")
-    return PartView(PART_NAMES[part], states, sigma, place, "arcmin", labels, maps, _varying(variables))
+    motion = _motion(diagnosis, part)
+    return PartView(PART_NAMES[part], states, sigma, *motion, place, "arcmin", labels, maps, _varying(variables))
+
+
+def _motion(diagnosis: Diagnosis, part: int) -> tuple[FloatArray, IntArray]:
+    """Usual motion of each reading's capture (m, 2, 6) in arcminutes, and the capture's number (m,)."""
+    observations = diagnosis.observations
+    motion = [observations.arcminutes(each, part) for each in np.moveaxis(diagnosis.usual_motion, 2, 0)]
+    return np.stack(motion, axis=-1), observations.group[observations.part == part]
 
 
 def _residuals(diagnosis: Diagnosis) -> list[tuple[str, FloatArray]]:

@@ -30,7 +30,8 @@ _NOISIEST = np.log(100.0)
 _STEP = 1e-3
 _ENOUGH = 0.02  # of -2 log evidence: a step that gains less ends the search
 _PARTS = len(PART_NAMES)
-_FEWEST = 4  # captures of a part among which one may stand out
+FEWEST_TO_STAND_OUT = 4
+"""Captures of a part among which one may stand out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +234,7 @@ def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> 
         best, cost = min((best, cost), best_scatter(sums, start, mean), key=lambda each: each[1])
     for part in range(_PARTS):
         own = np.flatnonzero(sums.used & (sums.part_of == part))
-        if len(own) < _FEWEST or not np.any(sums.ee[own]):
+        if len(own) < FEWEST_TO_STAND_OUT or not np.any(sums.ee[own]):
             continue
         for _ in range(2):  # captures that are known to have moved no longer hide others
             gain = _own_gain(sums, best, mean)[own]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.captures.session import Session
+from wlr_render.captures.session import SeeThroughPlan, Session
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
@@ -21,7 +21,7 @@ from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.measurements import load_measurements
-from wlr_render.simulation.session_folder import check_enough_captures, remove_session, save_session
+from wlr_render.simulation.session_folder import remove_session, save_session
 
 STEM = "diagnosis"
 
@@ -59,11 +59,11 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     """Diagnose a session; writes the report and, where causes were found, the corrected session into `options.out`.
 
     Raises:
-        BadInputError: faulty measurements, too few captures, faulty causes, or a file that cannot be written.
+        BadInputError: faulty measurements, too few readings, faulty causes, or a file that cannot be written.
     """
     progress.say("reading the session")
     nominal, session = load_measurements(options.session, options.bench, options.device)
-    check_enough_captures(session)
+    _check_enough_readings(session)
     folder = output_folder(options.out)
     if (folder / CORRECTED).resolve() == options.session.resolve():
         raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
@@ -83,6 +83,29 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     report = replace(report, warnings=[*report.warnings, *_not_recorded(session)], files=files)
     report = save_report(report, folder, STEM)
     return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)
+
+
+def _check_enough_readings(session: Session) -> None:
+    """Refuse a session of whose readings every one may be due to a small motion of the camera.
+
+    Raises:
+        BadInputError: there is no run-time recording, and no capture has `_FEWEST_READINGS` points.
+    """
+    plan = session.plan
+    tables = [
+        [part.capture, part.target_pose] if isinstance(part, SeeThroughPlan) else [part.capture]
+        for part in (plan.display, plan.see_through)
+        if part is not None
+    ]
+    most = max((int(np.unique(np.stack(each), axis=1, return_counts=True)[1].max()) for each in tables), default=0)
+    if plan.run_time is None and most < _FEWEST_READINGS:
+        raise BadInputError(
+            f"{session.name}: no capture has more than {most} points, and a small motion of the camera explains "
+            "them; record 30 or more points over the whole image in each capture."
+        )
+
+
+_FEWEST_READINGS = 4  # of two values each, against the six of a camera pose
 
 
 def _not_recorded(session: Session) -> list[str]:
