@@ -12,9 +12,12 @@ from wlr_render.captures.session import (
     SessionPlan,
 )
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.observations import observe
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis
+from wlr_render.diagnosis.fit import WeighedReadings, fit
+from wlr_render.diagnosis.noise import Noise, NoiseFloor
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, observe
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
@@ -121,6 +124,34 @@ def with_readings(observations, **changes):
     return replace(observations, session=replace(session, readings=replace(session.readings, **changes)))
 
 
+def weighed(observations, shared=0.0, reach_px=float("nan")):
+    """Readings whose noise is as stated, and of which neighbours share a part."""
+    numbers = (SIGMA_PX, SIGMA_PX, float("nan"), SIGMA_PX, 0.0, SIGMA_PX)
+    floors = tuple(
+        NoiseFloor(PART_NAMES[part], *numbers, True, shared=shared, shared_reach_px=reach_px)
+        for part in np.unique(observations.part)
+    )
+    noise = Noise(floors, observations.sigma_px, np.zeros(len(observations), dtype=bool))
+    return WeighedReadings.of(Predictor(observations), noise)
+
+
+def scatter_of(observations, shift_um=0.0, turn_urad=0.0, moved=()):
+    """Noise as stated, motions of one size in all parts, and the captures that moved by number."""
+    ones = np.ones(len(PART_NAMES))
+    names = np.isin(np.arange(len(observations.captures)), moved)
+    return Scatter(ones, (shift_um + 1e-6) * ones, (turn_urad + 1e-6) * ones, names)
+
+
+def fitted_at_rest(observations, start, **options):
+    """A fit where the camera is known to repeat exactly, and noise to be as stated."""
+    return fit(weighed(observations), start, scatter_of(observations), vary_scatter=False, **options)
+
+
+def fitted(observations, start, **options):
+    """A fit that finds the sizes of what is random, from those of an ordinary bench on."""
+    return fit(weighed(observations), start, Scatter.usual(len(observations.captures)), **options)
+
+
 def with_moved_capture(observations, bench, number):
     """One capture read by a camera that stands and looks elsewhere."""
     moved = explanation(camera_pupil_offset=[0.5, -0.4, 0.3], camera_rotation=[0.1, -0.1, 0.2]).bench(bench)
@@ -129,6 +160,34 @@ def with_moved_capture(observations, bench, number):
     rows = (observations.group == number)[: len(read.panel_pixel)]
     read.panel_pixel[rows] += (there.panel_pixel - here.panel_pixel)[rows]
     return observations
+
+
+def with_jitter(observations, bench, shift_um, rng, turn_urad=0.0, dof=np.inf):
+    """The same readings by a camera that stands and looks elsewhere in each capture, by normal or Student's motions."""
+    captures = len(observations.captures)
+    kicks = rng.normal(size=(captures, 6)) * np.repeat([shift_um, turn_urad], 3)
+    if np.isfinite(dof):
+        # Of the same variance, with tails: a random size for each motion.
+        kicks *= np.sqrt((dof - 2.0) / rng.chisquare(dof, (captures, 1)))
+    return with_motions(observations, bench, kicks)
+
+
+def with_motions(observations, bench, motions):
+    """The same readings by a camera that moves by (captures, 6) micrometres and microradians."""
+    plan, read = observations.session.plan, observations.session.readings
+    panel, dots = read.panel_pixel.copy(), read.dot_pixel.copy()
+    here = simulate(bench, plan)
+    for number in np.flatnonzero(np.any(motions != 0.0, axis=1)):
+        shift, turn = 1e-3 * motions[number, :3], np.degrees(1e-6 * motions[number, 3:])
+        rows = observations.group == number
+        mine = observations.of_rows(rows).session.plan
+        there = simulate(explanation(camera_pupil_offset=shift, camera_rotation=turn).bench(bench), mine)
+        shown, seen = rows[observations.part == DISPLAY], rows[observations.part == SEE_THROUGH]
+        if shown.any():
+            panel[shown] += there.panel_pixel - here.panel_pixel[shown]
+        if seen.any():
+            dots[seen] += there.dot_pixel - here.dot_pixel[seen]
+    return with_readings(observations, panel_pixel=panel, dot_pixel=dots)
 
 
 def diagnosed(observations, names):

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from small_session import fitted, weighed
 
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.observations import observe
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.diagnosis.search import screen, times_between_captures
 from wlr_render.simulation.simulate_session import simulate
 
@@ -23,7 +22,7 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan,
 
     timeless = replace(plan, display=at_few_times(plan.display), see_through=at_few_times(plan.see_through))
     assert len(times_between_captures(timeless)) == 0
-    predictor = Predictor(observe(bench, Session("timeless", timeless, simulate(bench, timeless))))
-    current = fit(predictor, Explanation(), np.ones(len(predictor.observations), dtype=bool))
-    assert screen(predictor, current, Hypothesis(CAUSES["headset_slip"], "once")) is None
-    assert screen(predictor, current, Hypothesis(CAUSES["panel_shift"], "along u and v")) is not None
+    observations = observe(bench, Session("timeless", timeless, simulate(bench, timeless)))
+    readings, current = weighed(observations), fitted(observations, Explanation())
+    assert screen(readings, current, Hypothesis(CAUSES["headset_slip"], "once")) is None
+    assert screen(readings, current, Hypothesis(CAUSES["panel_shift"], "along u and v")) is not None

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, measured
+from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_jitter, with_readings
 
-from wlr_render.diagnosis.corrections import corrections
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.corrections import corrections, odds_beside
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH
-from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.prediction import Explanation
 
 SIZE = 4.0  # of the injected effects, in units of sigma
 
@@ -81,58 +82,73 @@ BOUND = [
 
 @pytest.fixture(scope="module")
 def noisy(bench, plan):
-    """Observations of a bench with nothing wrong, and their residual."""
-    observations = measured(bench, plan, SIGMA_PX, seed=3)
-    return observations, Predictor(observations).residual(Explanation())
+    """Observations of a bench with nothing wrong."""
+    return measured(bench, plan, SIGMA_PX, seed=3)
 
 
-def of(noisy, part, effect=None):
-    observations, residual = noisy
+def of(observations, part, effect=None, size=SIZE):
+    """Corrections of a part that is off by an effect in sigma."""
     plan, read = observations.session.plan, observations.session.readings
     if effect is not None:
-        residual = residual.copy()
-        residual[observations.part == part, 0] += SIZE * effect(plan, read)
-    return corrections(observations, residual, np.ones(len(residual), dtype=bool), part)
+        off = SIGMA_PX * size * np.stack([effect(plan, read), np.zeros(np.sum(observations.part == part))], axis=-1)
+        if part == DISPLAY:
+            shown = (observations.panel_from_camera @ off[:, :, None])[:, :, 0]
+            observations = with_readings(observations, panel_pixel=read.panel_pixel + shown)
+        else:
+            observations = with_readings(observations, dot_pixel=read.dot_pixel + off)
+    return [each.correction for each in corrections(weighed(observations), fitted(observations, Explanation()), part)]
 
 
 @pytest.mark.parametrize(("part", "effect", "variable"), BOUND, ids=[each[1].__name__ for each in BOUND])
 def test_an_effect_is_bound_to_its_variable(noisy, part, effect, variable):
     first = of(noisy, part, effect)[0]
     assert first.depends_on == variable
-    assert first.improvement.percent > 10
+    assert first.log10_odds > 10
+    # Of what motions of the captures leave, which are free to follow an effect of stage or time.
+    assert first.improvement.percent > 1
     assert first.improvement.significance > 2.5
 
 
 @pytest.mark.parametrize("part", [DISPLAY, SEE_THROUGH])
-def test_noise_gains_nothing_by_any_correction(noisy, part):
-    """Held-out captures punish every free term that noise has been fitted with."""
-    found = of(noisy, part)
-    assert len(found) >= 4
-    assert all(each.improvement.percent < 0.5 for each in found)
-    assert [each.improvement.percent for each in found] == sorted(
-        [each.improvement.percent for each in found], reverse=True
-    )
+def test_noise_and_a_shaky_camera_have_odds_for_no_correction(bench, noisy, part):
+    """A camera that stands 20 micrometres elsewhere in each capture is no function of anything."""
+    for observations in (noisy, with_jitter(noisy, bench, 20.0, np.random.default_rng(4), dof=4.0)):
+        found = of(observations, part)
+        assert len(found) >= 4
+        assert all(each.log10_odds < 1.0 for each in found)
+        odds = [each.log10_odds for each in found]
+        assert odds == sorted(odds, reverse=True)
 
 
-def test_readings_that_do_not_count_do_not_matter(noisy):
-    observations, residual = noisy
-    used = np.random.default_rng(5).random(len(residual)) < 0.7
-    spoilt = residual.copy()
-    spoilt[~used] = np.nan
-    fine, also = (corrections(observations, each, used, DISPLAY) for each in (residual, spoilt))
-    assert [each.improvement for each in fine] == [each.improvement for each in also]
+def test_odds_grow_with_the_effect(noisy):
+    odds = [of(noisy, DISPLAY, panel, size)[0].log10_odds for size in (0.1, 0.5, 1.0)]
+    assert odds[0] < 2.0 < odds[1] < odds[2]
 
 
-def test_captures_too_few_for_the_folds_allow_no_correction(noisy):
-    observations, residual = noisy
-    assert corrections(observations, residual, observations.group < 7, DISPLAY) == []
+def test_a_single_capture_allows_no_correction(noisy):
+    assert of(noisy.of_rows(noisy.group == 0), DISPLAY) == []
 
 
 def test_run_time_errors_can_be_bound_as_well(bench, run_time):
     observations = measured(bench, run_time, SIGMA_PX, seed=6)
-    residual = Predictor(observations).residual(Explanation())
-    camera = observations.nominal.camera
-    residual[:, 1] += 30 * camera.tangents_of_pixel(observations.session.readings.seen[:, 2:])[:, 0] ** 2 * SIZE
-    first = corrections(observations, residual, np.ones(len(residual), dtype=bool), RUN_TIME)[0]
+    read, camera = observations.session.readings.seen.copy(), observations.nominal.camera
+    read[:, 1] += SIGMA_PX * 30 * camera.tangents_of_pixel(read[:, 2:])[:, 0] ** 2 * SIZE
+    first = of(with_readings(observations, seen=read), RUN_TIME)[0]
     assert (first.part, first.depends_on) == ("run-time", "camera pixels")
     assert first.improvement.percent > 10
+
+
+def test_a_cause_that_smooth_functions_imitate_has_no_odds_beside_them(noisy, bench, plan):
+    """A tilted combiner is no wave over the panel; the panel's scale, where it has waves, is but their match."""
+    true = measured(bench, plan, SIGMA_PX, seed=3, combiner_tilt=[0.3, -0.2, 0.3])
+    for observations, name, alone in ((true, "combiner_tilt", True), (noisy, "panel_scale", False)):
+        read = observations.session.readings
+        wavy = with_readings(observations, panel_pixel=read.panel_pixel + 3.0 * panel(plan, read)[:, None])
+        found = fitted(wavy, explanation(**{name: CAUSES[name].null()}))
+        readings, nothing = weighed(wavy), fitted(wavy, Explanation())
+        beside = corrections(readings, nothing, DISPLAY)[0]
+        if alone:
+            beside = corrections(readings, found, DISPLAY)[0]
+        odds = odds_beside(readings, found, 0, beside)
+        assert (odds > 10) == alone
+        assert (odds < 2) == (not alone)

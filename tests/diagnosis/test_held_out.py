@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, hypothesis, measured
+from small_session import SIGMA_PX, explanation, fitted_at_rest, hypothesis, measured
 
-from wlr_render.diagnosis.fit import fit, held_out_improvement, held_out_squares
+from wlr_render.diagnosis.fit import held_out_improvement, held_out_residual
+from wlr_render.diagnosis.observations import SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 
@@ -18,11 +19,7 @@ def few(bench, plan):
 
 
 def squares_of(observations, found):
-    return held_out_squares(found, observations.group, len(observations.captures))
-
-
-def everything(observations):
-    return np.ones(len(observations), dtype=bool)
+    return np.bincount(observations.group, np.sum(held_out_residual(found, observations) ** 2, axis=1))
 
 
 @pytest.mark.parametrize(
@@ -35,38 +32,37 @@ def everything(observations):
     ids=lambda start: "+".join(start.names),
 )
 def test_held_out_squares_are_those_of_refits_without_the_capture(few, start):
-    predictor, used = Predictor(few), everything(few)
-    found = fit(predictor, start, used)
-    fast = squares_of(few, found)
+    found = fitted_at_rest(few, start)
+    fast, predictor = squares_of(few, found), Predictor(few)
     for number in range(0, len(few.captures), 4):
         mine = few.group == number
-        refit = fit(predictor, found.explanation, used & ~mine)
+        refit = fitted_at_rest(few.of_rows(~mine), found.explanation)
         slow = np.sum(predictor.residual(refit.explanation)[mine] ** 2)
         assert fast[number] == pytest.approx(slow, rel=0.01)
-        assert fast[number] > np.sum(found.residual[mine] ** 2)
+        assert fast[number] > np.sum(found.at.residual[mine] ** 2)
+
+
+def test_what_one_capture_alone_determines_is_unknown_without_it(bench, plan):
+    """A single display capture and all of the targets: without it the panel stands where its prior has it."""
+    one = measured(bench, plan, SIGMA_PX, seed=5, panel_shift=[0.2, -0.1])
+    one = one.of_rows((one.part == SEE_THROUGH) | (one.group == 0))
+    found, nothing = fitted_at_rest(one, explanation(panel_shift=[0, 0])), fitted_at_rest(one, Explanation())
+    assert squares_of(one, found)[0] == pytest.approx(squares_of(one, nothing)[0], rel=0.01)
+    assert squares_of(one, nothing)[0] > 1e4
 
 
 def test_without_parameters_nothing_changes_by_holding_out(few):
-    found = fit(Predictor(few), Explanation(), everything(few))
-    sums = np.bincount(few.group, np.sum(found.residual**2, axis=1))
-    np.testing.assert_allclose(squares_of(few, found), sums)
-
-
-def test_captures_that_do_not_count_have_no_squares(few):
-    used = few.group != 3
-    found = fit(Predictor(few), explanation(camera_pupil_offset=[0, 0, 0]), used)
-    squares = squares_of(few, found)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(squares)), [3])
+    found = fitted_at_rest(few, Explanation())
+    np.testing.assert_array_equal(held_out_residual(found, few), found.at.residual)
 
 
 def test_a_true_cause_gains_and_a_false_one_does_not(few):
-    predictor, used = Predictor(few), everything(few)
-    half = fit(predictor, explanation(camera_pupil_offset=[0, 0, 0]), used)
-    whole = fit(predictor, explanation(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]), used)
+    half = fitted_at_rest(few, explanation(camera_pupil_offset=[0, 0, 0]))
+    whole = fitted_at_rest(few, explanation(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]))
     gain = held_out_improvement(squares_of(few, half), squares_of(few, whole))
     assert gain.percent > 0
     assert gain.significance > 3
-    idle = fit(predictor, whole.explanation.plus(hypothesis("lateral_colour")), used)
+    idle = fitted_at_rest(few, whole.explanation.plus(hypothesis("lateral_colour")))
     worse = held_out_improvement(squares_of(few, whole), squares_of(few, idle))
     assert worse.significance < 2
 

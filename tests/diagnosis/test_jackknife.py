@@ -3,43 +3,39 @@
 from dataclasses import replace
 
 import numpy as np
-from small_session import SIGMA_PX, explanation, measured, with_noise
+from small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
 
 from wlr_render.captures.session import SessionPlan
-from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.jackknife import jackknife, left_out_changes
 from wlr_render.diagnosis.observations import observe
-from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.simulation.simulate_session import simulate
 
 REPEATABILITY_M = 30e-6
 DRAWS = 12
 
 
-def fitted(observations, used=None, **values):
-    used = np.ones(len(observations), dtype=bool) if used is None else used
-    return fit(Predictor(observations), explanation(**values), used)
+def at_rest(observations, rows, values):
+    return fitted_at_rest(observations.of_rows(rows), explanation(**values))
 
 
 def test_changes_are_those_of_fits_without_the_capture(bench, plan):
     clean = measured(bench, plan, target_scale=[0.3, 0.2], panel_shift=[0.1, -0.1])
     observations = with_noise(clean, SIGMA_PX, np.random.default_rng(1))
     start = {"target_scale": [0.3, 0.2], "panel_shift": [0.1, -0.1]}
-    found = fitted(observations, **start)
-    used = observations.group != 0
-    kept = fitted(observations, used, **start)
-    changes = left_out_changes(found, observations.group, len(observations.captures))
+    group, count = observations.group, len(observations.captures)
+    found = at_rest(observations, group >= 0, start)
+    changes = left_out_changes(found, group, count)
     assert changes.shape == (36, 4)
     for number in (2, 20):
-        without = fitted(observations, observations.group != number, **start)
+        without = at_rest(observations, group != number, start)
         change = without.explanation.vector() - found.explanation.vector()
         np.testing.assert_allclose(changes[number], change, atol=0.02 * found.sigmas().max())
-    again = left_out_changes(kept, observations.group, len(observations.captures))
-    assert np.isnan(again[0]).all()
-    assert np.isfinite(jackknife(kept, observations.group, len(observations.captures))).all()
+    kept = at_rest(observations, group != 0, start)
+    assert np.isnan(left_out_changes(kept, group[group != 0], count)[0]).all()
+    assert np.isfinite(jackknife(kept, group[group != 0], count)).all()
 
 
-def test_errors_cover_where_the_stage_repeats_badly_and_those_of_the_fit_do_not(bench, plan):
+def test_errors_cover_where_the_stage_repeats_badly_and_those_of_a_fit_at_rest_do_not(bench, plan):
     """Each capture stands some hundredths of a millimetre off, and its readings share that error; the truth is 0."""
     draws = [_with_a_bad_stage(bench, plan, np.random.default_rng(seed)) for seed in range(DRAWS)]
     values, by_fit, by_captures = (np.array(each) for each in zip(*draws, strict=True))
@@ -55,11 +51,12 @@ def _with_a_bad_stage(bench, plan, rng):
     nominal = replace(read, plan=SessionPlan(plan.display))
     observations = observe(bench, nominal)
     assert np.isfinite(simulate(bench, nominal.plan).panel_pixel).all()
-    found = fitted(observations, stage_scale=[0.0, 0.0, 0.0])
+    found = fitted_at_rest(observations, explanation(stage_scale=[0.0, 0.0, 0.0]))
     return found.explanation.vector(), found.sigmas(), jackknife(found, observations.group, len(observations.captures))
 
 
 def test_one_capture_gives_no_error(bench, plan):
     observations = measured(bench, plan, SIGMA_PX, target_scale=[0.3, 0.2])
-    found = fitted(observations, observations.group == 20, target_scale=[0.3, 0.2])
-    assert np.isnan(jackknife(found, observations.group, len(observations.captures))).all()
+    one = observations.group == 20
+    found = at_rest(observations, one, {"target_scale": [0.3, 0.2]})
+    assert np.isnan(jackknife(found, observations.group[one], len(observations.captures))).all()

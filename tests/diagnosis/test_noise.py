@@ -2,19 +2,14 @@
 
 import numpy as np
 import pytest
+from oracle.nature import BenchNature
 from small_session import SIGMA_PX, measured
 
 from wlr_render.captures.session import SessionPlan
-from wlr_render.diagnosis.noise import (
-    NoiseFloor,
-    excess_over_noise,
-    is_significant,
-    noise_floors,
-    outlier_readings,
-    sigma_of,
-)
+from wlr_render.diagnosis.noise import is_significant, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.surfaces import outlier_readings
 
 EFFECTS = [
     {},
@@ -29,18 +24,23 @@ def nominal_residual(observations):
 
 
 def floors_of(observations):
-    return noise_floors(observations, nominal_residual(observations))
+    return noise_of(observations, nominal_residual(observations)).floors
+
+
+_BENT = "a combiner tilted by a degree bends photographs beyond a cubic, which is taken for shared noise"
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: "+".join(effect) or "nothing")
 @pytest.mark.parametrize("sigma_px", [0.05, 0.2])
-def test_noise_that_is_not_as_stated_is_found_beside_any_effect(bench, plan, sigma_px, effect):
+def test_noise_that_is_not_as_stated_is_found_beside_any_effect(request, bench, plan, sigma_px, effect):
+    if sigma_px < SIGMA_PX and "combiner_tilt" in effect:
+        request.applymarker(pytest.mark.xfail(reason=_BENT, strict=True))
     display, see_through = floors_of(measured(bench, plan, sigma_px, seed=1, **effect))
     for floor in (display, see_through):
-        assert floor.stated_px == SIGMA_PX
+        assert floor.stated_px == pytest.approx(SIGMA_PX)
         assert floor.within_px == pytest.approx(sigma_px, rel=0.06)
         assert not floor.is_believable
-        assert floor.used_px == floor.measured_px
+        assert floor.used_px == pytest.approx(floor.measured_px, rel=0.08)
     assert display.repeats_px == pytest.approx(sigma_px, rel=0.15)  # of two photographs only
     assert np.isnan(see_through.repeats_px)
     assert (display.part, see_through.part) == ("display", "see-through")
@@ -49,7 +49,7 @@ def test_noise_that_is_not_as_stated_is_found_beside_any_effect(bench, plan, sig
 def test_noise_as_stated_is_believed(bench, plan):
     for floor in floors_of(measured(bench, plan, SIGMA_PX, seed=2)):
         assert floor.is_believable
-        assert floor.used_px == SIGMA_PX
+        assert floor.used_px == pytest.approx(SIGMA_PX, rel=0.05)
 
 
 def drawn(clean, sigma_px, seed):
@@ -57,78 +57,80 @@ def drawn(clean, sigma_px, seed):
     return sigma_px / SIGMA_PX * np.random.default_rng(seed).normal(size=(len(clean), 2))
 
 
-def excesses(observations, residual):
-    return excess_over_noise(observations, residual, np.ones(len(observations), dtype=bool))
+@pytest.mark.parametrize("larger", [1.0, 1.04, 1.2])
+def test_noise_a_little_larger_than_stated_is_found_and_not_called_unbelievable(clean, larger):
+    """Over draws: the noise used is the true one; it is disbelieved only where it matters."""
+    found = [floor for seed in range(20) for floor in noise_of(clean, drawn(clean, larger * SIGMA_PX, seed)).floors]
+    used = np.array([floor.used_px for floor in found])
+    assert np.mean(used) == pytest.approx(larger * SIGMA_PX, rel=0.02)
+    assert np.std(used) == pytest.approx(np.mean([floor.error_px for floor in found]), rel=0.3)
+    believed = np.mean([floor.is_believable for floor in found])
+    assert believed > 0.95 or larger > 1.0
+    assert believed < 0.05 or larger < 1.2
 
 
-@pytest.mark.parametrize("larger", [1.0, 1.04, 1.06, 1.08, 1.1, 1.2])
-def test_noise_larger_than_stated_is_never_both_believed_and_exceeded(clean, larger):
-    """Whether the stated or the measured noise is used, white noise is no excess over it."""
-    believed = []
-    for seed in range(20):
-        residual = drawn(clean, larger * SIGMA_PX, seed)
-        floors = noise_floors(clean, residual)
-        used = np.array([floor.used_px for floor in floors])[clean.part][:, None] / SIGMA_PX
-        assert not any(excess.is_significant for excess in excesses(clean, residual / used).values())
-        believed += [floor.is_believable for floor in floors]
-    assert np.mean(believed) > 0.95 or larger > 1.0
-    assert np.mean(believed) < 0.05 or larger < 1.2
+def test_a_stated_sigma_weighs_as_one_that_is_known_to_a_tenth(bench, plan):
+    """Few points tell little of the noise: then the stated one draws it, by the share of what is known."""
+    few = measured(bench, SessionPlan(display=plan.display)).of_rows(plan.display.capture < 2)
+    floor = noise_of(few, drawn(few, 1.5 * SIGMA_PX, 1)).floors[0]
+    relative = floor.error_px / floor.measured_px
+    weight = 0.1**2 / (0.1**2 + relative**2)
+    assert 0.3 < weight < 0.9
+    logs = np.log([floor.stated_px, floor.measured_px])
+    assert np.log(floor.used_px) == pytest.approx((1 - weight) * logs[0] + weight * logs[1])
 
 
-@pytest.mark.parametrize(
-    ("kind", "most"), [("heavy tails", 0.1), ("differs between photographs", 0.05), ("rises over the field", 0.3)]
-)
-def test_noise_that_is_not_gaussian_or_not_even_is_seldom_an_excess(clean, kind, most):
-    """Three times the noise at the edge as in the centre is called more than noise now and then: a known limit."""
-    found = []
-    for seed in range(20):
-        rng, residual = np.random.default_rng(100 + seed), drawn(clean, SIGMA_PX, seed)
-        if kind == "heavy tails":
-            residual = rng.standard_t(3, residual.shape)
-        elif kind == "differs between photographs":
-            residual *= np.where(rng.random(len(clean.captures)) < 0.3, 3.0, 1.0)[clean.group][:, None]
-        else:
-            plan = clean.session.plan
-            pixel = np.concatenate([plan.display.camera_pixel, clean.session.readings.dot_pixel])
-            radius = np.linalg.norm(pixel - [640, 512], axis=1)
-            residual *= (1 + 2 * (radius / radius.max()) ** 2)[:, None]
-        used = ~outlier_readings(clean, residual)
-        found += [excess.is_significant for excess in excess_over_noise(clean, residual, used).values()]
-    assert np.mean(found) <= most
+def natural(clean, seed, **imperfections):
+    """A residual of the noise of an imperfect bench, by code that shares nothing with the diagnosis."""
+    rng = np.random.default_rng(seed)
+    white = rng.normal(size=(len(clean), 2))
+    # Distance of neighbouring points of the display; that of dots is near.
+    noise = BenchNature(**imperfections).noise(white, clean.image_place, clean.group, clean.photograph, 90.0, rng)
+    return np.asarray(noise)
 
 
-def test_a_smooth_residual_of_half_the_noise_is_an_excess_in_its_part_only(clean):
-    plan = clean.session.plan.display
-    for seed in range(5):
-        residual = drawn(clean, SIGMA_PX, seed)
-        residual[clean.part == DISPLAY, 0] += np.sin(plan.camera_pixel[:, 0] / 150)
-        found = excesses(clean, residual)
-        assert found[DISPLAY].is_significant
-        assert not found[SEE_THROUGH].is_significant
-        assert found[DISPLAY].noise == pytest.approx(1.0, abs=0.15)
+@pytest.mark.parametrize("tails", [np.inf, 4.0])
+def test_a_white_session_has_no_rim_no_factors_and_shares_nothing(clean, tails):
+    """Also where noise has the tails of Student's t, which is in no part of the model; each may err in 1 of 20."""
+    found = [floor for seed in range(12) for floor in noise_of(clean, natural(clean, seed, t_dof=tails)).floors]
+    most = 1 if np.isinf(tails) else 4
+    assert sum(floor.rim_factor != 1.0 for floor in found) <= most
+    assert sum(floor.shared != 0.0 for floor in found) <= most
+    assert sum(floor.photographs_differ > 0.15 for floor in found) <= most
 
 
-def test_an_effect_in_two_captures_alone_is_an_excess(clean):
-    """The error of the test is that of noise: it must not grow with what is to be found."""
-    residual = drawn(clean, SIGMA_PX, 3)
-    residual[np.isin(clean.group, [16, 17])] += 3.0
-    assert excesses(clean, residual)[DISPLAY].is_significant
+def test_photographs_that_are_noisier_are_found_with_their_factor(clean):
+    rng = np.random.default_rng(4)
+    larger = np.where(rng.permutation(len(clean.captures)) < 11, 3.0, 1.0)
+    noise = noise_of(clean, drawn(clean, SIGMA_PX, 4) * larger[clean.group][:, None])
+    assert all(floor.photographs_differ > 0.3 for floor in noise.floors)
+    sigma = np.array([noise.sigma_px[clean.group == number].mean() for number in range(len(larger))]) / SIGMA_PX
+    np.testing.assert_allclose(sigma, larger, rtol=0.3)
+    assert np.mean(sigma / larger) == pytest.approx(1.0, abs=0.06)
 
 
-def test_the_excess_of_white_noise_scatters_by_its_stated_error(clean):
-    ratios = []
-    for seed in range(60):
-        for excess in excesses(clean, drawn(clean, SIGMA_PX, seed)).values():
-            ratios.append((excess.mean_square - excess.noise) / excess.error)
-    assert np.mean(ratios) == pytest.approx(0.0, abs=0.3)
-    assert np.std(ratios) == pytest.approx(1.0, abs=0.2)
+def test_noise_that_rises_to_the_rim_is_found(clean):
+    """With tails, which the likelihood does not know of."""
+    for seed in range(4):
+        noise = noise_of(clean, natural(clean, seed, rim_factor=3.0, t_dof=5.0))
+        floor = noise.floor(DISPLAY)
+        assert floor.rim_factor == pytest.approx(3.0, rel=0.3)
+        radius = np.linalg.norm(clean.image_place - [640, 512], axis=1) / np.hypot(640, 512)
+        rows = clean.part == DISPLAY
+        true = SIGMA_PX * (1.0 + 2.0 * radius**2)
+        np.testing.assert_allclose(noise.sigma_px[rows], true[rows], rtol=0.35)
+        # Of tails the median photograph has fewer than all have together.
+        assert np.mean(noise.sigma_px[rows] / true[rows]) == pytest.approx(1.0, abs=0.15)
 
 
-def test_too_few_points_are_compared_with_sigma(clean):
-    few = clean.of_rows(clean.spread(200))
-    for factor, significant in ((1.0, False), (1.6, True)):
-        found = excesses(few, factor * drawn(few, SIGMA_PX, 1))
-        assert all(excess.is_significant == significant and excess.noise == 1.0 for excess in found.values())
+def test_noise_that_neighbours_share_is_found_and_is_noise(clean):
+    """The oracle's field has another correlation than the model's; surfaces follow most of it, and must not gain."""
+    for seed in range(4):
+        floor = noise_of(clean, natural(clean, seed, shared=0.5, shared_spacings=1.5)).floor(DISPLAY)
+        assert floor.shared == pytest.approx(0.5, abs=0.3)
+        assert floor.shared_reach_px > 0.0
+        assert floor.used_px == pytest.approx(SIGMA_PX, rel=0.3)
+        assert floor.within_px > 0.8 * SIGMA_PX
 
 
 def test_a_difference_must_be_both_sure_and_large():
@@ -142,7 +144,7 @@ def test_a_difference_must_be_both_sure_and_large():
 def test_few_repeats_do_not_override_the_scatter_within_photographs(bench, plan):
     """Over draws: the combined noise is nearer the truth than either, and stated noise that is true is believed."""
     exact = measured(bench, SessionPlan(display=plan.display))
-    found = [noise_floors(exact, drawn(exact, SIGMA_PX, seed))[0] for seed in range(60)]
+    found = [noise_of(exact, drawn(exact, SIGMA_PX, seed)).floors[0] for seed in range(60)]
     repeats, within, both = (
         np.std([getattr(floor, name) for floor in found]) for name in ("repeats_px", "within_px", "measured_px")
     )
@@ -156,14 +158,9 @@ def test_a_pattern_finer_than_the_points_is_no_noise_where_repeats_tell(bench, p
     residual = drawn(exact, SIGMA_PX, 5)
     # The same in each photograph of one place, and rough within it.
     pattern = np.random.default_rng(6).normal(0, 2, (len(exact) // 18, 2))
-    floor = noise_floors(exact, residual + np.tile(pattern, (18, 1)))[0]
+    floor = noise_of(exact, residual + np.tile(pattern, (18, 1))).floors[0]
     assert floor.within_px > 2 * SIGMA_PX
     assert floor.measured_px == floor.repeats_px == pytest.approx(SIGMA_PX, rel=0.2)
-
-
-def test_the_noise_to_go_by_is_that_of_the_parts_that_are_there(clean):
-    floors = (NoiseFloor("see-through", 0.1, 0.3, np.nan, 0.3, 0.01, 0.3, False),)
-    np.testing.assert_array_equal(sigma_of(floors, np.array([0.1, 0.1, 0.15])), [0.1, 0.3, 0.15])
 
 
 def test_the_noise_between_repeats_is_scaled_by_how_often(bench, plan):
@@ -180,7 +177,7 @@ def test_too_few_points_in_a_photograph_give_no_noise_estimate(bench, plan):
     few = few.of_rows(few.spread(200))
     for floor in floors_of(few):
         assert np.isnan(floor.within_px)
-        assert floor.used_px == SIGMA_PX
+        assert floor.used_px == pytest.approx(SIGMA_PX)
     assert not outlier_readings(few, nominal_residual(few)).any()
 
 

@@ -1,26 +1,31 @@
 """Selection of causes: who is ranked first, who is refused and why, restarts, and causes made idle."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, hypothesis, measured
+from small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_jitter, with_noise
 
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import fit, reduced_chi_squared
-from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.search import Search, hypotheses
+from wlr_render.diagnosis.fit import reduced_chi_squared
+from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.diagnosis.search import Search, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")
 
 
-def searching(observations, names=NAMES, **settings):
-    spread = observations.spread(700)
-    full = Predictor(observations)
-    everything = np.ones(len(observations), dtype=bool)
+def searching(observations, names=NAMES, most=700, **settings):
+    full = weighed(observations)
     candidates = hypotheses({name: CAUSES[name] for name in names})
-    return Search(full, full.of_rows(spread), everything, everything[spread], candidates, settings=Settings(**settings))
+    return Search(full, full.of_rows(observations.spread(most)), candidates, settings=Settings(**settings))
+
+
+def ranking_of(search, start=Explanation()):  # noqa: B008
+    return search.rank(search.refitted(start, Scatter.usual(len(search.full.observations.captures))))
 
 
 def names_of(selection):
@@ -45,10 +50,10 @@ def clean_and_noisy(bench, plan):
     return measured(bench, plan, SIGMA_PX, seed=12)
 
 
-def test_causes_are_added_until_nothing_more_gains_than_chance(two):
+def test_causes_are_added_until_none_has_better_odds_than_none(two):
     selection = searching(two).select()
     assert set(names_of(selection)) == {"combiner_tilt", "target_scale"}
-    assert selection.reason == "no other cause gains more than chance would"
+    assert selection.reason == "no other cause has better odds than none"
     assert reduced_chi_squared(selection.fit) == pytest.approx(1.0, abs=0.1)
 
 
@@ -64,7 +69,7 @@ def test_no_more_causes_than_allowed_are_added_and_the_reason_says_so(two):
 
 def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
     search = searching(two, min_relative_gain=0.001)
-    ranking = search.rank(fit(search.full, explanation(target_scale=[0, 0]), search.used))
+    ranking = ranking_of(search, explanation(target_scale=[0, 0]))
     assert ranking.candidates[0].hypothesis.cause.name == "combiner_tilt"
     assert "target_scale" not in {each.hypothesis.cause.name for each in ranking.screened}
     behind = [each.behind for each in ranking.candidates]
@@ -77,49 +82,80 @@ def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
 @pytest.mark.parametrize(("share", "most"), [(0.001, 4), (0.99, 1)])
 def test_only_candidates_that_promise_a_share_of_the_best_gain_are_fitted(two, share, most):
     search = searching(two, min_relative_gain=share)
-    ranking = search.rank(fit(search.full, Explanation(), search.used))
+    ranking = ranking_of(search)
     assert (len(ranking.candidates) == 1) == (most == 1)
     assert len(searching(two, min_relative_gain=share, max_fits=1).rank(ranking.current).candidates) == 1
 
 
-def test_a_cause_that_explains_too_little_beside_something_unlisted_is_refused_with_its_share(bench, plan):
-    observations = with_dent(measured(bench, plan, SIGMA_PX, seed=13, target_scale=[0.05, 0.05]), 5.0)
-    refused = searching(observations, ("target_scale",)).select()
+def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(bench, plan):
+    """At five standard errors the odds are better than even, and worse than a hundred to one."""
+    observations = measured(bench, plan, SIGMA_PX, seed=15, target_scale=[0.014, 0.0])
+    refused = searching(observations, ("target_scale",), 9999, least_first_order=-9.0).select()
     assert names_of(refused) == ()
-    assert "target_scale comes next, but explains only" in refused.reason
-    assert "% of the excess over the noise, and more than noise would be left" in refused.reason
-    assert names_of(searching(observations, ("target_scale",), min_share_explained=0.0).select()) == ("target_scale",)
-
-
-def test_a_cause_that_explains_little_but_reaches_the_noise_is_accepted(bench, plan):
-    """The whole of a small excess: the share rule is for what stays unexplained."""
-    observations = measured(bench, plan, SIGMA_PX, seed=14, target_scale=[0.02, 0.02])
-    search = searching(observations, ("target_scale",), min_share_explained=2.0)
-    assert names_of(search.select()) == ("target_scale",)
-
-
-def test_a_cause_is_refused_where_held_out_captures_do_not_gain(two):
-    selection = searching(two, min_held_out_se=1e9).select()
-    assert names_of(selection) == ()
-    assert "held-out captures gain" in selection.reason
-
-
-def test_chance_refuses_what_a_looser_limit_accepts(bench, plan):
-    observations = measured(bench, plan, SIGMA_PX, seed=15, target_scale=[0.012, 0.0])
-    strict, loose = (
-        searching(observations, ("target_scale",), max_p_value=value, min_held_out_se=-1e9).select()
-        for value in (1e-12, 0.5)
-    )
-    assert names_of(strict) == ()
+    assert re.fullmatch(r"target_scale comes next, but the odds for it are 10\^[01]\.\d only", refused.reason)
+    loose = searching(observations, ("target_scale",), 9999, least_first_order=-9.0, least_log10_odds=0.0).select()
     assert names_of(loose) == ("target_scale",)
 
 
-def test_runners_up_near_the_best_are_restarts_and_others_are_not(two):
-    search = searching(two, min_relative_gain=0.001)
-    first = search.rank(fit(search.full, Explanation(), search.used))
+def test_no_cause_is_named_on_shaky_benches(bench, plan):
+    """Motions with tails, which the model takes for normal ones: none of ten sessions has odds for any cause."""
+    clean = measured(bench, plan)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        shaky = with_noise(with_jitter(clean, bench, 15.0, rng, 40.0, dof=4.0), SIGMA_PX, rng)
+        assert names_of(searching(shaky).select()) == ()
+
+
+def test_an_unlisted_effect_in_one_part_hides_no_cause_in_another(bench, plan):
+    """A dent of the display, and a target printed too large, which shows in the other part alone."""
+    for size_px in (1.0, 3.0, 10.0):
+        observations = with_dent(measured(bench, plan, SIGMA_PX, seed=13, target_scale=[0.3, 0.3]), size_px)
+        selection = searching(observations, ("target_scale",)).select()
+        assert names_of(selection) == ("target_scale",)
+        np.testing.assert_allclose(selection.fit.explanation.vector(), 0.3, atol=0.02)
+
+
+def test_a_cause_that_explains_little_but_surely_is_accepted(bench, plan):
+    observations = measured(bench, plan, SIGMA_PX, seed=14, target_scale=[0.02, 0.02])
+    assert names_of(searching(observations, ("target_scale",)).select()) == ("target_scale",)
+
+
+_SLIPPED = "the moment is chosen while the captures that slipped still count as moved"
+
+
+@pytest.mark.parametrize(
+    "late", [2, *(pytest.param(count, marks=pytest.mark.xfail(reason=_SLIPPED, strict=True)) for count in (3, 4))]
+)
+def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, plan, late):
+    """Two captures are as many as tell a slip from a capture that moved."""
+    seconds = 60.0 * (18 - late) - 30.0
+    shown = SessionPlan(plan.display)
+    slipped = measured(bench, shown, SIGMA_PX, seed=16, headset_slip=[0.6, 0.0, 0.0, 0.0, 0.2, 0.0, seconds])
+    selection = searching(slipped, ("headset_slip", "panel_shift", "stage_scale", "thermal_drift")).select()
+    assert names_of(selection) == ("headset_slip",)
+    found = dict(
+        zip([p.name for p in CAUSES["headset_slip"].parameters], selection.fit.explanation.vector(), strict=True)
+    )
+    assert found["moment"] == pytest.approx(seconds, abs=30.0)
+    assert found["shift_x"] == pytest.approx(0.6, abs=0.05)
+    assert not selection.fit.scatter.moved.any()
+
+
+def test_a_candidate_that_loses_readings_is_none(two):
+    """Its few residuals would be smaller than those of all readings."""
+    search = searching(two)
+    nothing = ranking_of(search).subsample
+    prospect = screen(search.subsample, nothing, hypothesis("combiner_shift"))
+    assert best_fit(search.subsample, nothing, prospect) is not None
+    lost = replace(prospect, start=np.array([100.0, 0.0, 0.0]))
+    assert best_fit(search.subsample, nothing, lost) is None
+
+
+def test_runners_up_that_were_fitted_to_all_readings_are_restarts(two):
+    search = searching(two, min_relative_gain=0.001, restarts=2)
+    first = ranking_of(search)
     best, *others = first.candidates
-    near = replace(others[0], reduced_chi_squared=2.9 * best.reduced_chi_squared)
-    far = replace(others[0], reduced_chi_squared=3.1 * best.reduced_chi_squared)
+    near, far = replace(others[0], fitted_to_all=True), replace(others[0], fitted_to_all=False)
     ranking = replace(first, candidates=(best, far, near, near, near))
     assert search._seeds(ranking) == [near, near]
     assert search._seeds(replace(first, candidates=())) == []
@@ -128,10 +164,12 @@ def test_runners_up_near_the_best_are_restarts_and_others_are_not(two):
 def test_a_cause_that_a_later_one_has_made_idle_is_pruned(two):
     search = searching(two)
     both = explanation(panel_shift=[0, 0], combiner_tilt=[0, 0, 0]).plus(hypothesis("target_scale"))
-    assert search._pruned(fit(search.full, both, search.used)).explanation.names == ("combiner_tilt", "target_scale")
+    found = search.refitted(both, Scatter.usual(len(two.captures)))
+    assert search._pruned(found).explanation.names == ("combiner_tilt", "target_scale")
 
 
 def test_no_cause_at_work_is_pruned(two):
     search = searching(two)
-    found = fit(search.full, explanation(target_scale=[0, 0], combiner_tilt=[0, 0, 0]), search.used)
+    start = explanation(target_scale=[0, 0], combiner_tilt=[0, 0, 0])
+    found = search.refitted(start, Scatter.usual(len(two.captures)))
     assert search._pruned(found) is found

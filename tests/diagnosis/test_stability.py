@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, measured
+from small_session import SIGMA_PX, explanation, fitted_at_rest, measured
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import fit, instability, reduced_chi_squared
-from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.fit import instability, reduced_chi_squared
 
 STABLE, UNSTABLE = 0.1, 0.35
 
@@ -19,7 +18,7 @@ def waved(observations, size_px):
 
 
 def of(observations, **causes):
-    found = fit(Predictor(observations), explanation(**causes), np.ones(len(observations), dtype=bool))
+    found = fitted_at_rest(observations, explanation(**causes))
     return instability(observations, found), found
 
 

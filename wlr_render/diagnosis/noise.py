@@ -238,7 +238,7 @@ def _shared(
     chosen = own[step // 2 :: step]
     blocks = [_contrasts(observations, residual, each, shape) for each in chosen]
     spacing = float(np.median([_spacing(place) for _, _, place in blocks]))
-    white = sum(len(values) * np.log(np.sum(values**2)) for values, _, _ in blocks)
+    white = sum(len(values) * np.log(np.sum(values**2).clip(1e-300)) for values, _, _ in blocks)
     gain, share, reach, smooth = 0.0, 0.0, np.nan, True
     for tried, is_smooth in product(spacing * np.array(_REACHES), (True, False)):
         likelihood = np.zeros(len(_SHARES))
@@ -247,7 +247,9 @@ def _shared(
             own_variance, axes = np.linalg.eigh(shared)
             power = np.sum((axes.T @ values) ** 2, axis=1)
             variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance.clip(0.0)
-            likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(np.sum(power / variance, axis=1))
+            likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(
+                np.sum(power / variance, axis=1).clip(1e-300)
+            )
         likelihood -= 0.5 * (np.log(tried / spacing / _USUAL_REACH) / _REACH_RANGE) ** 2
         likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
         at = int(np.argmax(likelihood))
@@ -292,9 +294,10 @@ def _contrasts(
 
 
 def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:
-    """The mean weighted by inverse variance; repeats alone where the two contradict each other.
+    """The mean weighted by inverse variance; the smaller one alone where the two contradict each other.
 
-    Repeats do not take a fixed pattern that is finer than a photograph's points for noise.
+    Repeats do not take a fixed pattern that is finer than a photograph's points for noise; and what differs between
+    two photographs by more than within each is no noise.
     """
     if not (within.is_known and repeats.is_known):
         return within if within.is_known else repeats
@@ -302,7 +305,7 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
         return within
     error = float(np.hypot(within.error, repeats.error))
     if is_significant(float(np.log(within.value / repeats.value)), error, 1.0, settings):
-        return repeats
+        return repeats if repeats.value < within.value else within
     weights = np.array([repeats.error, within.error]) ** 2 / error**2
     logarithm = float(weights @ np.log([within.value, repeats.value]))
     return Variance(float(np.exp(logarithm)), within.error * repeats.error / error)

@@ -23,6 +23,7 @@ USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
 _USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
 _MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
+_RAISED = 3.0  # times the usual size up to which motions are those of a capture that did not move
 _COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
 _STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
 _LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
@@ -306,7 +307,13 @@ def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArr
     values = np.linalg.solve(found.information + np.eye(len(mean)), found.gradient + mean) if len(mean) else mean
     pull = sums.ey - sums.ex @ values
     noise = scatter.noise[sums.part_of][:, None]
-    usual = replace(scatter, moved=np.zeros_like(scatter.moved)).sizes(sums.part_of)
+    # Several captures that moved raise the size that is found for all, behind which they would hide.
+    shift, turn = (
+        np.minimum(size, _RAISED * usual)
+        for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
+    )
+    at_rest = replace(scatter, shift_um=shift, turn_urad=turn, moved=np.zeros_like(scatter.moved))
+    usual = at_rest.sizes(sums.part_of)
     wide = np.hypot(usual, _MOVED / noise)
 
     def likelihood(sizes: FloatArray) -> FloatArray:

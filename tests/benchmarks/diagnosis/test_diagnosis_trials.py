@@ -23,13 +23,18 @@ from benchmarks.diagnosis.truths import truth_of
 from benchmarks.intervals import INTERVAL
 from benchmarks.kept_trials import kept_outcome
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.fit import WeighedReadings
+from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.simulate_session import simulate
 
 SIGMA_PX = 1e-3
 TINY = Plan("northstar", grid=(5, 4), dots=(5, 4), nodes=4, off_plane=4, sigma_px=SIGMA_PX, channels=(0, 1, 2))
 SHORT = RunTimePlan("northstar", recordings=6, moments=20, sigma_px=SIGMA_PX)
+SHAKY = BenchNature(repeatability_mm=0.02, turns_rad=5e-5)
 UNSTATED = {"headset_slip": ("moment", "start_s"), "see_through_plate": ("thickness", "thickness_mm")}
 """Parameters without a stated truth: a moment is any between two captures, a plate of other glass is thicker."""
 
@@ -290,29 +295,38 @@ def test_a_diagnosis_that_ends_in_an_error_is_an_outcome(monkeypatch):
 def test_a_cause_beside_an_unlisted_effect_is_judged_without_that_effect(monkeypatch):
     plan = replace(TINY, sigma_px=0.1)
     judged = []
-    monkeypatch.setattr(trial, "remainder", lambda observations, *names: judged.append((observations, names)) or 50.0)
+    monkeypatch.setattr(trial, "remainder", lambda readings, *rest: judged.append((readings, rest)) or 50.0)
     for pair, own in ((("code_stripes", "target_scale"), 1), (("target_wrinkle", "panel_scale"), 0)):
         effects = [draw_effect(name, np.random.default_rng(3)) for name in pair]
         observations = observe(*observed(plan, effects, np.random.default_rng(1)))
-        said = SimpleNamespace(observations=observations)
-        assert trial._remainders(said, DiagnosisTrial(TrialKind.UNLISTED_BESIDE, pair, 0)) == (50.0,)
-        used, names = judged.pop()
-        assert names == (pair[1:], pair[1])
+        said = SimpleNamespace(readings=weighed(observations))
+        assert trial._remainders(said, DiagnosisTrial(TrialKind.UNLISTED_BESIDE, pair, 0), SHAKY) == (50.0,)
+        readings, (scatter, *names) = judged.pop()
+        assert names == [pair[1:], pair[1]]
+        assert (scatter.shift_um[0], scatter.turn_urad[0]) == (pytest.approx(20.0), pytest.approx(50.0))
+        used = readings.observations
         before, after = (each.residual(simulate(each.nominal, each.session.plan)) for each in (observations, used))
         rows = observations.part == own
         np.testing.assert_array_equal(after[rows], before[rows])
         assert np.abs(after[~rows]).max() == 0.0
-    trial._remainders(said, DiagnosisTrial(TrialKind.TWO, ("panel_scale", "target_scale"), 0))
-    assert [(each is observations, names[1]) for each, names in judged] == [
+    trial._remainders(said, DiagnosisTrial(TrialKind.TWO, ("panel_scale", "target_scale"), 0), SHAKY)
+    assert [(each is said.readings, rest[2]) for each, rest in judged] == [
         (True, n) for n in ("panel_scale", "target_scale")
     ]
-    assert trial._remainders(said, DiagnosisTrial(TrialKind.MOVED, ("panel_scale",), 0)) == ()
+    assert trial._remainders(said, DiagnosisTrial(TrialKind.MOVED, ("panel_scale",), 0), SHAKY) == ()
 
 
 def test_a_late_slip_is_there_although_its_captures_are_excluded():
     slip = Effect("headset_slip", {"x_mm": 0.5, "y_mm": 0.0, "z_mm": 0.0, "start_s": 3600.0 + 13.5 * 30.0})
     observations = observe(*observed(replace(TINY, sigma_px=0.1), [slip], np.random.default_rng(1)))
-    assert remainder(observations, ("headset_slip",), "headset_slip") > 25.0
+    still = replace(Scatter.usual(len(observations.captures)), shift_um=np.ones(3), turn_urad=np.ones(3))
+    assert remainder(weighed(observations), still, ("headset_slip",), "headset_slip") > 25.0
+
+
+def weighed(observations):
+    """With the noise that the bench states, as photographs have too few points to measure it."""
+    predictor = Predictor(observations)
+    return WeighedReadings.of(predictor, noise_of(observations, predictor.residual(Explanation())))
 
 
 def test_the_nature_is_in_the_session_that_is_diagnosed_and_not_in_the_second_one(monkeypatch):
