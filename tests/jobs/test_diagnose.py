@@ -192,6 +192,7 @@ def test_captures_of_calibrated_photographs_are_diagnosed(photo_session, tmp_pat
     status, printed = run(capsys, photo_session.out, "--device", photo_session.recipe.device, "--out", out)
     assert status == 0, printed.err
     record = json.loads((out / "diagnosis.json").read_text())
+    assert record["verdict"] == "no effect"
     assert [each["part"] for each in record["motions"]] == ["display", "see-through"]
     for each in record["motions"]:
         assert 0.0 < each["shift_um"] < 200.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.residual_views import PartView, Variable
@@ -20,6 +20,8 @@ _COLUMNS = 3
 _BAND = 2.0  # standard errors that count as noise
 _HISTOGRAM = np.linspace(-6.0, 6.0, 61)
 _QUANTILES = 99
+_FARTHEST = 4.0  # quantile that is shown
+_TICKS = [step * power for power in (0.1, 1, 10, 100, 1000) for step in (1, 2, 5)]  # of a logarithmic axis
 
 
 def residual_maps(part: PartView) -> Plot:
@@ -72,7 +74,8 @@ def residual_maps(part: PartView) -> Plot:
     layout["margin"] = {"t": 70, "r": 20, "b": 50}
     caption = (
         f"Each arrow is the mean of the readings around it, measured minus simulated; all maps have one scale. The "
-        f"arrow in the first corner is {unit:g} {part.map_unit}. Arrows in all directions at once are noise."
+        f"arrow in the first corner is {unit:g} {part.map_unit}. Arrows in all directions at once are noise; "
+        "arrows in one direction, another in each capture, are positions that do not repeat."
     )
     return Plot(f"Residual over the field of view: {part.name}", data, layout, caption, 520)
 
@@ -177,8 +180,9 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
     counts, _ = np.histogram(values, _HISTOGRAM)
     middle, width = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1]), float(_HISTOGRAM[1] - _HISTOGRAM[0])
     normal = np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)
-    share = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
-    expected = ndtri(share)
+    # Evenly spaced quantiles show the tails; beyond the farthest there are fewer than five values.
+    farthest = min(_FARTHEST, -float(ndtri(min(0.4, 5.0 / len(values)))))
+    expected = np.linspace(-farthest, farthest, _QUANTILES)
     data = [
         {
             "type": "bar",
@@ -188,9 +192,21 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
             "marker": {"color": _AFTER},
         },
         {"type": "scatter", "x": middle, "y": normal, "name": "normal distribution", "line": {"color": _GREY}},
-        {"type": "scatter", "mode": "markers", "x": expected, "y": np.quantile(values, share), "name": "quantiles"}
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "x": expected,
+            "y": np.quantile(values, ndtr(expected)),
+            "name": "quantiles",
+        }
         | {"marker": {"color": _BEFORE, "size": 5}, "xaxis": "x2", "yaxis": "y2"},
-        {"type": "scatter", "mode": "lines", "x": [-3, 3], "y": [-3, 3], "showlegend": False}
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "x": [-farthest, farthest],
+            "y": [-farthest, farthest],
+            "showlegend": False,
+        }
         | {"line": {"color": _GREY}, "xaxis": "x2", "yaxis": "y2"},
     ]
     layout = {
@@ -220,7 +236,7 @@ def captures_plot(diagnosis: Diagnosis) -> Plot:
         | {"marker": {"color": colour, "symbol": marks}}
         for name, colour, values in shown
     ]
-    layout = {"yaxis": axis("rms residual (sigma)", log=True) | {"dtick": "D2"}}
+    layout = {"yaxis": axis("rms residual (sigma)", log=True) | {"tickvals": _TICKS}}
     layout["xaxis"] = {"showticklabels": False, "showgrid": False} | axis("captures, in the order of the table")
     return Plot(
         "Residual of each capture",

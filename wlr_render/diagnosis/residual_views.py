@@ -140,7 +140,7 @@ def _see_through(diagnosis: Diagnosis) -> PartView:
     variables = (
         *_times_and_stage(observations, plan),
         Variable("distance of the target (m)", distance),
-        Variable("distance of the target (m), outwards", distance, radius.outwards),
+        Variable("distance of the target (m)", distance, radius.outwards),
         Variable("radius on target (mm)", 1e3 * np.linalg.norm(plan.dot, axis=1)),
         radius,
     )
