@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, diagnosed, explanation, measured, with_moved_capture
+from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_moved_capture
 
 from wlr_render.calibration.fit_report import HeldOut
 from wlr_render.diagnosis import plots, tables
@@ -18,23 +18,8 @@ from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text
 from wlr_render.simulation.bench_file import load_bench, save_bench
-from wlr_render.simulation.simulate_session import simulate
 
 OTHER = "tracking_translation"
-
-
-def with_motions(observations, bench, shift_mm, seed):
-    """Every capture read by a camera that stands elsewhere, by a shift that is not normal: uniform."""
-    rng, plan, read = np.random.default_rng(seed), observations.session.plan, observations.session.readings
-    here = simulate(bench, plan)
-    for number in range(len(observations.captures)):
-        offset = rng.uniform(-np.sqrt(3) * shift_mm, np.sqrt(3) * shift_mm, 3)
-        there = simulate(explanation(camera_pupil_offset=offset).bench(bench), plan)
-        rows = observations.group == number
-        display = len(read.panel_pixel)
-        read.panel_pixel[rows[:display]] += (there.panel_pixel - here.panel_pixel)[rows[:display]]
-        read.dot_pixel[rows[display:]] += (there.dot_pixel - here.dot_pixel)[rows[display:]]
-    return observations
 
 
 def test_the_sentence_names_causes_values_and_the_change(explained):
@@ -148,7 +133,10 @@ def test_tables_hold_the_numbers_of_the_record(explained, unexplained, nothing):
 
 def test_expected_residuals_are_those_of_noise_and_motions(bench, plan):
     """A clean bench whose captures repeat to 80 um has the residual that is expected of it, and more than its noise."""
-    found = diagnosed(with_motions(measured(bench, plan, SIGMA_PX, seed=8), bench, 80e-3, seed=8), ("target_scale",))
+    observations = measured(bench, plan, SIGMA_PX, seed=8)
+    motions = np.zeros((len(observations.captures), 6))
+    motions[:, :3] = 80.0 * np.random.default_rng(8).uniform(-np.sqrt(3.0), np.sqrt(3.0), (len(motions), 3))
+    found = diagnosed(with_motions(observations, bench, motions), ("target_scale",))
     assert found.verdict == "no effect"
     for name in ("display_rms_px", "see_through_rms_arcmin", "over_noise"):
         after, expected, noise = (getattr(each, name) for each in (found.after, found.expected, found.noise))
