@@ -45,7 +45,7 @@ def test_parts_that_differ_have_a_sentence_each(differs):
 
 def test_the_shape_of_the_noise_is_described():
     shape = {"rim_factor": 1.9, "photographs_differ": 0.405, "shared": 0.52, "shared_reach_px": 61.0}
-    text = sentence((floor("display", 0.1, **shape),), (MotionSize("display", 9.0, 1.0, 25.0, 3.0),))
+    text = sentence((floor("display", 0.1013, **shape),), (MotionSize("display", 9.0, 1.0, 25.0, 3.0),))
     assert text == (
         "Display: positions repeat to 9 +- 1 um, turns to 25 +- 3 urad, noise 0.100 px as stated, rising to 1.9 times "
         "in the corner of the image, photographs differ in noise by 50 %, half of the noise variance is shared by "

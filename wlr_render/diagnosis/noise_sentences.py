@@ -10,6 +10,7 @@ from wlr_render.report.blocks import cell_text
 _UNSURE = 0.5  # relative error from which only an upper limit of a size is stated
 _AGREE = 2.0  # standard errors within which two parts have the same repeatability and noise
 _ABOUT_HALF = 0.05
+_AS_STATED = 0.02  # relative difference of the noise that is not worth a word
 
 
 def bench_sentence(diagnosis: Diagnosis) -> str:
@@ -53,7 +54,8 @@ def _level(noise: NoiseFloor) -> str:
     stated, measured = f"{noise.stated_px:#.3g}", f"{noise.measured_px:#.3g}"
     if not isfinite(noise.measured_px):
         return f"noise {stated} px as stated (too few points to measure it)"
-    return f"noise {stated} px as stated" if stated == measured else f"noise {measured} px where {stated} is stated"
+    is_as_stated = abs(noise.measured_px / noise.stated_px - 1.0) < _AS_STATED
+    return f"noise {stated} px as stated" if is_as_stated else f"noise {measured} px where {stated} is stated"
 
 
 def _shape(noise: NoiseFloor) -> list[str]:
