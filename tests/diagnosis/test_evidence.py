@@ -1,11 +1,15 @@
 """What a cause must pay for: Occam's razor, whole steps, and chance."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, fitted, fitted_at_rest, measured
 
-from wlr_render.diagnosis.fit import is_physical, reduced_chi_squared
+from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.fit import is_physical, reduced_chi_squared, whole_step_cost
 from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.scatter import Scatter, ScatterSums, marginal, minus_two_log_evidence
 
 
 def fits(observations, *starts):
@@ -90,3 +94,46 @@ def test_a_fit_that_loses_readings_is_none(bench, plan):
     clean = measured(bench, plan, SIGMA_PX, seed=8)
     assert fitted(clean, explanation(combiner_shift=[60.0, 0.0, 0.0]), iterations=0) is None
     assert fitted(clean, explanation(combiner_shift=[100.0, 0.0, 0.0])) is None
+
+
+def gauss(y, variance):
+    return y @ np.linalg.solve(variance, y) + np.linalg.slogdet(variance)[1]
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.3, 2.0])
+def test_the_evidence_of_whole_steps_is_the_sum_over_the_multiples(sigma):
+    """Of offsets k / 2 with the probability 2^-|k| / 3, however well they are known; another value is any number."""
+    start = explanation(pixel_origin=[0.0, 0.0], target_scale=[0.0, 0.0])
+    prior_sigma = np.array([parameter.prior_sigma for parameter in start.parameters()])[:3]
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(60, 2, 3)) / (sigma * np.sqrt(120.0)) * prior_sigma
+    columns[:, :, 2] = rng.normal(size=(60, 2))
+    flat = columns.reshape(120, 3)
+    y = flat @ (np.array([0.5, -0.8, 0.7]) / np.r_[prior_sigma[:2], 1.0]) + rng.normal(size=120)
+    ones = np.zeros(60, dtype=int)
+    sums = ScatterSums.over(y.reshape(60, 2), np.zeros((60, 2, 6)), columns, ones, ones, 1)
+    scatter, mean = Scatter.usual(1), np.zeros(3)
+    found = minus_two_log_evidence(marginal(sums, scatter), mean)
+    found += whole_step_cost(sums, scatter, start, np.array([0, 1, 2]))
+    variance = np.eye(120) + flat[:, 2:] @ flat[:, 2:].T
+    each = [
+        -0.5 * gauss(y - flat[:, :2] @ (0.5 * np.array(k) / prior_sigma[:2]), variance)
+        - np.sum(np.abs(k) * np.log(2.0) + np.log(3.0))
+        for k in product(range(-12, 13), repeat=2)
+    ]
+    # Of values that are hardly known, multiples beyond the nearest ones count too.
+    assert found == pytest.approx(-2.0 * np.logaddexp.reduce(each), abs=0.01 if sigma < 1.0 else 0.3)
+
+
+@pytest.mark.parametrize(("readings", "most"), [(1890, 0), (60, 2), (24, 3)])
+def test_a_panel_displaced_by_any_amount_is_not_counted_wrong(bench, plan, readings, most):
+    """Also where few readings know the offset so badly that a multiple of half a pixel is near."""
+    called = 0
+    rng = np.random.default_rng(readings)
+    for seed in range(10):
+        offset = rng.uniform(-8.0, 8.0, 2)
+        observations = measured(bench, SessionPlan(plan.display), SIGMA_PX, seed=seed, pixel_origin=offset)
+        observations = observations.of_rows(observations.spread(readings))
+        origin, shift = costs(observations, explanation(pixel_origin=[0, 0]), explanation(panel_shift=[0, 0]))
+        called += int(shift - origin > 2.0 * np.log(100.0))
+    assert called <= most

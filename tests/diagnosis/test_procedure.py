@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, diagnosed, measured
+from small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 
 from wlr_render.diagnosis import prediction
-from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, UNEXPLAINED
+from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, PARTLY, UNEXPLAINED
+from wlr_render.diagnosis.fit import few_captures_factor, reduced_chi_squared
+from wlr_render.diagnosis.prediction import Explanation
 
 
 def test_the_record_of_an_explained_session_holds_the_truth(explained):
@@ -71,3 +73,56 @@ def test_the_nominal_bench_is_simulated_once(bench, plan, monkeypatch):
     monkeypatch.setattr(prediction, "simulate", counted)
     diagnosed(observations, ("target_scale",))
     assert len(count) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "true"), [("camera_focal_length", [0.3]), ("stage_scale", [0.5, -0.4, 0.3])])
+def test_errors_cover_where_the_camera_repeats_to_ten_micrometres(bench, plan, name, true):
+    """Motions have the tails of Student's t; by independent readings 8 and 33 % of the intervals held the truth."""
+    clean, inside = measured(bench, plan, **{name: true}), []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        said = diagnosed(with_noise(with_jitter(clean, bench, 10.0, rng, dof=5.0), SIGMA_PX, rng), (name,))
+        (cause,) = said.causes
+        assert said.verdict == EXPLAINED
+        inside += [abs(p.value - t) < p.sigma for p, t in zip(cause.parameters, true, strict=True)]
+    assert abs(np.mean(inside) - 0.683) < 3.0 * np.sqrt(0.683 * 0.317 / len(inside))
+
+
+def test_a_stage_that_repeats_to_ten_micrometres_is_no_effect_and_is_told(bench, plan):
+    clean = measured(bench, plan)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        shaky = with_noise(with_jitter(clean, bench, 10.0, rng, dof=5.0), SIGMA_PX, rng)
+        said = diagnosed(shaky, ("target_scale", "stage_scale"))
+        assert (said.verdict, said.causes, said.excluded) == (NO_EFFECT, (), ())
+        display = said.motions[0]
+        assert display.part == "display"
+        assert abs(display.shift_um - 10.0) < 3.5 * display.shift_error_um
+
+
+def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench, plan):
+    """Waves over the panel count as noise for the causes of that part, and few captures as Student's t."""
+    observations = measured(bench, plan, SIGMA_PX, seed=9, combiner_tilt=[0.3, -0.2, 0.3])
+    read, names = observations.session.readings, ("combiner_tilt",)
+    alone = diagnosed(observations, names).causes[0]
+    read.panel_pixel[:, 0] += 2.0 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 500)
+    said = diagnosed(observations, names)
+    assert said.verdict == PARTLY
+    (cause,) = said.causes
+    sigmas = np.array([[each.sigma for each in one.parameters] for one in (alone, cause)])
+    noise = said.fit.scatter.noise[0] * said.noise_floors[0].used_px / SIGMA_PX
+    assert noise > 1.5
+    assert np.all(sigmas[1] > 0.8 * noise * sigmas[0])
+    left = np.sqrt(max(1.0, reduced_chi_squared(said.fit)))
+    factor = left * few_captures_factor(said.fit, said.readings.observations)
+    assert factor > 1.01
+    np.testing.assert_allclose(sigmas[1] / said.fit.sigmas(), factor, rtol=1e-6)
+
+
+def test_few_captures_widen_the_error_bars_as_student_does(bench, plan):
+    """68.3 % of Student's t: 1.20 of a standard deviation with 3 degrees of freedom, 1.84 with one."""
+    observations = measured(bench, plan, SIGMA_PX)
+    for captures, factor in ((1, 1.837), (3, 1.197), (36, 1.014)):
+        few = observations.of_rows(observations.group < captures)
+        assert few_captures_factor(fitted(few, Explanation()), few) == pytest.approx(factor, abs=2e-3)

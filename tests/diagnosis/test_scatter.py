@@ -1,0 +1,181 @@
+"""How captures scatter: against dense Gaussian algebra, and on motions with tails, which the model does not know."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_session import measured, scatter_of, weighed
+
+from wlr_render.diagnosis.observations import DISPLAY
+from wlr_render.diagnosis.scatter import (
+    Scatter,
+    ScatterSums,
+    best_scatter,
+    marginal,
+    minus_two_log_evidence,
+    motions_of,
+    one_at_rest,
+    scatter_errors,
+    surprise,
+    with_moved_captures,
+)
+
+NOTHING = np.zeros(0)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Readings of five captures in two parts, one of which moved, and what follows from them by dense matrices."""
+    rng = np.random.default_rng(1)
+    group = rng.permutation(np.repeat(np.arange(5), 9))
+    part = np.where(group < 3, 0, 1)
+    y, motions, columns = (rng.normal(size=(45, 2, *more)) for more in ((), (6,), (3,)))
+    motions = 0.01 * motions
+    scatter = Scatter(
+        np.array([1.3, 1.6, 1.0]), np.array([20.0, 5.0, 8.0]), np.array([60.0, 8.0, 25.0]), np.arange(5) == 1
+    )
+    sums = ScatterSums.over(y, motions, columns, group, part, 5)
+    noise = scatter.noise[part].repeat(2)
+    variance = np.diag(noise**2)
+    for number in range(5):
+        at = 0 if number < 3 else 1
+        size = np.repeat([scatter.shift_um[at], scatter.turn_urad[at]], 3)
+        if number == 1:
+            size = np.hypot(size, [1000.0] * 3 + [8000.0] * 3)
+        effect = np.where((group == number).repeat(2)[:, None], motions.reshape(90, 6), 0.0) * size
+        variance += effect @ effect.T
+    return sums, scatter, y.ravel(), columns.reshape(90, 3), variance
+
+
+def density(y, variance):
+    return y @ np.linalg.solve(variance, y) + np.linalg.slogdet(variance)[1]
+
+
+def test_motions_are_integrated_out_exactly(drawn):
+    sums, scatter, y, columns, variance = drawn
+    found = marginal(sums, scatter)
+    assert found.minus_two_log == pytest.approx(density(y, variance), rel=1e-9)
+    np.testing.assert_allclose(found.information, columns.T @ np.linalg.solve(variance, columns), rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(found.gradient, columns.T @ np.linalg.solve(variance, y), rtol=1e-8, atol=1e-9)
+
+
+def test_values_are_integrated_out_over_their_priors_exactly(drawn):
+    sums, scatter, y, columns, variance = drawn
+    mean, sigma = np.array([0.4, -1.0, 0.2]), np.array([0.3, 1.0, 2.0])
+    expected = density(y - columns @ mean, variance + (columns * sigma**2) @ columns.T)
+    assert minus_two_log_evidence(marginal(sums, scatter), mean, sigma) == pytest.approx(expected, rel=1e-9)
+    some = marginal(sums.of_columns(np.array([2, 0])), scatter)
+    expected = density(y, variance + columns[:, [2, 0]] @ columns[:, [2, 0]].T)
+    assert minus_two_log_evidence(some, np.zeros(2)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_most_probable_motions_are_those_of_linear_regression(drawn):
+    sums, scatter, *_ = drawn
+    size = np.repeat([20.0, 60.0], 3) / 1.3  # over the noise of the part
+    expected = np.linalg.solve(sums.ee[0] + np.diag(size**-2.0), sums.ey[0])
+    np.testing.assert_allclose(motions_of(sums, scatter)[0], expected, rtol=1e-8)
+
+
+def test_the_best_sizes_have_the_highest_evidence(drawn):
+    sums, scatter, *_ = drawn
+    mean = np.zeros(3)
+    best, cost = best_scatter(sums, scatter, mean)
+    assert cost == pytest.approx(minus_two_log_evidence(marginal(sums, best), mean) + surprise(best, sums))
+    for number in range(8):
+        for step in (-0.3, 0.3):
+            vector = best.vector()
+            vector[number] += step
+            other = best.at(vector)
+            if np.all(other.noise >= 1.0):
+                at = minus_two_log_evidence(marginal(sums, other), mean) + surprise(other, sums)
+                assert at > cost - 0.05
+    np.testing.assert_array_equal(best.moved, scatter.moved)
+
+
+def test_usual_sizes_are_no_surprise_and_a_moved_capture_costs_its_odds(drawn):
+    sums, scatter, *_ = drawn
+    usual = replace(Scatter.usual(5), shift_um=np.full(3, 8.0), turn_urad=np.full(3, 25.0))
+    assert surprise(usual, sums) == 0.0
+    assert surprise(replace(usual, moved=np.arange(5) < 2), sums) == pytest.approx(4.0 * np.log(97.0 / 3.0))
+    tenfold = replace(usual, shift_um=np.array([80.0, 8.0, 8.0]))
+    assert surprise(tenfold, sums) == pytest.approx((np.log(10.0) / 1.2) ** 2)
+    assert not one_at_rest(scatter, 1).moved.any()
+
+
+@pytest.fixture(scope="module")
+def still(bench, plan):
+    """Readings without a residual, to which motions and noise are added."""
+    return weighed(measured(bench, plan))
+
+
+def sums_of(readings, rng, shift_um, turn_urad, moved=(), noise_dof=5.0, motion_dof=4.0):
+    """Readings with noise and motions of Student's t, where the model has normal ones."""
+    observed = readings.observations
+    count = len(observed.captures)
+    noise = rng.standard_t(noise_dof, (len(observed), 2)) * np.sqrt((noise_dof - 2.0) / noise_dof)
+    sizes = np.repeat([shift_um, turn_urad], 3)
+    motion = rng.normal(size=(count, 6)) * sizes
+    if np.isfinite(motion_dof):
+        motion *= np.sqrt((motion_dof - 2.0) / rng.chisquare(motion_dof, (count, 1)))
+    for number in moved:
+        motion[number] = rng.choice([-1.0, 1.0], 6) * rng.uniform(
+            [300.0] * 3 + [1000.0] * 3, [900.0] * 3 + [4000.0] * 3
+        )
+    y = noise + np.einsum("naj,nj->na", readings.motions, motion[observed.group])
+    return ScatterSums.over(y, readings.motions, np.zeros((*y.shape, 0)), observed.group, observed.part, count)
+
+
+@pytest.mark.parametrize(("shift_um", "turn_urad"), [(10.0, 20.0), (30.0, 60.0)])
+def test_sizes_of_motions_come_back_within_their_errors(still, shift_um, turn_urad):
+    """Over sessions, with noise that has tails: the display tells both sizes, each with the error that is stated."""
+    off, logs = [], []
+    for seed in range(15):
+        sums = sums_of(still, np.random.default_rng(seed), shift_um, turn_urad, motion_dof=np.inf)
+        found, _ = best_scatter(sums, Scatter.usual(36), NOTHING)
+        errors = scatter_errors(sums, found, NOTHING)
+        logs.append([np.log(found.shift_um[0] / shift_um), np.log(found.turn_urad[0] / turn_urad)])
+        off.append(np.array(logs[-1]) / errors[1:, 0])
+        assert found.noise[0] == pytest.approx(1.0, abs=0.08)
+    inside = np.mean(np.abs(off) < 1.0)
+    assert abs(inside - 0.683) < 3.0 * np.sqrt(0.683 * 0.317 / np.size(off))
+    assert np.sqrt(np.mean(np.square(off))) < 1.4
+    np.testing.assert_allclose(np.mean(logs, axis=0), 0.0, atol=0.15)
+
+
+@pytest.mark.parametrize("count", [1, 3, 6])
+def test_captures_that_moved_are_named_exactly(still, count):
+    for seed in range(4):
+        rng = np.random.default_rng(100 + seed)
+        moved = np.sort(rng.permutation(18)[:count])
+        sums = sums_of(still, rng, 12.0, 30.0, moved)
+        found, cost = with_moved_captures(sums, Scatter.usual(36), NOTHING)
+        np.testing.assert_array_equal(np.flatnonzero(found.moved), moved)
+        assert cost < best_scatter(sums, Scatter.usual(36), NOTHING)[1] - 10.0
+
+
+def test_where_none_moved_none_is_named(still):
+    """Motions have tails, which now and then look like a capture that moved."""
+    named = 0
+    for seed in range(12):
+        sums = sums_of(still, np.random.default_rng(200 + seed), 15.0, 40.0)
+        named += int(with_moved_captures(sums, Scatter.usual(36), NOTHING)[0].moved.sum())
+    assert named <= 2
+
+
+def test_captures_that_were_taken_to_have_moved_are_taken_back(still):
+    sums = sums_of(still, np.random.default_rng(7), 12.0, 30.0, (4,))
+    start = scatter_of(still.observations, 8.0, 25.0, moved=(2, 3, 5, 9))
+    found, _ = with_moved_captures(sums, start, NOTHING)
+    assert np.flatnonzero(found.moved).tolist() == [4]
+
+
+def test_a_shift_that_all_captures_have_is_for_the_causes(still):
+    """The columns explain it: then it is no motion."""
+    observed, rng = still.observations, np.random.default_rng(8)
+    columns = still.motions[:, :, :3] * 500.0
+    y = rng.normal(size=(len(observed), 2)) + columns @ np.array([1.0, -1.0, 0.5])
+    sums = ScatterSums.over(y, still.motions, columns, observed.group, observed.part, len(observed.captures))
+    with_it, _ = best_scatter(sums, Scatter.usual(36), np.zeros(3))
+    without, _ = best_scatter(sums.of_columns(np.zeros(0, dtype=int)), Scatter.usual(36), NOTHING)
+    assert with_it.shift_um[DISPLAY] < 6.0
+    assert without.shift_um[DISPLAY] > 100.0
