@@ -62,6 +62,18 @@ def test_a_combiner_tilted_by_a_degree_about_each_axis_comes_back(bench, plan):
     assert_came_back(found, true)
 
 
+def test_where_readings_tell_little_the_prior_draws_as_in_linear_regression(bench, plan):
+    """Ten readings of a turned panel: the posterior mean lies between the truth and nothing."""
+    true = [1.0, -1.0, 1.0]
+    observations = measured(bench, plan, panel_rotation=true)
+    observations = observations.of_rows(observations.spread(10)).with_sigma(np.full(10, 5.0))
+    # From beyond the truth, so that the first step must know of the prior.
+    found = fitted_at_rest(observations, explanation(panel_rotation=[3.0, -3.0, 3.0]))
+    drawn = drawn_by_prior(found, true)
+    assert np.max(np.abs(drawn) / found.sigmas()) > 0.3
+    np.testing.assert_array_less(np.abs(found.explanation.vector() - true + drawn), 0.05 * found.sigmas())
+
+
 def test_three_causes_at_once_come_back(bench, plan):
     true = explanation(panel_shift=[0.4, -0.6], stage_scale=[1.0, -0.5, 0.7], target_scale=[0.3, 0.2])
     observations = measured(bench, plan, **dict(zip(true.names, true.values, strict=True)))

@@ -119,6 +119,7 @@ def test_noise_that_rises_to_the_rim_is_found(clean):
         rows = clean.part == DISPLAY
         true = SIGMA_PX * (1.0 + 2.0 * radius**2)
         np.testing.assert_allclose(noise.sigma_px[rows], true[rows], rtol=0.35)
+        assert np.std(noise.sigma_px[rows] / true[rows]) < 0.06
         # Of tails the median photograph has fewer than all have together.
         assert np.mean(noise.sigma_px[rows] / true[rows]) == pytest.approx(1.0, abs=0.15)
 
