@@ -120,12 +120,7 @@ def test_a_cause_that_explains_little_but_surely_is_accepted(bench, plan):
     assert names_of(searching(observations, ("target_scale",)).select()) == ("target_scale",)
 
 
-_SLIPPED = "the moment is chosen while the captures that slipped still count as moved"
-
-
-@pytest.mark.parametrize(
-    "late", [2, *(pytest.param(count, marks=pytest.mark.xfail(reason=_SLIPPED, strict=True)) for count in (3, 4))]
-)
+@pytest.mark.parametrize("late", [2, 3, 4])
 def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, plan, late):
     """Two captures are as many as tell a slip from a capture that moved."""
     seconds = 60.0 * (18 - late) - 30.0

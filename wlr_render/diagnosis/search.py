@@ -312,6 +312,10 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
     predictor, mean = readings.predictor, np.zeros(current.at.free.size)
     own = readings.sums(current.at.residual, np.nan_to_num(current.at.jacobian))
     base = minus_two_log_evidence(marginal(own, current.scatter), mean)
+    roles, sizes = [parameter.role for parameter in hypothesis.cause.parameters], current.scatter
+    if Role.TIME in roles:
+        # Captures after a moment seem to have moved, and then say nothing of the moment.
+        sizes = replace(sizes, moved=np.zeros_like(sizes.moved))
 
     def joined(start: FloatArray) -> tuple[Linearisation, ScatterSums]:
         added = predictor.added(current.at.state, current.explanation.plus(hypothesis, start))
@@ -322,16 +326,16 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
         added, sums = joined(start)
         zero, gain = np.zeros(sums.xy.shape[1]), 0.0
         if added.free.size:
-            gain = base - minus_two_log_evidence(marginal(sums, current.scatter), zero)
+            gain = base - minus_two_log_evidence(marginal(sums, sizes), zero)
         return ScreenedHypothesis(hypothesis, start, gain, added.free.size, current.scatter)
 
-    plan, roles = readings.observations.session.plan, [parameter.role for parameter in hypothesis.cause.parameters]
+    plan = readings.observations.session.plan
     best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
     if best is None or best.parameters == 0:
         return None
     if Role.TIME in roles:
         best = _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
-    if best.gain < _HOPELESS:
+    if best.gain < _HOPELESS and not (Role.TIME in roles and current.scatter.moved.any()):
         return best
     _, sums = joined(best.start)
     zero = np.zeros(sums.xy.shape[1])
