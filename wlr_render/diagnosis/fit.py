@@ -149,6 +149,7 @@ def fit(
     iterations: int = _ITERATIONS,
     near: State | None = None,
     vary_scatter: bool = True,
+    settled: float = _SETTLED,
 ) -> Fit | None:
     """Fit all causes of an explanation together, from its values on; None where it cannot predict every reading.
 
@@ -159,15 +160,16 @@ def fit(
         iterations: Gauss-Newton steps at most.
         near: a state near the start, if one is known.
         vary_scatter: False where the sizes of what is random are known.
+        settled: chi-squared that a step must gain for another one.
     """
     predictor = readings.predictor
     at = predictor.linearised(start, predictor.state(start, near))
     if not np.isfinite(at.residual).all():
         return None
-    found = _settled(readings, at, readings.whitening(scatter), iterations)
+    found = _settled(readings, at, readings.whitening(scatter), iterations, settled)
     scatter, evidence, off = _evidence(readings, found, scatter, vary_scatter)
     if iterations and off > _SAME_SCATTER and found.free.size:
-        found = _settled(readings, found, readings.whitening(scatter), iterations)
+        found = _settled(readings, found, readings.whitening(scatter), iterations, settled)
         scatter, evidence, _ = _evidence(readings, found, scatter, vary_scatter)
     whiten = readings.whitening(scatter)
     residual, jacobian = whiten(found.residual), whiten(found.jacobian)
@@ -176,7 +178,9 @@ def fit(
     return Fit(found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence)
 
 
-def _settled(readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int) -> Linearisation:
+def _settled(
+    readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int, enough: float
+) -> Linearisation:
     damping = 1e-6
     for _ in range(iterations):
         if at.free.size == 0:
@@ -186,7 +190,7 @@ def _settled(readings: WeighedReadings, at: Linearisation, whiten: Whitening, it
             break
         trial, state, gained, damping = stepped
         at = readings.predictor.linearised(trial, state)
-        if gained < _SETTLED:
+        if gained < enough:
             break
     return at
 

@@ -21,6 +21,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 _SHIFT, _TURN = 1e-6, 1e-6  # metres, radians: units of motions
 USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
+UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
+"""Beyond what stages repeat to."""
 _USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
 _MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
 _RAISED = 3.0  # times the usual size up to which motions are those of a capture that did not move
@@ -64,6 +66,15 @@ class Scatter:
         """With other sizes."""
         noise, shift, turn = np.exp(vector).reshape(3, _PARTS)
         return replace(self, noise=noise, shift_um=shift, turn_urad=turn)
+
+    def at_rest(self) -> "Scatter":
+        """With no capture that moved."""
+        return replace(self, moved=np.zeros_like(self.moved))
+
+    def is_ordinary(self, part: int, material_excess: float) -> bool:
+        """Whether a part shows no more than noise and what stages repeat to."""
+        usual = self.shift_um[part] <= UNUSUAL_SHIFT and self.turn_urad[part] <= UNUSUAL_TURN
+        return bool(usual and self.noise[part] ** 2 <= 1.0 + material_excess)
 
     def sizes(self, part_of: IntArray) -> FloatArray:
         """Standard deviations of the motions of captures of given parts (g,) over the noise, (g, 6)."""

@@ -43,6 +43,8 @@ LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
 _NOTHING_MORE = "no other cause has better odds than none"
 _TIMES = 6  # tried at once
 _HOPELESS = -2.0  # gain with the sizes of what is random as they are, below which others do not help
+_ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
+_NOTABLE = 1e-3  # of the mean square of a part: what a cause that acts in it takes off at least
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 
 
@@ -254,7 +256,28 @@ class Search:
             return _NOTHING_MORE
         if odds < self.settings.least_log10_odds:
             return f"{best.hypothesis.cause.name} comes next, but the odds for it are 10^{odds:.1f} only"
+        share = self._share_explained(at.current, best.fit)
+        if share < self.settings.min_share_explained:
+            return (
+                f"{best.hypothesis.cause.name} comes next, but explains only {100 * share:.0f} % of the excess over the "
+                "noise, and more than noise would be left"
+            )
         return ""
+
+    def _share_explained(self, before: Fit, after: Fit) -> float:
+        """Share of a part's excess over the noise that is explained, in the part where it is most; 1 where none is left.
+
+        A cause that explains little beside something unlisted is more often a spurious match than a true one.
+        """
+        observations, counted = self.full.observations, ~after.scatter.moved[self.full.observations.group]
+        shares = [0.0]
+        for part in np.unique(observations.part[counted]):
+            rows = counted & (observations.part == part)
+            old, new = (float(np.mean(each.at.residual[rows] ** 2)) for each in (before, after))
+            gained = (old - new) / max(old - 1.0, 1e-9)
+            at_noise = after.scatter.is_ordinary(part, self.settings.material_excess)
+            shares.append(1.0 if at_noise and new < old * (1.0 - _NOTABLE) else gained)
+        return max(shares)
 
     def _pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
@@ -311,11 +334,10 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
     """The gain of a hypothesis over a fit to the same readings; None where it changes nothing."""
     predictor, mean = readings.predictor, np.zeros(current.at.free.size)
     own = readings.sums(current.at.residual, np.nan_to_num(current.at.jacobian))
-    base = minus_two_log_evidence(marginal(own, current.scatter), mean)
-    roles, sizes = [parameter.role for parameter in hypothesis.cause.parameters], current.scatter
-    if Role.TIME in roles:
-        # Captures after a moment seem to have moved, and then say nothing of the moment.
-        sizes = replace(sizes, moved=np.zeros_like(sizes.moved))
+    base = minus_two_log_evidence(marginal(own, current.scatter), mean) + surprise(current.scatter, own)
+    # What a cause does to a few captures, those that seem to have moved do, too; and then say nothing of its moment.
+    roles, at_rest = [parameter.role for parameter in hypothesis.cause.parameters], current.scatter.at_rest()
+    scatters = [at_rest] if Role.TIME in roles or not current.scatter.moved.any() else [current.scatter, at_rest]
 
     def joined(start: FloatArray) -> tuple[Linearisation, ScatterSums]:
         added = predictor.added(current.at.state, current.explanation.plus(hypothesis, start))
@@ -324,10 +346,11 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
 
     def of(start: FloatArray) -> ScreenedHypothesis:
         added, sums = joined(start)
-        zero, gain = np.zeros(sums.xy.shape[1]), 0.0
-        if added.free.size:
-            gain = base - minus_two_log_evidence(marginal(sums, sizes), zero)
-        return ScreenedHypothesis(hypothesis, start, gain, added.free.size, current.scatter)
+        zero = np.zeros(sums.xy.shape[1])
+        costs = [minus_two_log_evidence(marginal(sums, each), zero) + surprise(each, sums) for each in scatters]
+        best = int(np.argmin(costs))
+        gain = base - costs[best] if added.free.size else 0.0
+        return ScreenedHypothesis(hypothesis, start, gain, added.free.size, scatters[best])
 
     plan = readings.observations.session.plan
     best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
@@ -339,12 +362,11 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
         return best
     _, sums = joined(best.start)
     zero = np.zeros(sums.xy.shape[1])
-    scatter, cost = best_scatter(sums, current.scatter, zero)
-    if scatter.moved.any():
-        scatter, cost = one_by_one(sums, scatter, cost, np.flatnonzero(scatter.moved), zero)
+    scatter, cost = best_scatter(sums, best.scatter, zero)
+    scatter, cost = one_by_one(sums, scatter, cost, np.flatnonzero(current.scatter.moved), zero)
     chosen = Explanation().plus(hypothesis)
     cost += 2.0 * float(np.log(choices(chosen, readings.observations)))
-    return replace(best, gain=base + surprise(current.scatter, own) - cost, scatter=scatter)
+    return replace(best, gain=base - cost, scatter=scatter)
 
 
 def _with_better_time(
@@ -366,7 +388,7 @@ def _with_better_time(
 def best_fit(readings: WeighedReadings, current: Fit, prospect: ScreenedHypothesis) -> Fit | None:
     """Fit an explanation with one more cause from the start of its prospect."""
     corrected = current.explanation.plus(prospect.hypothesis, prospect.start)
-    return fit(readings, corrected, prospect.scatter, near=current.at.state)
+    return fit(readings, corrected, prospect.scatter, near=current.at.state, settled=_ROUGHLY)
 
 
 def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:

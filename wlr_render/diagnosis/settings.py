@@ -20,6 +20,8 @@ class Settings:
         least_log10_odds: for a cause, or for a smooth correction, below which it is not said to be there: 2 is a chance
             of one in a hundred for each.
         least_first_order: log10 odds of the best candidate to first order below which none is fitted.
+        min_share_explained: share of what exceeds the noise of a part that a cause must explain, unless the rest is
+            noise.
         min_relative_gain: share of the best candidate's first-order gain below which a candidate is not fitted.
         max_fits: candidates that are fitted for each place.
         max_contenders: candidates that are fitted again to all readings.
@@ -47,6 +49,7 @@ class Settings:
     max_causes: int = 5
     least_log10_odds: float = 2.0
     least_first_order: float = 1.0
+    min_share_explained: float = 0.3
     min_relative_gain: float = 0.3
     max_fits: int = 8
     max_contenders: int = 4
