@@ -83,6 +83,13 @@ class WeighedReadings:
         white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
         return Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
 
+    def excess(self, scatter: Scatter, part: int) -> float:
+        """Mean square of a part's white readings beside noise, by what captures scatter and what is left as noise."""
+        rows = self.observations.part == part
+        size = np.repeat([scatter.shift_um[part], scatter.turn_urad[part]], 3)
+        moved = 0.5 * float(np.mean(np.sum((self.motions[rows] * size) ** 2, axis=(1, 2))))
+        return float(scatter.noise[part] ** 2 - 1.0) + moved
+
     def sums(self, residual: FloatArray, columns: FloatArray) -> ScatterSums:
         """Of a residual (n, 2) and columns (n, 2, m) in units of sigma."""
         observed = self.observations

@@ -46,7 +46,7 @@ from wlr_render.diagnosis.noise import Noise, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.scatter import scatter_errors
+from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, scatter_errors
 from wlr_render.diagnosis.search import (
     LOG10_ODDS,
     CandidateRanking,
@@ -62,7 +62,6 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
 
 _RANKED = 8
-_UNUSUAL_SHIFT_UM, _UNUSUAL_TURN_URAD = 200.0, 600.0  # beyond what stages repeat to
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 _UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}
 
@@ -219,7 +218,7 @@ def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -
         error = 2.0 * floor.error_px / floor.measured_px if floor.error_px > 0 else 0.0
         error = float(np.hypot(error, np.sqrt(1.0 / np.sum(observations.part == part))))
         excess = float(scatter.noise[part] ** 2 - 1.0)
-        moves = max(scatter.shift_um[part] / _UNUSUAL_SHIFT_UM, scatter.turn_urad[part] / _UNUSUAL_TURN_URAD)
+        moves = max(scatter.shift_um[part] / UNUSUAL_SHIFT, scatter.turn_urad[part] / UNUSUAL_TURN)
         if structured or excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
             # A residual that nothing smooth predicts from one capture to the next depends on where the camera stood.
             depends_on = tried[0].depends_on if structured else _UNPREDICTED[part]

@@ -44,7 +44,7 @@ _NOTHING_MORE = "no other cause has better odds than none"
 _TIMES = 6  # tried at once
 _HOPELESS = -2.0  # gain with the sizes of what is random as they are, below which others do not help
 _ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
-_NOTABLE = 1e-3  # of the mean square of a part: what a cause that acts in it takes off at least
+_NOTABLE = 1e-3  # of the noise's variance: what a cause takes off a part in which it acts at least
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 
 
@@ -259,24 +259,22 @@ class Search:
         share = self._share_explained(at.current, best.fit)
         if share < self.settings.min_share_explained:
             return (
-                f"{best.hypothesis.cause.name} comes next, but explains only {100 * share:.0f} % of the excess over the "
-                "noise, and more than noise would be left"
+                f"{best.hypothesis.cause.name} comes next, but explains only {100 * share:.0f} % of the excess over "
+                "the noise, and more than noise would be left"
             )
         return ""
 
     def _share_explained(self, before: Fit, after: Fit) -> float:
-        """Share of a part's excess over the noise that is explained, in the part where it is most; 1 where none is left.
+        """Share of the excess over the noise that is explained, in the part where it is most; 1 where none is left.
 
         A cause that explains little beside something unlisted is more often a spurious match than a true one.
         """
-        observations, counted = self.full.observations, ~after.scatter.moved[self.full.observations.group]
         shares = [0.0]
-        for part in np.unique(observations.part[counted]):
-            rows = counted & (observations.part == part)
-            old, new = (float(np.mean(each.at.residual[rows] ** 2)) for each in (before, after))
-            gained = (old - new) / max(old - 1.0, 1e-9)
-            at_noise = after.scatter.is_ordinary(part, self.settings.material_excess)
-            shares.append(1.0 if at_noise and new < old * (1.0 - _NOTABLE) else gained)
+        for part in np.unique(self.full.observations.part):
+            old, new = (self.full.excess(each.scatter, int(part)) for each in (before, after))
+            if new < old - _NOTABLE:
+                at_noise = after.scatter.is_ordinary(part, self.settings.material_excess)
+                shares.append(1.0 if at_noise else (old - new) / old)
         return max(shares)
 
     def _pruned(self, found: Fit) -> Fit:

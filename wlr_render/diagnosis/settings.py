@@ -51,8 +51,8 @@ class Settings:
     least_first_order: float = 1.0
     min_share_explained: float = 0.3
     min_relative_gain: float = 0.3
-    max_fits: int = 8
-    max_contenders: int = 4
+    max_fits: int = 6
+    max_contenders: int = 3
     close_evidence: float = 40.0
     restarts: int = 1
     max_instability: float = 0.35
