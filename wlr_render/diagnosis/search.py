@@ -267,8 +267,11 @@ class Search:
     def _share_explained(self, before: Fit, after: Fit) -> float:
         """Share of the excess over the noise that is explained, in the part where it is most; 1 where none is left.
 
-        A cause that explains little beside something unlisted is more often a spurious match than a true one.
+        A cause that explains little beside something unlisted is more often a spurious match than a true one. One that
+        explains captures that seemed to have moved explains all of them.
         """
+        if np.sum(after.scatter.moved) < np.sum(before.scatter.moved):
+            return 1.0
         shares = [0.0]
         for part in np.unique(self.full.observations.part):
             old, new = (self.full.excess(each.scatter, int(part)) for each in (before, after))
