@@ -27,14 +27,9 @@ def floors_of(observations):
     return noise_of(observations, nominal_residual(observations)).floors
 
 
-_BENT = "a combiner tilted by a degree bends photographs beyond a cubic, which is taken for shared noise"
-
-
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: "+".join(effect) or "nothing")
 @pytest.mark.parametrize("sigma_px", [0.05, 0.2])
-def test_noise_that_is_not_as_stated_is_found_beside_any_effect(request, bench, plan, sigma_px, effect):
-    if sigma_px < SIGMA_PX and "combiner_tilt" in effect:
-        request.applymarker(pytest.mark.xfail(reason=_BENT, strict=True))
+def test_noise_that_is_not_as_stated_is_found_beside_any_effect(bench, plan, sigma_px, effect):
     display, see_through = floors_of(measured(bench, plan, sigma_px, seed=1, **effect))
     for floor in (display, see_through):
         assert floor.stated_px == pytest.approx(SIGMA_PX)

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.surfaces import Surface, surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
@@ -27,6 +27,8 @@ _REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # of shared noise, in distances betwe
 _USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # in the same distances, and standard deviation of its logarithm
 _WORK = 4e7  # cube of the readings of a photograph, times the photographs in which shared noise is looked for
 _MOST_READINGS = 250  # of one photograph, for that
+_ENOUGH_IN_COMMON = 5  # photographs
+_COMMON_DEGREE = 6  # of what photographs have in common
 _SMOOTHEST = 3  # degree of what the bench and its optics do to a photograph; what is finer may be shared noise
 
 
@@ -236,7 +238,8 @@ def _shared(
     readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
     step = int(np.ceil(len(own) / max(4.0, _WORK / readings**3)))
     chosen = own[step // 2 :: step]
-    blocks = [_contrasts(observations, residual, each, shape) for each in chosen]
+    incoherent = _incoherent(observations, residual, own)
+    blocks = [_contrasts(observations, incoherent, each, shape) for each in chosen]
     spacing = float(np.median([_spacing(place) for _, _, place in blocks]))
     white = sum(len(values) * np.log(np.sum(values**2).clip(1e-300)) for values, _, _ in blocks)
     gain, share, reach, smooth = 0.0, 0.0, np.nan, True
@@ -257,6 +260,33 @@ def _shared(
             gain, share, reach, smooth = float(likelihood[at] + white), float(_SHARES[at]), float(tried), is_smooth
     kept = [_kept(observations, each, share, reach, smooth) for each in chosen]
     return share, reach, smooth, float(np.mean(kept))
+
+
+def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
+    """Residual (n, 2) less what photographs of one colour or target pose have in common, which is no noise.
+
+    That is a smooth function of the camera pixel which changes with the stage's position.
+    """
+    left, plan = residual.copy(), observations.session.plan
+    stage = np.zeros((len(observations), 3))
+    for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
+        if table is not None:
+            stage[observations.part == number] = table.stage
+    kinds: dict[tuple[int, int], list[IntArray]] = {}
+    for each in own:
+        pose = observations.captures[observations.group[each.rows[0]]].target_pose
+        kinds.setdefault((pose, int(observations.photograph[each.rows[0]] % 3)), []).append(each.rows[each.good])
+    for photographs in kinds.values():
+        rows = np.concatenate(photographs)
+        if len(photographs) < _ENOUGH_IN_COMMON:
+            continue
+        place = Box.around(stage[rows]).scaled(stage[rows])
+        pixel, box = observations.image_place[rows], Box(np.zeros(2), observations.nominal.camera.size_px)
+        coarse = basis(pixel, total_degree(2, _SMOOTHEST), box)
+        swimming = [coarse * place[:, [axis]] for axis in range(3)]
+        design = np.concatenate([basis(pixel, total_degree(2, _COMMON_DEGREE), box), *swimming], axis=1)
+        left[rows] -= design @ np.linalg.lstsq(design, residual[rows], rcond=None)[0]
+    return left
 
 
 def _spacing(place: FloatArray) -> float:
