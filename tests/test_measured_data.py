@@ -13,7 +13,6 @@ def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp
     record = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     (cause,) = record["causes"]
     assert cause["name"] == "see_through_plate"
-    assert record["noise_floors"][0]["is_believable"]
     assert main(["hold-out", str(session), "--out", str(tmp_path / "held")]) == 0
     held_out, values = json.loads((tmp_path / "held" / "report.json").read_text())["tables"]
     thickness = values["rows"][0]
