@@ -90,10 +90,10 @@ def test_only_candidates_that_promise_a_share_of_the_best_gain_are_fitted(two, s
 def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(bench, plan):
     """At five standard errors the odds are better than even, and worse than a hundred to one."""
     observations = measured(bench, plan, SIGMA_PX, seed=15, target_scale=[0.014, 0.0])
-    refused = searching(observations, ("target_scale",), 9999, least_first_order=-9.0).select()
+    refused = searching(observations, ("target_scale",), 9999).select()
     assert names_of(refused) == ()
     assert re.fullmatch(r"target_scale comes next, but the odds for it are 10\^[01]\.\d only", refused.reason)
-    loose = searching(observations, ("target_scale",), 9999, least_first_order=-9.0, least_log10_odds=0.0).select()
+    loose = searching(observations, ("target_scale",), 9999, least_log10_odds=0.0).select()
     assert names_of(loose) == ("target_scale",)
 
 

@@ -68,7 +68,8 @@ class NoiseFloor:
         repeats_px: from photographs taken twice from one place; NaN without such.
         measured_px: the best estimate from both; NaN without either.
         error_px: standard error of `measured_px`.
-        used_px: what the diagnosis uses: stated and measured noise weighted by their errors.
+        used_px: what the diagnosis uses: stated and measured noise weighted by their errors; the measured one where the
+            stated one is not believable.
         is_believable: whether the stated noise does not differ significantly from the measured one.
         rim_factor: noise in the corner of the image over that in its middle; 1 where it does not clearly differ.
         photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 likewise.
@@ -161,7 +162,7 @@ def _floor(
         logarithm = float(np.log(measured.value))
         is_believable = not is_significant(logarithm, measured.error, 1.0, settings)
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
-        used_px = stated * float(np.exp(0.5 * weight * logarithm))
+        used_px = stated * float(np.exp(0.5 * weight * logarithm)) if is_believable else measured_px
     pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
     return NoiseFloor(PART_NAMES[part], *pixels, is_believable, rim, differ, share, reach, smooth)
 

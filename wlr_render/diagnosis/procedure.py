@@ -40,7 +40,6 @@ from wlr_render.diagnosis.fit import (
     few_captures_factor,
     fit,
     instability,
-    reduced_chi_squared,
 )
 from wlr_render.diagnosis.noise import Noise, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
@@ -334,8 +333,7 @@ def _found_cause(search: Search, found: Fit, number: int, ranking: CandidateRank
     hypothesis = found.explanation.hypotheses[number]
     cause = hypothesis.cause
     first = sum(len(values) for values in found.explanation.values[:number])
-    # Where more than noise is left, it widens the error bars.
-    widened = np.sqrt(max(1.0, reduced_chi_squared(found))) * few_captures_factor(found, search.full.observations)
+    widened = few_captures_factor(found, search.full.observations)
     sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
     parameters = tuple(
         ParameterValue(parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma)

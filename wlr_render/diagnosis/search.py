@@ -207,10 +207,12 @@ class Search:
     def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
         """Fits of the hypotheses that are worth one, best first."""
         settings = self.settings
-        if not screened or self.share * screened[0].gain * LOG10_ODDS < settings.least_first_order:
+        if not screened or screened[0].gain < _HOPELESS:
             return []
-        kept = [each for each in screened if each.gain > settings.min_relative_gain * screened[0].gain]
-        kept = kept[: settings.max_fits]
+        least = min(settings.min_relative_gain * screened[0].gain, screened[0].gain)
+        # What is small in the subsample may be enough in all readings; then one fit tells.
+        most = settings.max_fits if LOG10_ODDS * screened[0].gain > settings.least_log10_odds else 1
+        kept = [each for each in screened if each.gain >= least][:most]
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
         coarse = _by_evidence(
             Candidate(each.hypothesis, found)

@@ -19,7 +19,6 @@ class Settings:
         max_causes: causes that are searched for; more than five are not told apart by one session.
         least_log10_odds: for a cause, or for a smooth correction, below which it is not said to be there: 2 is a chance
             of one in a hundred for each.
-        least_first_order: log10 odds of the best candidate to first order below which none is fitted.
         min_share_explained: share of what exceeds the noise of a part that a cause must explain, unless the rest is
             noise.
         min_relative_gain: share of the best candidate's first-order gain below which a candidate is not fitted.
@@ -48,7 +47,6 @@ class Settings:
     subsample: int = 6000
     max_causes: int = 5
     least_log10_odds: float = 2.0
-    least_first_order: float = 1.0
     min_share_explained: float = 0.3
     min_relative_gain: float = 0.3
     max_fits: int = 6
