@@ -17,7 +17,6 @@ _MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal co
 _SMOOTH_DEGREE = 4  # of the surface about which the readings of a photograph scatter
 _READINGS_PER_TERM = 2.5
 _SIGNIFICANT = 3.0  # standard errors
-_SAME_DISTANCE = 1.05  # ratio of neighbouring distances up to which they are one
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,11 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
         None if by_own is None else _mean_square(by_own, used),
         _mean_square(residual_by(replace(bench, mount=still)), used) if slipped else None,
         tuple(groups.part(int(part)) for part in np.unique(observations.part[used])),
-        tuple(groups.group(name, used & rows) for name, rows in _distances(observations) if np.any(used & rows)),
+        tuple(
+            groups.group(name, used & rows)
+            for name, rows in observations.target_distances().items()
+            if np.any(used & rows)
+        ),
         tuple(
             groups.group(str(observations.captures[number]), used & (observations.group == number))
             for number in np.unique(observations.group[used])
@@ -224,17 +227,3 @@ def _scatter(place: FloatArray, residual: FloatArray) -> float | None:
     design = basis(place, terms, Box.around(place))
     left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
     return float(np.sum(left**2) / (2 * (len(place) - design.shape[1])))
-
-
-def _distances(observations: Observations) -> Iterator[tuple[str, BoolArray]]:
-    """Name and readings (n,) of the target at each distance from the camera, nearest first."""
-    plan = observations.session.plan.see_through
-    if plan is None:
-        return
-    of_row = observations.target_distance()
-    distances = np.unique(of_row)
-    steps = np.flatnonzero(distances[1:] > _SAME_DISTANCE * distances[:-1]) + 1
-    for group in np.split(distances, steps):
-        rows = np.zeros(len(observations), dtype=bool)
-        rows[observations.part == SEE_THROUGH] = (of_row >= group[0]) & (of_row <= group[-1])
-        yield " to ".join(dict.fromkeys(f"{each:.2f}" for each in group[[0, -1]])) + " m", rows

@@ -20,6 +20,7 @@ from wlr_render.simulation.simulate_session import dot_geometry, panel_pixels, s
 DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
 PART_NAMES = ("display", "see-through", "run-time")
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_SAME_DISTANCE = 1.05  # ratio of neighbouring distances up to which they are one
 _PIXEL_STEP = 0.5  # camera pixels, of the central differences for the noise
 
 
@@ -131,6 +132,17 @@ class Observations:
         # Not dot by dot: on a tilted target distance would stand for the place on it.
         _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
         return np.asarray((np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count)[pose])
+
+    def target_distances(self) -> dict[str, BoolArray]:
+        """Readings (n,) of the target at each distance from the camera, by name, nearest first."""
+        of_row = self.target_distance()
+        distances, named = np.unique(of_row), dict[str, BoolArray]()
+        steps = np.flatnonzero(distances[1:] > _SAME_DISTANCE * distances[:-1]) + 1
+        for group in np.split(distances, steps) if len(distances) else ():
+            rows = np.zeros(len(self), dtype=bool)
+            rows[self.part == SEE_THROUGH] = (of_row >= group[0]) & (of_row <= group[-1])
+            named[" to ".join(dict.fromkeys(f"{each:.2f}" for each in group[[0, -1]])) + " m"] = rows
+        return named
 
     def with_sigma(self, sigma_px: FloatArray) -> "Observations":
         """The same readings with other noise."""

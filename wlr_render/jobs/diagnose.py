@@ -1,13 +1,12 @@
 """Diagnose a measured session; write the report, and the session with the corrected bench."""
 
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from wlr_render.captures.session import SeeThroughPlan, Session
-from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
@@ -15,44 +14,24 @@ from wlr_render.diagnosis.report import CORRECTED, diagnosis_report
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
-from wlr_render.jobs.options import Options, ProgressArgument, Range, described
+from wlr_render.jobs.diagnosis_options import DiagnosisOptions
+from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.measurements import load_measurements
 from wlr_render.simulation.session_folder import remove_session, save_session
 
 STEM = "diagnosis"
 
 
 @dataclass(frozen=True)
-class DiagnoseOptions(Options):
+class DiagnoseOptions(DiagnosisOptions):
     """Options of `diagnose`."""
 
-    session: Annotated[Path, described("Folder of a bench session or of `calibrate photos`, or a capture file.")]
-    _: KW_ONLY
     out: Annotated[Path, described("Output folder.")] = Path("out/diagnose")
     json: Annotated[Path | None, described("File for the JSON record (default: diagnosis.json in the folder).")] = None
     html: Annotated[Path | None, described("File for the HTML page (default: diagnosis.html in the folder).")] = None
-    bench: Annotated[Path | None, described("Bench file to compare with (default: the session's own).")] = None
-    device: Annotated[
-        str | None,
-        described("Headset that captures are compared with: name or file (default: the shipped one that they name)."),
-    ] = None
-    causes: Annotated[
-        tuple[str, ...], described("Names of the causes to consider (default: all).", flag=True, many=True)
-    ] = ()
-    exclude: Annotated[
-        tuple[str, ...], described("Names of causes to leave out (default: none).", flag=True, many=True)
-    ] = ()
-    add_causes: Annotated[
-        tuple[str, ...],
-        described("Python files or modules that define CAUSES, further causes to consider.", flag=True, many=True),
-    ] = ()
-    max_causes: Annotated[
-        int, described("Most causes that are named; 0 measures the noise only."), Range(at_least=0)
-    ] = DEFAULT.max_causes
 
 
 def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -> Report:
@@ -62,7 +41,7 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
         BadInputError: faulty measurements, too few readings, faulty causes, or a file that cannot be written.
     """
     progress.say("reading the session")
-    nominal, session = load_measurements(options.session, options.bench, options.device)
+    nominal, session = options.measurements()
     _check_enough_readings(session)
     folder = output_folder(options.out)
     if (folder / CORRECTED).resolve() == options.session.resolve():
@@ -70,16 +49,14 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     for path in (options.json, options.html):
         if path is not None:
             _check_writable(path)
-    causes = causes_for(nominal, options.add_causes, options.causes, options.exclude)
+    causes = options.candidates(nominal)
     settings = replace(DEFAULT, max_causes=options.max_causes)
     found = diagnose_session(nominal, session, progress.say, causes=causes, settings=settings)
     progress.say("comparing models fitted with both benches")
     in_use = _in_use(nominal, found)
     progress.say("writing the report")
     files = _write_corrected(folder / CORRECTED, found)
-    device = [Path(options.device)] if options.device and Path(options.device).is_file() else []
-    inputs = (options.session, *([options.bench] if options.bench else []), *device)
-    report = diagnosis_report(found, in_use, inputs, folder)
+    report = diagnosis_report(found, in_use, options.inputs(), folder)
     report = replace(report, warnings=[*report.warnings, *_not_recorded(session)], files=files)
     report = save_report(report, folder, STEM)
     return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)

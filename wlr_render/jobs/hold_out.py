@@ -5,38 +5,35 @@ out.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
-from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import fit, held_out_residual
 from wlr_render.diagnosis.jackknife import jackknife
-from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.jobs.diagnosis_options import DiagnosisOptions
+from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
-from wlr_render.simulation.session_folder import check_enough_captures, load_session
-
-_APART = 1.05  # ratio of neighbouring distances from which they are different ones
+from wlr_render.simulation.session_folder import check_enough_captures
 
 
 @dataclass(frozen=True)
-class HoldOutOptions(Options):
+class HoldOutOptions(DiagnosisOptions):
     """Options of `hold-out`."""
 
-    session: Annotated[Path, described("Session folder.")]
-    _: KW_ONLY
     out: Annotated[Path, described("Output folder.")] = Path("out/hold-out")
 
 
@@ -47,10 +44,11 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
         BadInputError: a faulty session, too few captures, no cause found, or a place that cannot be written.
     """
     progress.say("reading the session")
-    nominal, session = load_session(options.session)
+    nominal, session = options.measurements()
     check_enough_captures(session)
     folder = output_folder(options.out)
-    found = diagnose(nominal, session, progress.say, causes=causes_for(nominal))
+    settings = replace(DEFAULT, max_causes=options.max_causes)
+    found = diagnose(nominal, session, progress.say, causes=options.candidates(nominal), settings=settings)
     if not found.causes:
         raise BadInputError(
             f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out; to test a "
@@ -62,7 +60,7 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
         f"Cross-validation of {session.name}",
         verdict=" ".join(_sentences(table)),
         blocks=[table, _values_table(found)],
-        inputs=[options.session],
+        inputs=options.inputs(),
     )
     return save_report(report, folder)
 
@@ -144,7 +142,7 @@ def _counted(found: Diagnosis) -> BoolArray:
 def _splits(found: Diagnosis) -> Iterator[tuple[str, str, BoolArray]]:
     """What is fitted to, what is tested on, and its readings (n,): target distances held out, and fitted to alone."""
     counted = _counted(found)
-    at_distance = _distances(found.readings.observations)
+    at_distance = found.readings.observations.target_distances()
     distance = {name: rows & counted for name, rows in at_distance.items() if np.any(rows & counted)}
     if len(distance) < 2:
         return
@@ -153,23 +151,6 @@ def _splits(found: Diagnosis) -> Iterator[tuple[str, str, BoolArray]]:
         yield "all other distances", name, rows
     for name, rows in distance.items() if len(distance) > 2 else ():
         yield f"{name} only", "all other distances", everything & ~rows
-
-
-def _distances(observations: Observations) -> dict[str, BoolArray]:
-    """Readings (n,) of the target at each distance from the camera, by name, nearest first."""
-    plan = observations.session.plan.see_through
-    if plan is None:
-        return {}
-    _, first, pose = np.unique(plan.target_pose, return_index=True, return_inverse=True)
-    of_pose = observations.target_distance()[first]
-    order = np.argsort(of_pose)
-    steps = np.flatnonzero(of_pose[order][1:] > _APART * of_pose[order][:-1]) + 1
-    named = {}
-    for poses in np.split(order, steps):
-        rows = np.zeros(len(observations), dtype=bool)
-        rows[observations.part == SEE_THROUGH] = np.isin(pose, poses)
-        named[" to ".join(dict.fromkeys(f"{of_pose[each]:.2f}" for each in poses[[0, -1]])) + " m"] = rows
-    return named
 
 
 def _figures(found: Diagnosis, part: int, tested: BoolArray, after: FloatArray) -> list[Cell]:

@@ -1,0 +1,52 @@
+"""What `hold-out` takes: everything that `diagnose` does, capture files and other benches included."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_session import SIGMA_PX, measured, small_bench, small_plan
+
+from wlr_render.captures.capture_file import save_captures
+from wlr_render.cli import main
+from wlr_render.jobs.hold_out import HoldOutOptions, hold_out
+from wlr_render.simulation.bench_file import save_bench
+from wlr_render.simulation.session_captures import observations_of
+from wlr_render.simulation.session_folder import save_session
+
+TILT = [0.15, -0.1, 0.05]
+
+
+@pytest.fixture(scope="module")
+def observed():
+    """Readings of a small bench whose combiner is tilted."""
+    bench = small_bench()
+    return measured(bench, small_plan(bench), SIGMA_PX, seed=8, combiner_tilt=TILT)
+
+
+def test_a_capture_file_is_held_out_with_the_causes_that_are_named(observed, tmp_path):
+    captures = save_captures(tmp_path / "captures-right.npz", observations_of(observed.nominal, observed.session))
+    options = HoldOutOptions(captures, causes=("combiner_tilt", "panel_shift"), out=tmp_path / "out")
+    held_out, values = hold_out(options).tables
+    assert {row[0] for row in values.rows} == {"combiner_tilt"}
+    assert held_out.rows[0][1] == "each display capture"
+    assert held_out.rows[0][3] > 20 * held_out.rows[0][5]
+    for *_, after, noise in held_out.rows:
+        assert after == pytest.approx(noise, rel=0.1)
+
+
+def test_distances_are_those_of_the_target_and_in_order(observed):
+    named = observed.target_distances()
+    near, far = named.values()
+    pose = observed.session.plan.see_through.target_pose
+    assert list(named) == sorted(named)
+    np.testing.assert_array_equal(np.flatnonzero(near), np.flatnonzero(observed.part == 1)[pose == 0])
+    np.testing.assert_array_equal(np.flatnonzero(far), np.flatnonzero(observed.part == 1)[pose == 1])
+    shown = observed.of_rows(observed.part == 0)
+    assert shown.target_distances() == {}
+
+
+def test_the_bench_to_start_from_can_be_named(observed, tmp_path, capsys):
+    folder = save_session(tmp_path / "session", observed.nominal, observed.session)
+    other = save_bench(replace(observed.nominal, eye="left"), tmp_path / "left.toml")
+    assert main(["hold-out", str(folder), "--bench", str(other), "--out", str(tmp_path / "out")]) == 2
+    assert "left.toml: is a bench of northstar (left eye)" in capsys.readouterr().err
