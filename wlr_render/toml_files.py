@@ -201,7 +201,9 @@ def read_toml(path: str | Path) -> Table:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: is not a text file, so it is not TOML; name another file.") from error
+    except tomllib.TOMLDecodeError as error:
         raise BadInputError(f"{path}: is not valid TOML ({error}).") from error
     return Table(content, str(path))
 

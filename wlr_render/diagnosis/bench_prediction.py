@@ -1,22 +1,23 @@
-"""How well a bench model predicts a session that it was not fitted to: by part, target distance and capture."""
+"""How well a bench model predicts a session that it was not fitted to: by part, target distance and capture.
 
-from collections.abc import Iterator
+The noise and the repeatability are those that a diagnosis measures (`noise`, `scatter`); no cause is fitted.
+"""
+
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations, observe
+from wlr_render.diagnosis.fit import Fit, WeighedReadings, fit
+from wlr_render.diagnosis.noise import noise_of
+from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
+from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import simulate
-
-_OUTLIER = 6.0  # sigmas, as the median length of a capture's residuals has them
-_MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal components
-_SMOOTH_DEGREE = 4  # of the surface about which the readings of a photograph scatter
-_READINGS_PER_TERM = 2.5
-_SIGNIFICANT = 3.0  # standard errors
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,9 @@ class PredictedGroup:
         mean_arcmin: mean residual, right and down.
         noise_arcmin: stated noise per axis.
         reduced_chi_squared: mean square of the residual over the stated variance.
-        error: its standard error where only the stated noise is left.
+        whitened: mean square of the residual over the measured variance, less the motions of the camera that the
+            repeatability admits.
         by_own_bench: reduced chi-squared by the session's own bench; None if that is not known.
-        within_arcmin: scatter per axis about a smooth surface over each photograph; None where photographs have too
-            few readings.
-        against_within: reduced chi-squared against that scatter in place of the stated noise.
     """
 
     name: str
@@ -46,21 +45,23 @@ class PredictedGroup:
     mean_arcmin: tuple[float, float]
     noise_arcmin: float
     reduced_chi_squared: float
-    error: float
-    by_own_bench: float | None = None
-    within_arcmin: float | None = None
-    against_within: float | None = None
+    whitened: float
+    by_own_bench: float | None
 
-    @property
-    def is_noise(self) -> bool:
-        """Whether the residual is no more than the stated noise, or no more than the scatter within photographs."""
-        least = min(each for each in (self.reduced_chi_squared, self.against_within) if each is not None)
-        return least < 1.0 + _SIGNIFICANT * self.error
 
-    @property
-    def beyond_noise_arcmin(self) -> float:
-        """Rms per axis of the residual that is not stated noise."""
-        return self.noise_arcmin * float(np.sqrt(max(0.0, self.reduced_chi_squared - 1.0)))
+@dataclass(frozen=True)
+class PredictedPart(PredictedGroup):
+    """How well a part of the session is predicted.
+
+    Attributes:
+        is_noise: whether the residual is no more than noise, and a camera that stands and turns as stages repeat.
+        shift_um, turn_urad: repeatability: standard deviations of the camera's position and rotation per axis; None
+            where one capture cannot show it, and at run time.
+    """
+
+    is_noise: bool
+    shift_um: float | None
+    turn_urad: float | None
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class BenchPrediction:
         by_own_bench: the same by the session's own bench; None if that is not known.
         without_slip: the same without the slip that the bench states; None without one.
         parts, distances, captures: how well each is predicted.
-        outliers: number of readings far from all others of their capture; no figure contains them.
+        outliers: number of readings far from their neighbours in the photograph; no figure contains them.
         unseen: number of readings for which the bench predicts nothing.
         observations: the readings that are predicted.
         residual: (n, 2) measured minus predicted, in units of the stated sigma.
@@ -84,7 +85,7 @@ class BenchPrediction:
     reduced_chi_squared: float
     by_own_bench: float | None
     without_slip: float | None
-    parts: tuple[PredictedGroup, ...]
+    parts: tuple[PredictedPart, ...]
     distances: tuple[PredictedGroup, ...]
     captures: tuple[PredictedGroup, ...]
     outliers: int
@@ -93,36 +94,49 @@ class BenchPrediction:
     residual: FloatArray = field(metadata={"json": False})
     used: BoolArray = field(metadata={"json": False})
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether every part is predicted to noise and repeatability."""
+        return all(part.is_noise for part in self.parts)
 
-def predict_session(bench: Bench, session: Session, own: Bench | None = None) -> BenchPrediction:
+
+def predict_session(
+    bench: Bench, session: Session, own: Bench | None = None, settings: Settings = DEFAULT
+) -> BenchPrediction:
     """Compare the readings of a session, from one capture on, with those that a bench predicts.
 
     Args:
         bench: with the target poses of the session (`session_folder.bench_for_session`).
         session: the session.
         own: the session's own bench, for comparison.
+        settings: thresholds.
 
     Raises:
         BadInputError: the bench predicts no reading.
     """
-    observations = observe(bench, session)
-    plan = observations.session.plan
+    predictor = Predictor.of_session(bench, session)
+    observations = predictor.observations
 
     def residual_by(other: Bench) -> FloatArray:
-        return observations.residual(simulate(other, plan))
+        return observations.residual(simulate(other, observations.session.plan))
 
-    residual = residual_by(bench)
+    residual = predictor.residual(Explanation())
     by_own = None if own is None else residual_by(own)
-    used = _without_outliers(observations, residual)
+    noise = noise_of(observations, residual, settings)
+    used = ~noise.outlier
+    readings = WeighedReadings.of(predictor.with_sigma(noise.sigma_px).of_rows(used), noise)
+    found = fit(readings, Explanation(), Scatter.usual(len(observations.captures)), 0)
+    if found is None:
+        raise BadInputError(f"{session.name}: the bench does not predict every reading; check its stage and targets.")
     slipped = np.isfinite(bench.mount.slip_time_s)
     still = replace(bench.mount, slip_time_s=np.inf)
-    groups = _Groups(observations, residual, by_own, used)
+    groups = _Groups(observations, residual, by_own, used, _whitened(found, used, observations.part))
     return BenchPrediction(
         session.name,
         _mean_square(residual, used),
         None if by_own is None else _mean_square(by_own, used),
         _mean_square(residual_by(replace(bench, mount=still)), used) if slipped else None,
-        tuple(groups.part(int(part)) for part in np.unique(observations.part[used])),
+        tuple(groups.part(int(part), found.scatter, settings) for part in np.unique(observations.part[used])),
         tuple(
             groups.group(name, used & rows)
             for name, rows in observations.target_distances().items()
@@ -140,27 +154,36 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
     )
 
 
+def _whitened(found: Fit, used: BoolArray, part: IntArray) -> FloatArray:
+    """Residual (n, 2) in units of the noise within photographs, less the camera's motions; NaN for outliers."""
+    white = np.full((len(used), 2), np.nan)
+    # A fit scales noise until its residual is of unit size.
+    white[used] = found.residual * found.scatter.noise[part[used], None]
+    return white
+
+
 @dataclass(frozen=True, eq=False)
 class _Groups:
-    """Figures of groups of readings: residuals (n, 2) by the bench and by the session's own; which are used (n,)."""
+    """Figures of groups of readings.
+
+    Residuals (n, 2) are by the bench and by the session's own in units of the stated sigma, and whitened; `used` (n,).
+    """
 
     observations: Observations
     residual: FloatArray
     by_own: FloatArray | None
     used: BoolArray
+    white: FloatArray
 
-    def part(self, part: int) -> PredictedGroup:
-        """All readings of a part, also against the scatter within its photographs."""
+    def part(self, part: int, scatter: Scatter, settings: Settings) -> PredictedPart:
+        """All readings of a part."""
         group = self.group(PART_NAMES[part], self.used & (self.observations.part == part))
-        photographs = list(_photographs(self.observations, self.used, part))
-        found = [each for rows, place in photographs if (each := _scatter(place, self.residual[rows])) is not None]
-        if not found:
-            return group
-        variance = float(np.median(found))
-        return replace(
-            group,
-            within_arcmin=group.noise_arcmin * float(np.sqrt(variance)),
-            against_within=group.reduced_chi_squared / variance,
+        shows = part != RUN_TIME and group.captures > 1
+        return PredictedPart(
+            **vars(group),
+            is_noise=scatter.is_ordinary(part, settings.material_excess),
+            shift_um=float(scatter.shift_um[part]) if shows else None,
+            turn_urad=float(scatter.turn_urad[part]) if shows else None,
         )
 
     def group(self, name: str, rows: BoolArray) -> PredictedGroup:
@@ -169,18 +192,18 @@ class _Groups:
         seen = np.zeros_like(self.residual)
         seen[observations.part == part] = observations.arcminutes(self.residual, part)
         right, down = seen[rows].mean(axis=0)
-        readings, reduced = int(rows.sum()), _mean_square(self.residual, rows)
+        reduced = _mean_square(self.residual, rows)
         rms = float(np.sqrt(np.mean(seen[rows] ** 2)))
         return PredictedGroup(
             name,
             PART_NAMES[part],
             len(np.unique(observations.group[rows])),
-            readings,
+            int(rows.sum()),
             rms,
             (float(right), float(down)),
             rms / float(np.sqrt(reduced)) if reduced > 0.0 else 0.0,
             reduced,
-            float(np.sqrt(1.0 / readings)),  # of the mean of 2 n squares of normal numbers
+            _mean_square(self.white, rows),
             None if self.by_own is None else _mean_square(self.by_own, rows),
         )
 
@@ -190,40 +213,3 @@ def _mean_square(residual: FloatArray, rows: BoolArray) -> float:
     values = residual[rows]
     values = values[np.isfinite(values).all(axis=1)]
     return float(np.mean(values**2)) if len(values) else float("nan")
-
-
-def _without_outliers(observations: Observations, residual: FloatArray) -> BoolArray:
-    """Mask (n,) of the readings that are no farther off than others of their capture."""
-    length = np.linalg.norm(residual, axis=1)
-    used = np.ones(len(observations), dtype=bool)
-    for number in np.unique(observations.group):
-        rows = observations.group == number
-        used[rows] = length[rows] <= _OUTLIER * np.median(length[rows]) / _MEDIAN_LENGTH
-    return used
-
-
-def _photographs(observations: Observations, used: BoolArray, part: int) -> Iterator[tuple[IntArray, FloatArray]]:
-    """Readings (k,) and their camera pixels (k, 2) of each photograph of a part, in one colour."""
-    plan, readings = observations.session.plan, observations.session.readings
-    rows = np.flatnonzero(observations.part == part)
-    colour = np.zeros(len(rows), dtype=np.int64)
-    if part == DISPLAY and plan.display is not None:
-        place, colour = plan.display.camera_pixel, plan.display.channel
-    elif part == SEE_THROUGH and readings.dot_pixel is not None:
-        place = readings.dot_pixel
-    else:
-        return
-    photograph = 3 * observations.group[rows] + colour
-    for number in np.unique(photograph):
-        mine = (photograph == number) & used[rows]
-        yield rows[mine], place[mine]
-
-
-def _scatter(place: FloatArray, residual: FloatArray) -> float | None:
-    """Variance per axis of a residual (k, 2) about a smooth surface over its place (k, 2); None for too few."""
-    terms = total_degree(2, _SMOOTH_DEGREE)
-    if len(place) < _READINGS_PER_TERM * len(terms):
-        return None
-    design = basis(place, terms, Box.around(place))
-    left = residual - design @ np.linalg.lstsq(design, residual, rcond=None)[0]
-    return float(np.sum(left**2) / (2 * (len(place) - design.shape[1])))

@@ -1,5 +1,6 @@
 """Predict the captures of a session with a bench model found elsewhere, and say how well that succeeds."""
 
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
@@ -7,8 +8,10 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.diagnosis.bench_prediction import BenchPrediction, PredictedGroup, predict_session
+from wlr_render.diagnosis.bench_prediction import BenchPrediction, PredictedGroup, PredictedPart, predict_session
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
+from wlr_render.diagnosis.report import CORRECTED
+from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, described
@@ -42,9 +45,7 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
         BadInputError: faulty files, a bench of another headset, or a folder that cannot be written.
     """
     progress.say("reading the session")
-    path = options.bench / "bench.toml" if options.bench.is_dir() else options.bench
-    if not path.is_file():
-        raise BadInputError(f"{path}: does not exist; name a bench file, or a folder with bench.toml.")
+    path = _bench_file(options.bench)
     own, warnings = None, list[str]()
     if (options.session / "bench.toml").is_file():
         own, session = load_session(options.session)
@@ -62,13 +63,28 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
     report = Report(
         f"Prediction of {session.name} by {options.bench}",
         verdict=" ".join(_verdict(found, options.bench)),
-        advice=[_advice(found, path, options.session)],
+        advice=[_advice(found, path, options.session, folder)],
         warnings=[*warnings, *_warnings(found, bench)],
         blocks=[*_tables(found), _captures_plot(found), *_maps(found)],
         inputs=[options.bench, options.session],
         record=found,
     )
     return save_report(report, folder)
+
+
+def _bench_file(given: Path) -> Path:
+    """The bench file that an argument names.
+
+    Raises:
+        BadInputError: there is none; of the report folder of `diagnose`, the folder to name instead.
+    """
+    path = given / "bench.toml" if given.is_dir() else given
+    if path.is_file():
+        return path
+    corrected = given / CORRECTED
+    if (corrected / "bench.toml").is_file():
+        raise BadInputError(f"{given}: is the report folder of a diagnosis; its corrected bench is in {corrected}.")
+    raise BadInputError(f"{path}: does not exist; name a bench file, or a folder with bench.toml.")
 
 
 def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
@@ -82,31 +98,63 @@ def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
 
 
 def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
-    """Whether the bench predicts the session to the noise; what the session's own bench does."""
+    """Whether the bench predicts the session to noise and repeatability, and a sentence on each part."""
     count = len(found.captures)
-    captures = "the only capture" if count == 1 else f"the {count} captures"
-    by_part = ", ".join(f"{part.name} {part.reduced_chi_squared:.3g}" for part in found.parts)
-    noisy = [part for part in found.parts if not part.is_noise]
-    chi_squared = f"reduced chi-squared {found.reduced_chi_squared:.3g} against the stated noise"
-    detail = f"{chi_squared} ({by_part})" if len(found.parts) > 1 else chi_squared
-    if not noisy:
-        yield f"{bench} predicts {captures} of {found.session} to the noise: {detail}."
+    captures = f"the {count} captures of {found.session}" if count > 1 else f"the only capture of {found.session}"
+    good, bad = ([part.name for part in found.parts if part.is_noise is wanted] for wanted in (True, False))
+    if not bad:
+        yield f"{bench} predicts {captures} to noise and repeatability."
+    elif not good:
+        yield f"{bench} does not predict {captures}."
     else:
-        worst = max(noisy, key=lambda part: part.reduced_chi_squared)
         yield (
-            f"{bench} predicts {captures} of {found.session} to {worst.beyond_noise_arcmin:.2g}' rms per axis beyond "
-            f"the noise of {worst.noise_arcmin:.2g}' ({worst.name}): {detail}."
+            f"{bench} does not predict {captures}: {' and '.join(good)} to noise and repeatability, "
+            f"{' and '.join(bad)} not."
         )
-    if found.by_own_bench is not None:
-        yield f"By the session's own bench it is {found.by_own_bench:.3g}."
+    for part in found.parts:
+        yield _part_sentence(part, found.session)
 
 
-def _advice(found: BenchPrediction, bench: Path, session: Path) -> str:
-    if all(part.is_noise for part in found.parts):
-        return f"Use this bench for such captures: wlr-render calibrate captures {session} --bench {bench}"
+def _part_sentence(part: PredictedPart, session: str) -> str:
+    """Residual, noise, repeatability, and the comparison with the session's own bench."""
+    noise = [f"noise {part.noise_arcmin:.3g}'"]
+    if part.shift_um is not None and part.is_noise:
+        noise.append(f"repeatability {part.shift_um:.2g} um, {part.turn_urad:.2g} urad")
+    text = (
+        f"{part.name[:1].upper()}{part.name[1:]}: residual {part.rms_arcmin:.3g}' ({', '.join(noise)}), "
+        f"reduced chi-squared {part.reduced_chi_squared:.4g}"
+    )
+    text += f" ({part.whitened:.3g} with measured noise and repeatability)" if part.is_noise else ""
+    if part.by_own_bench is None:
+        return f"{text}."
+    better = "better" if _is_better(part) else "no better"
+    return f"{text}, {better} than {session}'s own bench ({part.by_own_bench:.4g})."
+
+
+def _is_better(part: PredictedPart) -> bool:
+    """Whether a part is clearly better predicted than by the session's own bench."""
+    own = part.by_own_bench
+    return own is not None and own > (1.0 + DEFAULT.material_variance) * part.reduced_chi_squared
+
+
+def _advice(found: BenchPrediction, bench: Path, session: Path, folder: Path) -> str:
+    def command(verb: str, with_bench: bool, out: str) -> str:
+        chosen = ["--bench", str(bench)] if with_bench else []
+        return "wlr-render " + shlex.join([*verb.split(), str(session), *chosen, "--out", str(folder / out)])
+
+    known = found.by_own_bench is not None
+    if found.is_noise:
+        if not known:
+            return "The optics of this bench predict these captures; they need no correction."
+        return f"Use this bench for such captures: {command('calibrate captures', True, 'calibrate')}"
+    if known and not any(_is_better(part) for part in found.parts):
+        return (
+            "This bench is no better than the session's own; diagnose the session by itself: "
+            f"{command('diagnose', False, 'diagnose')}"
+        )
     return (
         "See which captures and distances are predicted worst, and diagnose what is left: "
-        f"wlr-render diagnose {session} --bench {bench}"
+        f"{command('diagnose', True, 'diagnose')}"
     )
 
 
@@ -117,7 +165,7 @@ def _warnings(found: BenchPrediction, bench: Bench) -> Iterator[str]:
             f"in. Without it, the reduced chi-squared is {found.without_slip:.3g}."
         )
     if found.outliers:
-        yield f"{found.outliers} readings are far from all others of their capture; no figure contains them."
+        yield f"{found.outliers} readings are far from their neighbours in the photograph; no figure contains them."
     if found.unseen:
         yield f"{found.unseen} readings are not predicted: by this bench, they cannot be seen."
 
@@ -127,12 +175,13 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
     notes = (
         "Residual: measured minus predicted, rms per axis. Reduced chi-squared: its mean square over that of the "
         "stated noise (point_sigma_px, or sigma_px of each reading); 1 is noise alone. No value is fitted.",
-        "Scatter within photographs: about a smooth surface over each photograph; it shows the noise as it is.",
+        "With measured noise and repeatability: reduced chi-squared against the noise within the photographs, without "
+        "the small motions of the camera from capture to capture, whose sizes are the repeatability.",
     )
-    within = ("scatter within photographs (arcmin)", "reduced chi-squared against it")
     columns, rows = _group_table("part", found.parts)
-    scatter = [[*row, each.within_arcmin, each.against_within] for row, each in zip(rows, found.parts, strict=True)]
-    yield ReportTable("Parts", (*columns, *within), scatter, notes)
+    more = ("repeatability (um)", "of turns (urad)")
+    sizes = [[*row, each.shift_um, each.turn_urad] for row, each in zip(rows, found.parts, strict=True)]
+    yield ReportTable("Parts", (*columns, *more), sizes, notes)
     if found.distances:
         yield ReportTable("Distances of the target from the camera", *_group_table("distance", found.distances))
     yield ReportTable("Captures", *_group_table("capture", found.captures))
@@ -141,7 +190,7 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
 def _group_table(first: str, groups: Sequence[PredictedGroup]) -> tuple[tuple[str, ...], list[list[Cell]]]:
     """Columns and rows; the session's own bench has a column if it is known."""
     columns = ("readings", "residual (arcmin)", "mean right (arcmin)", "mean down (arcmin)")
-    more = ("stated noise (arcmin)", "reduced chi-squared", "standard error")
+    more = ("stated noise (arcmin)", "reduced chi-squared", "with measured noise and repeatability")
     rows: list[list[Cell]] = [
         [
             each.name,
@@ -150,7 +199,7 @@ def _group_table(first: str, groups: Sequence[PredictedGroup]) -> tuple[tuple[st
             *each.mean_arcmin,
             each.noise_arcmin,
             each.reduced_chi_squared,
-            each.error,
+            each.whitened,
             each.by_own_bench,
         ]
         for each in groups
