@@ -64,6 +64,7 @@ def test_the_files_hold_the_record(report, explained, tmp_path):
         "sigma": first.sigma,
         "unit": first.unit,
         "prior_sigma": 0,
+        "prior_mean": 0.0,
     }
     assert (cause["held_out_gain"], cause["gain_sigma"]) == (found.improvement.percent, found.improvement.sigma)
     assert cause["overlaps_with"] == [other.name for other in found.degenerate]
@@ -101,6 +102,9 @@ def test_a_run_time_session_is_drawn(late):
     assert abs(after) < 0.02 * abs(before)
     items = [item for block in diagnosis_report(late).blocks if isinstance(block, Text) for item in block.items]
     assert "wlr-render diagnose corrected --out again" in items
+    own = diagnosis_report(late, add_causes=("my causes.py", "my_lab.causes"))
+    items = [item for block in own.blocks if isinstance(block, Text) for item in block.items]
+    assert "wlr-render diagnose corrected --out again --add-causes 'my causes.py' my_lab.causes" in items
     assert not any("calibrate" in item for item in items)
     assert "[clock] latency_s = 0.01" in " ".join(items)
 
@@ -134,7 +138,8 @@ def test_both_maps_have_one_scale_of_arrows_and_a_reference(explained):
     reference = plot.data[0]["x"][-5] - plot.data[0]["x"][-6]
     # 2 is the round number below 3, and the caption says so.
     assert reference == pytest.approx(2 * lengths["corrected bench"], rel=1e-3)
-    assert "is 2 panel px" in plot.caption
+    assert "at the top left is 2 panel px" in plot.caption
+    assert "starts with the capture in the middle of all" in plot.caption
     steps = plot.layout["sliders"][0]["steps"]
     assert len(steps) == len(part.maps)
     assert [sum(step["args"][0]["visible"]) for step in steps] == [2] * len(steps)

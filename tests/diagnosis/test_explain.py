@@ -14,6 +14,7 @@ from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, Rank
 from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence, warnings
 from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
+from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text
@@ -25,7 +26,8 @@ OTHER = "tracking_translation"
 def test_the_sentence_names_causes_values_and_the_change(explained):
     sentence = verdict_sentence(explained)
     assert sentence.startswith("Explained: combiner tilted (combiner_tilt: tilt_y -0.")
-    assert "and 2 more values); printed size of the target (target_scale: scale_" in sentence
+    assert " more value" in sentence.partition("; ")[0]
+    assert "); printed size of the target (target_scale: scale_" in sentence
     before, after, noise = (
         cell_text(each.see_through_rms_arcmin) for each in (explained.before, explained.after, explained.expected)
     )
@@ -43,7 +45,7 @@ def test_other_verdicts_have_their_own_sentences(unexplained, nothing, explained
         "Keep using the bench file; effects below the detection limits would not have been seen."
     ]
     sentence = verdict_sentence(unexplained)
-    assert sentence.startswith("Unexplained: no cause in the list explains the residual")
+    assert sentence.startswith("Unexplained: none of the causes considered explains the residual. Display residual ")
     assert re.search(r"times the noise and depends on panel pixels \(log10 odds > 20\)\.$", sentence)
     assert any("render with models fitted to the session" in step for step in advice(unexplained))
     partly = replace(explained, verdict="partly explained", unexplained=unexplained.unexplained)
@@ -65,8 +67,14 @@ def test_excluded_captures_and_wrong_noise_are_warned_of(explained, unexplained)
     assert [str(each.capture) for each in explained.excluded] == ["display capture 3"]
     assert any("Captures that moved were excluded (1)" in each for each in warnings(explained))
     assert advice(explained)[-1] == "Take again, or leave out: display capture 3."
-    (told,) = [each for each in warnings(unexplained) if "stated noise" in each]
-    assert re.search(r"display 0\.100 px stated, 0\.\d+ \+- 0\.0\d+ px measured; see-through 0\.100 px stated", told)
+    (told,) = [each for each in warnings(unexplained) if "point_sigma_px" in each]
+    assert re.fullmatch(
+        r"The noise differs from point_sigma_px by (9|10)\d %: type point_sigma_px = 0\.(19|20)\d\.", told
+    )
+    display, see_through = unexplained.noise_floors
+    parts = (display, replace(see_through, is_believable=True))
+    (told,) = [each for each in warnings(replace(unexplained, noise_floors=parts)) if "The noise" in each]
+    assert re.search(r"differs from the stated one: display by 10\d %\.", told)
 
 
 def test_a_degenerate_cause_is_measured_against_only_where_the_session_does_not_decide(explained):
@@ -97,6 +105,57 @@ def test_a_value_far_beyond_its_usual_size_is_warned_of(explained):
     odd = replace(explained.causes[0], parameters=(ParameterValue("tilt_x", 9.0, 0.1, "deg", 1.0),))
     assert any("9 times its usual size" in each for each in warnings(replace(explained, causes=(odd,))))
     assert not any("usual size" in each for each in warnings(explained))
+
+
+def test_a_value_is_compared_with_the_prior_that_the_bench_states(explained):
+    nominal = replace(explained.observations.nominal, priors={"combiner_tilt": {"tilt_x": (9.1, 0.1)}})
+
+    def stated(value):
+        odd = replace(explained.causes[0], parameters=(ParameterValue("tilt_x", value, 0.05, "deg", 0.1, 9.1),))
+        return replace(explained, causes=(odd,), observations=replace(explained.observations, nominal=nominal))
+
+    assert explained.causes[0].name == "combiner_tilt"
+    assert not any("prior" in each or "usual size" in each for each in warnings(stated(9.0)))
+    (told,) = [each for each in warnings(stated(8.3)) if "prior" in each]
+    assert "tilt_x 8.300 +- 0.050 deg is 8 sigma from the prior in bench.toml ([9.1, 0.1])" in told
+    table = tables.parameters_table(stated(9.0))
+    assert table.text_rows()[0][table.columns.index("prior (mean, sigma)")] == "9.1, 0.1"
+    assert "usual size" in tables.parameters_table(explained).columns
+    assert tables.parameters_table(explained).notes[-1].startswith("Parameters are in OpenXR axes")
+
+
+def test_the_motions_of_an_unexplained_part_are_no_repeatability(unexplained):
+    """Wherever the effect raises noise or motions beyond what is usual, neither sentence nor table states them."""
+    scatter = unexplained.fit.scatter
+    huge = replace(scatter, turn_urad=np.array([2642.0, *scatter.turn_urad[1:]]))
+    found = replace(unexplained, fit=replace(unexplained.fit, scatter=huge))
+    text = bench_sentence(found)
+    assert "Repeatability of the display is not determined, as its residual is unexplained." in text
+    assert "See-through: positions repeat to " in text
+    assert re.search(r"\. Display residual \S+ panel px; see-through residual \S+', expected ", verdict_sentence(found))
+    assert [row[0] for row in tables.repeatability_table(found).rows] == ["display (not determined)", "see-through"]
+    residuals = tables.residuals_table(found)
+    expected = {row[0]: row[residuals.columns.index("expected")] for row in residuals.rows}
+    assert expected["display (panel px)"] is None is expected["all readings (sigma)"]
+    assert expected["see-through (arcmin)"] == found.expected.see_through_rms_arcmin
+    times = next(row for row in residuals.rows if row[0] == "display (panel px)")[3]
+    assert f"The display residual is {cell_text(times)} times the noise" in verdict_sentence(found)
+    (ordinary,) = {"explained"} - {found.verdict}
+    assert "not determined" not in bench_sentence(replace(found, verdict=ordinary))
+
+
+def test_the_mean_of_parts_that_agree_is_a_row(nothing):
+    motions = tuple(
+        replace(each, shift_um=9.0, shift_error_um=1.0, turn_urad=t, turn_error_urad=3.0)
+        for t, each in zip((24.0, 26.0), nothing.motions, strict=True)
+    )
+    floors = tuple(replace(nothing.noise_floors[0], part=each.part) for each in nothing.noise_floors)
+    alike = replace(nothing, motions=motions, noise_floors=floors)
+    assert tables.repeatability_table(alike).rows[-1] == ["both, weighted mean", "9.0 +- 0.7", "25 +- 2"]
+    assert tables.noise_table(alike).rows[-1][0] == "both, weighted mean"
+    assert bench_sentence(alike).startswith("Positions repeat to 9.0 +- 0.7 um, turns to 25 +- 2 urad")
+    apart = replace(alike, motions=(motions[0], replace(motions[1], shift_um=30.0)))
+    assert len(tables.repeatability_table(apart).rows) == len(tables.noise_table(apart).rows) == 2
 
 
 @pytest.mark.parametrize(
@@ -159,7 +218,7 @@ def test_too_many_captures_that_stand_out_are_listed_and_not_excluded(bench, pla
     assert found.excluded == ()
     assert [each.capture.capture for each in found.too_many_moved] == [1, 4, 5, 8, 10, 13, 16]
     assert found.used.all()
-    assert "; 7 of 18 captures stand out, too many to tell which of them moved." in verdict_sentence(found)
+    assert ". 7 of 18 captures stand out, too many to tell which of them moved." in verdict_sentence(found)
     (step,) = [each for each in advice(found) if "none of them was excluded" in each]
     assert "display capture 1, display capture 4, display capture 5" in step
     assert len(tables.excluded_table(found).rows) == 7
@@ -186,7 +245,8 @@ def test_causes_of_one_part_share_the_line_to_type(explained):
     two = replace(explained, causes=(target, replace(target, name="target_bow", title="bowed target")))
     steps = advice(two)
     assert sum("[target] scale" in each for each in steps) == 1
-    assert "In bench.toml (target_scale and target_bow together): [target] scale" in steps[0]
+    assert f"{target.title.capitalize()} and bowed target: enter" in steps[0]
+    assert "In bench.toml: [target] scale" in steps[0]
 
 
 def test_improvement_in_use_is_tabulated_where_there_is_some():

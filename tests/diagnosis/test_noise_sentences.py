@@ -16,7 +16,7 @@ def floor(part, measured=0.108, error=0.001, **shape):
 
 
 def sentence(floors, motions):
-    return bench_sentence(SimpleNamespace(noise_floors=floors, motions=motions))
+    return bench_sentence(SimpleNamespace(noise_floors=floors, motions=motions, verdict="explained"))
 
 
 def test_parts_that_agree_have_one_sentence():
@@ -24,7 +24,7 @@ def test_parts_that_agree_have_one_sentence():
     motions = (MotionSize("display", 9.0, 1.0, 25.0, 3.0), MotionSize("see-through", 11.0, 2.0, 23.0, 4.0))
     floors = (floor("display", 0.108, 0.001), floor("see-through", 0.109, 0.002))
     assert sentence(floors, motions) == (
-        "Positions repeat to 9.4 +- 0.9 um, turns to 24 +- 2 urad, noise 0.108 px where 0.100 is stated."
+        "Positions repeat to 9.4 +- 0.9 um, turns to 24 +- 2 urad, noise 0.108 camera px where 0.100 is stated."
     )
 
 
@@ -39,7 +39,7 @@ def test_parts_that_differ_have_a_sentence_each(differs):
         floor("see-through", 0.12 if differs == "noise" else 0.108, rim_factor=1.9 if differs == "rim" else 1.0),
     )
     text = sentence(floors, motions)
-    assert text.startswith("Display: positions repeat to 9 +- 1 um, turns to 25 +- 3 urad, noise 0.108 px where 0.100")
+    assert text.startswith("Display: positions repeat to 9 +- 1 um, turns to 25 +- 3 urad, noise 0.108 camera px where")
     assert ". See-through: positions repeat to " in text
 
 
@@ -47,9 +47,9 @@ def test_the_shape_of_the_noise_is_described():
     shape = {"rim_factor": 1.9, "photographs_differ": 0.405, "shared": 0.52, "shared_reach_px": 61.0}
     text = sentence((floor("display", 0.1013, **shape),), (MotionSize("display", 9.0, 1.0, 25.0, 3.0),))
     assert text == (
-        "Display: positions repeat to 9 +- 1 um, turns to 25 +- 3 urad, noise 0.100 px as stated, rising to 1.9 times "
-        "in the corner of the image, photographs differ in noise by 50 %, half of the noise variance is shared by "
-        "neighbouring points (within 61 px)."
+        "Display: positions repeat to 9 +- 1 um, turns to 25 +- 3 urad, noise 0.100 camera px as stated, rising to 1.9 "
+        "times in the corner of the image, photographs differ in noise by 50 %, half of the noise variance is shared "
+        "by neighbouring points (within 61 camera px)."
     )
 
 
@@ -57,8 +57,8 @@ def test_what_is_not_known_is_not_stated():
     """A size within its own error has an upper limit: twice its relative error above it, as logarithms."""
     text = sentence((floor("display", NAN, NAN),), (MotionSize("display", 1.0, 0.9, 25.0, 3.0),))
     assert "positions repeat to better than 6 um" in text
-    assert "noise 0.100 px as stated (too few points to measure it)" in text
-    assert sentence((floor("run-time"),), ()) == "Run-time: noise 0.108 px where 0.100 is stated."
+    assert "noise 0.100 camera px as stated (too few points to measure it)" in text
+    assert sentence((floor("run-time"),), ()) == "Run-time: noise 0.108 camera px where 0.100 is stated."
 
 
 @pytest.mark.parametrize(

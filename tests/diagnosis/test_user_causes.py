@@ -101,6 +101,7 @@ def test_priors_change_mean_and_sigma_of_the_parameters_they_name(bench):
     ("priors", "sentence"),
     [
         ({"combiner_tlt": {}}, r"\[prior.combiner_tlt\]: There is no cause 'combiner_tlt'; did you mean combiner_tilt"),
+        ({"lens_hood": {}}, r"choose from .*\. Load a cause of your own with --add-causes FILE\.py\."),
         ({"latency": {"delay": (0.0, 1.0)}}, r"\[prior.latency\]: there is no parameter 'delay'; choose from latency"),
         ({"headset_slip": {"moment": (9.0, 1.0)}}, "'moment' is searched for between captures; leave it out"),
         ({"see_through_plate": {"thickness": (-1.0, 1.0)}}, "the mean of 'thickness' is -1; the least is 0"),

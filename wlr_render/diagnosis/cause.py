@@ -123,7 +123,9 @@ def with_priors(
     changed = dict(causes)
     for name, stated in priors.items():
         if name not in causes:
-            raise BadInputError(f"[prior.{name}]: {unknown_cause(name, causes)}")
+            raise BadInputError(
+                f"[prior.{name}]: {unknown_cause(name, causes)} Load a cause of your own with --add-causes FILE.py."
+            )
         cause, known = causes[name], [parameter.name for parameter in causes[name].parameters]
         for unknown in stated.keys() - set(known):
             raise BadInputError(f"[prior.{name}]: there is no parameter '{unknown}'; choose from {', '.join(known)}.")

@@ -20,7 +20,9 @@ class ParameterValue:
         name, unit: as the cause has them.
         value: in that unit.
         sigma: one standard error; 0 for a time, which is known to the gap between two captures.
-        prior_sigma: standard deviation of what is met in practice, in that unit.
+        prior_sigma: standard deviation of what is met in practice, or of the prior that the bench file states, in that
+            unit.
+        prior_mean: mean of that prior, in that unit.
     """
 
     name: str
@@ -28,6 +30,7 @@ class ParameterValue:
     sigma: float
     unit: str
     prior_sigma: float
+    prior_mean: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from math import floor, log10
 from typing import Any
 
+import numpy as np
+
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
     NO_EFFECT,
@@ -17,7 +19,7 @@ from wlr_render.diagnosis.diagnosis import (
     ResidualSummary,
     Unexplained,
 )
-from wlr_render.diagnosis.noise_sentences import with_error
+from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.scatter import FEWEST_TO_STAND_OUT, USUAL_SHIFT, USUAL_TURN
@@ -48,38 +50,47 @@ _MEANWHILE = {
 """What to do about a residual that no cause explains, by the variables that it depends on."""
 
 RESIDUALS = (
-    ("display", "display_rms_px", " px"),
-    ("see-through", "see_through_rms_arcmin", "'"),
-    ("virtual against real dot", "run_time_rms_arcmin", "'"),
+    ("display", "display", "display_rms_px", " panel px"),
+    ("see-through", "see-through", "see_through_rms_arcmin", "'"),
+    ("run-time", "virtual against real dot", "run_time_rms_arcmin", "'"),
 )
-"""Of each part: its name, its attribute of `ResidualSummary`, and its unit as it is appended to a number."""
+"""Each part, the name of its residual, the attribute of `ResidualSummary`, and the unit to append to a number."""
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """The verdict with its numbers, in one sentence."""
+    """The verdict and its causes in one sentence, then the residuals and what is left of them."""
     causes, left, moved = diagnosis.causes, diagnosis.unexplained, diagnosis.too_many_moved
     if diagnosis.verdict == NO_EFFECT:
-        return "No effect found: the bench as described predicts the session to its noise and repeatability."
+        found = "No effect found: the bench as described predicts the session to its noise and repeatability"
+        return f"{found}. {_capital(_changes(diagnosis))}."
     named = "; ".join(f"{cause.title} ({cause.name}: {_clearest(cause)})" for cause in causes)
     head = {EXPLAINED: "Explained", PARTLY: "Partly explained"}.get(diagnosis.verdict, "Unexplained")
     nothing = (
-        "no cause in the list explains the residual" if left or not moved else "the captures contradict each other"
+        "none of the causes considered explains the residual"
+        if left or not moved
+        else "the captures contradict each other"
     )
-    sentence = f"{head}: {named or nothing}; {_changes(diagnosis)}"
+    sentences = [f"{head}: {named or nothing}", _capital(_changes(diagnosis))]
     if left is not None:
-        sentence += f"; {_left_over(left)}"
+        sentences.append(_capital(_left_over(diagnosis, left)))
     if moved:
-        sentence += (
-            f"; {len(moved)} of {_captures_beside(diagnosis, moved)} captures stand out, too many to tell which "
+        sentences.append(
+            f"{len(moved)} of {_captures_beside(diagnosis, moved)} captures stand out, too many to tell which "
             "of them moved"
         )
-    return f"{sentence}."
+    return f"{'. '.join(sentences)}."
 
 
-def _left_over(left: Unexplained) -> str:
-    """What no cause explains, as the end of a sentence."""
-    size = f"the {left.part} residual is still {cell_text(left.rms_over_noise)} times the noise"
-    best = _smooth_match(left)
+def times_the_noise(diagnosis: Diagnosis, part: str) -> float:
+    """Residual of a part with the causes found, over the residual that noise alone gives."""
+    attribute = next(attribute for name, _, attribute, _ in RESIDUALS if name == part)
+    return float(getattr(diagnosis.after, attribute) / getattr(diagnosis.noise, attribute))
+
+
+def _left_over(diagnosis: Diagnosis, left: Unexplained) -> str:
+    """The sentence on the residual that no cause explains."""
+    times, best = cell_text(times_the_noise(diagnosis, left.part)), _smooth_match(left)
+    size = f"the {left.part} residual is {'still ' if diagnosis.causes else ''}{times} times the noise"
     if best is None:
         return f"{size} and follows no smooth function that was tried"
     return f"{size} and depends on {best.depends_on} (log10 odds {odds_text(best.log10_odds)})"
@@ -131,16 +142,20 @@ def advice(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
 
 
 def _remedies(diagnosis: Diagnosis) -> list[str]:
-    """What to do about each cause, with what to type for all causes of its part together."""
-    steps, values = [], changed_keys(diagnosis.observations.nominal, diagnosis.corrected)
+    """One sentence for each remedy, naming the causes that it is for; with the values to type for each part."""
+    values = changed_keys(diagnosis.observations.nominal, diagnosis.corrected)
+    titles: dict[tuple[str, str], list[str]] = {}
     for cause in diagnosis.causes:
-        step = f"{_capital(cause.title)}: {cause.remedy or _REMEDIES[cause.part]}."
-        together = [other.name for other in diagnosis.causes if other.part == cause.part]
-        keys = values.get(_TABLES.get(cause.part, cause.part), {}) if together[0] == cause.name else {}
+        titles.setdefault((cause.part, cause.remedy or _REMEDIES[cause.part]), []).append(cause.title)
+    steps, parts = [], [part for part, _ in titles]
+    for number, ((part, remedy), named) in enumerate(titles.items()):
+        step = f"{_capital(' and '.join(named))}: {remedy}."
+        keys = values.get(_TABLES.get(part, part), {}) if part not in parts[:number] else {}
         if keys:
-            both = f" ({' and '.join(together)} together)" if len(together) > 1 else ""
-            step += f" In bench.toml{both}: {toml_line(cause.part, keys)}."
-        elif cause.part == "device":
+            together = [cause.name for cause in diagnosis.causes if cause.part == part]
+            both = f" ({' and '.join(together)} together)" if parts.count(part) > 1 else ""
+            step += f" In bench.toml{both}: {toml_line(part, keys)}."
+        elif part == "device":
             step += " The corrected device is device.toml in the corrected session."
         steps.append(step)
     return steps
@@ -158,24 +173,21 @@ def values_to_type(diagnosis: Diagnosis) -> list[str]:
     return [toml_line(table, keys) for table, keys in values.items()]
 
 
+AXES_NOTE = (
+    "Parameters are in OpenXR axes (x right, y up, z towards the wearer), whatever `frame` the bench file states."
+)
 FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 
 
 def warnings(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
     """What limits the result; each a sentence."""
-    wrong = [
-        f"{noise.part} {noise.stated_px:#.3g} px stated, {with_error(noise.measured_px, noise.error_px)} px measured"
-        for noise in diagnosis.noise_floors
-        if not noise.is_believable
-    ]
-    found = [f"The stated noise is wrong, and the measured noise is used: {'; '.join(wrong)}."] if wrong else []
+    found = _noise_to_state(diagnosis)
     found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
     found += [
-        f"{cause.name}: {value_text(parameter)} is {abs(parameter.value) / parameter.prior_sigma:.0f} times its usual "
-        "size; suspect a cause that is not in the list."
+        _unusual(cause, parameter, stated_prior(diagnosis, cause, parameter))
         for cause in diagnosis.causes
         for parameter in cause.parameters
-        if parameter.sigma > 0 and abs(parameter.value) > _UNUSUAL * parameter.prior_sigma
+        if parameter.sigma > 0 and _prior_sigmas(diagnosis, cause, parameter) > _UNUSUAL
     ]
     if diagnosis.correlations.condition > settings.max_condition:
         found.append(
@@ -185,6 +197,57 @@ def warnings(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
     if diagnosis.excluded:
         found.append(f"Captures that moved were excluded ({len(diagnosis.excluded)}) from all numbers.")
     return [*found, *_too_few(diagnosis)]
+
+
+def stated_prior(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> tuple[float, float] | None:
+    """Mean and sigma of a parameter by [prior] of the bench file, in the parameter's unit; None if not stated."""
+    return diagnosis.observations.nominal.priors.get(cause.name, {}).get(parameter.name)
+
+
+def _prior_sigmas(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> float:
+    """Distance of a value from the mean of its prior, in prior sigmas."""
+    mean, sigma = stated_prior(diagnosis, cause, parameter) or (parameter.prior_mean, parameter.prior_sigma)
+    return abs(parameter.value - mean) / sigma
+
+
+def _unusual(cause: FoundCause, parameter: ParameterValue, stated: tuple[float, float] | None) -> str:
+    """The warning of a value that its prior does not expect."""
+    if stated is None:
+        times = abs(parameter.value - parameter.prior_mean) / parameter.prior_sigma
+        return (
+            f"{cause.name}: {value_text(parameter)} is {times:.0f} times its usual size; suspect a cause that is not "
+            "in the list."
+        )
+    mean, sigma = stated
+    return (
+        f"{cause.name}: {value_text(parameter)} is {abs(parameter.value - mean) / sigma:.0f} sigma from the prior in "
+        f"bench.toml ([{mean:g}, {sigma:g}]); check that prior, or suspect a cause that is not in the list."
+    )
+
+
+def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
+    """The noise to type into the bench file, where the stated noise is not believable."""
+    floors = diagnosis.noise_floors
+    wrong = [floor for floor in floors if not floor.is_believable]
+    if not wrong:
+        return []
+    measured = [floor.measured_px for floor in wrong]
+    stated = diagnosis.observations.nominal.camera.point_sigma_px
+    is_one = len(wrong) == len(floors) and max(measured) < _NEARLY_ONE * min(measured)
+    if is_one and all(abs(floor.stated_px / stated - 1.0) < _SAME_STATED for floor in wrong):
+        typed = float(np.average(measured, weights=[floor.error_px**-2 for floor in wrong]))
+        off = _percent(typed, stated)
+        return [f"The noise differs from point_sigma_px by {off}: type point_sigma_px = {typed:#.3g}."]
+    parts = " and ".join(f"{floor.part} by {_percent(floor.measured_px, floor.stated_px)}" for floor in wrong)
+    return [f"The noise differs from the stated one: {parts}. The diagnosis uses the measured noise."]
+
+
+def _percent(value: float, reference: float) -> str:
+    return f"{100 * abs(value / reference - 1.0):.0f} %"
+
+
+_SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding
+_NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number states both
 
 
 def _too_few(diagnosis: Diagnosis) -> list[str]:
@@ -244,11 +307,14 @@ def value_and_sigma(parameter: ParameterValue) -> tuple[str, str]:
 
 
 def _clearest(cause: FoundCause) -> str:
-    """The value with the largest ratio to its error, and how many others there are."""
+    """The value with the largest ratio to its error, and how many others differ clearly from zero."""
     known = [parameter for parameter in cause.parameters if parameter.sigma > 0] or list(cause.parameters)
     best = max(known, key=lambda parameter: abs(parameter.value) / (parameter.sigma or 1.0))
-    others = len(cause.parameters) - 1
+    others = sum(abs(each.value) > _CLEAR * each.sigma > 0 for each in cause.parameters if each is not best)
     return value_text(best) + (f" and {others} more value{'s' * (others > 1)}" if others else "")
+
+
+_CLEAR = 3.0  # standard errors from which the verdict counts a value
 
 
 def _undecided(cause: FoundCause, settings: Settings) -> list[DegenerateCause]:
@@ -276,20 +342,19 @@ def _confusable(cause: FoundCause, settings: Settings) -> str:
 
 def _changes(diagnosis: Diagnosis) -> str:
     """Residual of each part that the causes change, beside what noise and motions give; of all parts if none does."""
+    unknown = undetermined_parts(diagnosis)
     rows = [
         (
             name,
-            *(
-                _with_unit(summary, attribute, unit)
-                for summary in (diagnosis.before, diagnosis.after, diagnosis.expected)
-            ),
+            *(_with_unit(summary, attribute, unit) for summary in (diagnosis.before, diagnosis.after)),
+            "" if part in unknown else f", expected {_with_unit(diagnosis.expected, attribute, unit)}",
         )
-        for name, attribute, unit in RESIDUALS
+        for part, name, attribute, unit in RESIDUALS
         if getattr(diagnosis.before, attribute) is not None
     ]
     changed = [row for row in rows if row[1] != row[2]]
-    texts = [f"{name} residual {before} -> {after}, expected {usual}" for name, before, after, usual in changed]
-    return "; ".join(texts or [f"{name} residual {before}, expected {usual}" for name, before, _, usual in rows])
+    texts = [f"{name} residual {before} -> {after}{usual}" for name, before, after, usual in changed]
+    return "; ".join(texts or [f"{name} residual {before}{usual}" for name, before, _, usual in rows])
 
 
 def _with_unit(summary: ResidualSummary, attribute: str, unit: str) -> str:

@@ -3,8 +3,10 @@
 from dataclasses import replace
 from math import exp, expm1, floor, hypot, isfinite, log10
 
-from wlr_render.diagnosis.diagnosis import Diagnosis, MotionSize
+from wlr_render.diagnosis.diagnosis import PARTLY, UNEXPLAINED, Diagnosis, MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
+from wlr_render.diagnosis.observations import PART_NAMES
+from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.report.blocks import cell_text
 
 _UNSURE = 0.5  # relative error from which only an upper limit of a size is stated
@@ -14,15 +16,48 @@ _AS_STATED = 0.02  # relative difference of the noise that is not worth a word
 
 
 def bench_sentence(diagnosis: Diagnosis) -> str:
-    """How far captures repeat, and the noise: in one sentence where the parts of the session agree, else one each."""
-    floors, motions = diagnosis.noise_floors, {motion.part: motion for motion in diagnosis.motions}
-    if len(floors) == 2 and len(motions) == 2:
-        first, second = floors
-        motion = _mean_motion(motions[first.part], motions[second.part])
-        both = _mean_noise(first, second)
-        if motion is not None and both is not None:
-            return f"{_capital(_figures(both, motion))}."
-    return " ".join(f"{_capital(each.part)}: {_figures(each, motions.get(each.part))}." for each in floors)
+    """Repeatability and noise of the bench: one sentence if the parts of the session agree, else one for each part."""
+    both = both_parts(diagnosis)
+    if both is not None:
+        return f"{_capital(_figures(*both))}."
+    motions, unknown = {motion.part: motion for motion in diagnosis.motions}, undetermined_parts(diagnosis)
+    return " ".join(
+        f"{_capital(floor.part)}: {_figures(floor, None if floor.part in unknown else motions.get(floor.part))}."
+        + (f" {_capital(_undetermined(floor.part))}." if floor.part in unknown and floor.part in motions else "")
+        for floor in diagnosis.noise_floors
+    )
+
+
+def both_parts(diagnosis: Diagnosis) -> tuple[NoiseFloor, MotionSize] | None:
+    """Noise and repeatability of both parts of a session, the means weighted by their errors; None if the parts differ.
+
+    Also None for a session of one part, and where the repeatability of a part is not determined.
+    """
+    motions = {motion.part: motion for motion in diagnosis.motions}
+    if len(diagnosis.noise_floors) != 2 or len(motions) != 2 or undetermined_parts(diagnosis):
+        return None
+    first, second = diagnosis.noise_floors
+    noise, motion = _mean_noise(first, second), _mean_motion(motions[first.part], motions[second.part])
+    return (noise, motion) if noise is not None and motion is not None else None
+
+
+def undetermined_parts(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> set[str]:
+    """Parts with an unexplained residual that noise and repeatability of a usual size do not cover.
+
+    The fit then takes the unexplained effect for motions of the captures, so their size is no repeatability.
+    """
+    if diagnosis.verdict not in (PARTLY, UNEXPLAINED):
+        return set()
+    scatter = diagnosis.fit.scatter
+    return {
+        floor.part
+        for floor in diagnosis.noise_floors
+        if not scatter.is_ordinary(PART_NAMES.index(floor.part), settings.material_excess)
+    }
+
+
+def _undetermined(part: str) -> str:
+    return f"repeatability of the {part} is not determined, as its residual is unexplained"
 
 
 def _figures(noise: NoiseFloor, motion: MotionSize | None) -> str:
@@ -53,9 +88,11 @@ def with_error(value: float, error: float) -> str:
 def _level(noise: NoiseFloor) -> str:
     stated, measured = f"{noise.stated_px:#.3g}", f"{noise.measured_px:#.3g}"
     if not isfinite(noise.measured_px):
-        return f"noise {stated} px as stated (too few points to measure it)"
+        return f"noise {stated} camera px as stated (too few points to measure it)"
     is_as_stated = abs(noise.measured_px / noise.stated_px - 1.0) < _AS_STATED
-    return f"noise {stated} px as stated" if is_as_stated else f"noise {measured} px where {stated} is stated"
+    if is_as_stated:
+        return f"noise {stated} camera px as stated"
+    return f"noise {measured} camera px where {stated} is stated"
 
 
 def _shape(noise: NoiseFloor) -> list[str]:
@@ -69,7 +106,7 @@ def _shape(noise: NoiseFloor) -> list[str]:
         texts.append(f"photographs differ in noise by {100 * expm1(noise.photographs_differ):.0f} %")
     if noise.shared > 0.0:
         share = "half" if abs(noise.shared - 0.5) < _ABOUT_HALF else f"{100 * noise.shared:.0f} %"
-        reach = f"(within {noise.shared_reach_px:.0f} px)"
+        reach = f"(within {noise.shared_reach_px:.0f} camera px)"
         texts.append(f"{share} of the noise variance is shared by neighbouring points {reach}")
     return texts
 

@@ -73,11 +73,20 @@ def residual_maps(part: PartView) -> Plot:
     )
     layout["margin"] = {"t": 70, "r": 20, "b": 50}
     caption = (
-        f"Each arrow is the mean of the readings around it, measured minus simulated; all maps have one scale. The "
-        f"arrow in the first corner is {unit:g} {part.map_unit}. Arrows in all directions at once are noise; "
-        "arrows in one direction, another in each capture, are positions that do not repeat."
+        "Each arrow is the mean residual (measured minus simulated) of the readings around it; all maps have one scale."
+        f" The arrow at the top left is {unit:g} {part.map_unit}. The slider starts with {_slider_order(part)}. "
+        "It opens at the map with the largest residual. Arrows in all directions at once are noise. Arrows in one "
+        "direction, which is another one in each capture, are the stage's repeatability."
     )
     return Plot(f"Residual over the field of view: {part.name}", data, layout, caption, 520)
+
+
+def _slider_order(part: PartView) -> str:
+    """The order of the maps of a part, as a caption states it."""
+    return {
+        "display": "the capture in the middle of all; each further one is the farthest from those before it",
+        "see-through": "the nearest target pose and ends with the farthest",
+    }.get(part.name, "the first recording and ends with the last")
 
 
 def residual_curves(part: PartView) -> Plot:
@@ -99,9 +108,9 @@ def residual_curves(part: PartView) -> Plot:
     layout["legend"] = {"orientation": "h", "y": 1.08, "yanchor": "bottom"}
     caption = (
         "Mean residual in bins of each variable: right (solid) and down (dotted) in the camera's image; where so "
-        "marked, outwards (solid) and around (dotted). Band: how far the noise, and positions that do not repeat, "
-        "would move a mean (two standard errors). Click on the legend to see what the rms has beyond these: a pattern "
-        "that averages out."
+        "marked, outwards (solid) and around (dotted). Band: two standard errors of a mean by the noise and the "
+        "stage's repeatability. Click on 'rms beyond the band' in the legend to show the rms that noise and "
+        "repeatability do not give: a pattern that cancels in the mean."
     )
     return Plot(f"Residual against each variable: {part.name}", data, layout, caption, 120 + 230 * rows)
 

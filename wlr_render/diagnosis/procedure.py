@@ -336,7 +336,9 @@ def _found_cause(search: Search, found: Fit, number: int, ranking: CandidateRank
     widened = few_captures_factor(found, search.full.observations)
     sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
     parameters = tuple(
-        ParameterValue(parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma)
+        ParameterValue(
+            parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma, parameter.prior_mean
+        )
         for parameter, value, sigma in zip(cause.parameters, found.explanation.values[number], sigmas, strict=True)
     )
     without = search.full.predictor.residual(found.explanation.without(number))

@@ -1,6 +1,7 @@
 """The report of a diagnosis: verdict and advice first, then the evidence as text, tables and plots."""
 
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,10 +64,19 @@ def diagnosis_report(
     in_use: ImprovementInUse | None = None,
     inputs: tuple[Path, ...] = (),
     folder: Path = Path(),
+    add_causes: Sequence[str] = (),
 ) -> Report:
-    """Build the report; `folder` is the output folder, in which the corrected session is `CORRECTED`."""
+    """The report of a diagnosis.
+
+    Args:
+        diagnosis: the record.
+        in_use: improvement in use, if causes were found.
+        inputs: files and folders that were read.
+        folder: output folder, in which the corrected session is `CORRECTED`.
+        add_causes: files and modules with causes of the user's own, for the commands that the report suggests.
+    """
     blocks: list[Block] = [Section("Result"), tables.residuals_table(diagnosis), tables.causes_table(diagnosis)]
-    blocks += [*_values(diagnosis), *_next_steps(diagnosis, folder), tables.limits_table(diagnosis)]
+    blocks += [*_values(diagnosis), *_next_steps(diagnosis, folder, add_causes), tables.limits_table(diagnosis)]
     for part in part_views(diagnosis):
         name = part.name[:1].upper() + part.name[1:]
         blocks += [Section(f"{name} residual"), plots.residual_maps(part), plots.residual_curves(part)]
@@ -96,7 +106,7 @@ def _values(diagnosis: Diagnosis) -> list[Block]:
     )
 
 
-def _next_steps(diagnosis: Diagnosis, folder: Path) -> list[Block]:
+def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -> list[Block]:
     """Commands to go on with the corrected session, for the working directory of this run."""
     if not diagnosis.causes:
         return []
@@ -106,7 +116,8 @@ def _next_steps(diagnosis: Diagnosis, folder: Path) -> list[Block]:
     def quote(path: Path) -> str:
         return shlex.quote(str(path))
 
-    commands = [f"diagnose {quote(corrected)} --out {quote(folder / 'again')}"]
+    added = f" --add-causes {shlex.join(add_causes)}" if add_causes else ""
+    commands = [f"diagnose {quote(corrected)} --out {quote(folder / 'again')}{added}"]
     if plan.display is not None and plan.see_through is not None:
         commands.append(f"calibrate captures {quote(corrected)}")
     if diagnosis.corrected.device is not diagnosis.observations.nominal.device:

@@ -3,14 +3,24 @@
 import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.explain import RESIDUALS, odds_text, value_and_sigma, value_text
+from wlr_render.diagnosis.explain import (
+    AXES_NOTE,
+    RESIDUALS,
+    odds_text,
+    stated_prior,
+    times_the_noise,
+    value_and_sigma,
+    value_text,
+)
 from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
-from wlr_render.diagnosis.noise_sentences import with_error
+from wlr_render.diagnosis.noise_sentences import both_parts, undetermined_parts, with_error
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.report.blocks import Cell, ReportTable
 
-_UNITS = {" px": "panel px", "'": "arcmin"}
+_UNITS = {" panel px": "panel px", "'": "arcmin"}
+_BOTH = "both, weighted mean"
+_UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # of each place that are shown
 
 
@@ -18,17 +28,31 @@ def residuals_table(diagnosis: Diagnosis) -> ReportTable:
     """Residual with both benches, beside what noise alone would give."""
     states = [("bench as described", diagnosis.before), ("corrected bench", diagnosis.after)]
     states = [*states[: 2 if diagnosis.causes else 1], ("noise", diagnosis.noise), ("expected", diagnosis.expected)]
-    measures = [(f"{name} ({_UNITS[unit]})", attribute) for name, attribute, unit in RESIDUALS]
+    unknown = undetermined_parts(diagnosis)
+    measures = [(f"{name} ({_UNITS[unit]})", attribute, part in unknown) for part, name, attribute, unit in RESIDUALS]
     rows: list[list[Cell]] = []
-    for name, attribute in (*measures, ("all readings (sigma)", "over_noise")):
-        values = [getattr(summary, attribute) for _, summary in states]
+    for name, attribute, is_unknown in (*measures, ("all readings (sigma)", "over_noise", bool(unknown))):
+        *values, noise, expected = (getattr(summary, attribute) for _, summary in states)
         if values[0] is not None:
-            rows.append([name, *values, values[-3] / values[-1]])
-    columns = ("residual, rms per axis", *(name for name, _ in states), f"{states[-3][0]} / expected")
-    notes = (
-        "Noise: of the readings alone. Expected: with the motion that each capture has because positions do not repeat "
-        "exactly.",
+            usual = (None, None) if is_unknown else (expected, values[-1] / expected)
+            rows.append([name, *values, noise, values[-1] / noise, *usual])
+    last = states[-3][0]
+    columns = (
+        "residual, rms per axis",
+        *(name for name, _ in states[:-1]),
+        f"{last} / noise",
+        "expected",
+        f"{last} / expected",
     )
+    notes = [
+        "Noise: of the readings alone. Expected: with the motion that each capture has because positions do not repeat "
+        "exactly."
+    ]
+    if unknown:
+        notes.append(
+            "No residual is expected of a part whose residual is unexplained: the motions of its captures, as fitted, "
+            "contain the unexplained effect."
+        )
     return ReportTable("Simulation against measurement", columns, rows, notes)
 
 
@@ -60,13 +84,13 @@ def causes_table(diagnosis: Diagnosis) -> ReportTable:
         "evidence of all readings. Held-out improvement: by how much the rms residual of captures that were "
         "not fitted falls when this cause joins the others (cross-validation by capture)."
     )
-    return ReportTable("Causes", columns, rows, (note,))
+    return ReportTable("Causes", columns, rows, (note, AXES_NOTE))
 
 
 def in_use_table(in_use: ImprovementInUse) -> ReportTable:
     """What the corrected bench improves in use."""
     rows: list[list[Cell]] = [
-        [f"{side} model refitted to the session", each.before, each.after, _percent(each.improvement)]
+        [f"{side} model refitted to the session", each.before, each.after, _gain(each.improvement)]
         for side, each in (("display", in_use.display), ("see-through", in_use.see_through))
         if each is not None
     ]
@@ -75,18 +99,20 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
             f"picture rendered with the {what}",
             each.before.rms,
             each.after.rms,
-            100 * (1 - each.after.rms / each.before.rms),
+            f"{gain:.1f}" if abs(gain) >= _UNCHANGED else "unchanged",
         ]
         for what, each in (("refitted models", in_use.calibrated), ("device's prescription", in_use.prescribed))
         if each is not None
+        for gain in [100 * (1 - each.after.rms / each.before.rms)]
     ]
     columns = ("error, rms (arcmin)", "bench as described", "corrected bench", "improvement (%)")
     notes = (
-        "Refitted model: its error on held-out captures, which the corrected bench locates.",
-        "Picture rendered with the refitted models: misalignment between virtual and real points in the corrected "
-        "device.",
-        "Picture rendered with the device's prescription: the same misalignment by the models that were refitted with "
-        "the corrected bench.",
+        "Refitted model: a model is calibrated from most captures by each bench, and predicts the captures that were "
+        "left out. Their true places are taken from the corrected bench.",
+        "Picture rendered with the refitted models: angle between virtual and real points as a wearer of the corrected "
+        "device would see them, with the models calibrated by each bench.",
+        "Picture rendered with the device's prescription: the same angle with the device file of each bench in place "
+        "of a calibrated model; the models calibrated by the corrected bench stand for the real device.",
         *in_use.unavailable,
     )
     return ReportTable("Improvement in use", columns, rows, notes)
@@ -95,16 +121,23 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
 def parameters_table(diagnosis: Diagnosis) -> ReportTable:
     """One row for each fitted number."""
     rows: list[list[Cell]] = []
+    is_stated = any(stated_prior(diagnosis, cause, each) for cause in diagnosis.causes for each in cause.parameters)
     for cause in diagnosis.causes:
         for parameter in cause.parameters:
             value, sigma = value_and_sigma(parameter)
             ratio = abs(parameter.value) / parameter.sigma if parameter.sigma > 0 else None
-            rows.append(
-                [cause.name, parameter.name, value, sigma, parameter.unit, ratio, parameter.prior_sigma, cause.variant]
-            )
-    columns = ("cause", "parameter", "value", "one sigma", "unit", "value / sigma", "usual size", "variant")
+            mean, usual = stated_prior(diagnosis, cause, parameter) or (parameter.prior_mean, parameter.prior_sigma)
+            prior: Cell = f"{mean:g}, {usual:g}" if is_stated else usual
+            rows.append([cause.name, parameter.name, value, sigma, parameter.unit, ratio, prior, cause.variant])
+    size = "prior (mean, sigma)" if is_stated else "usual size"
+    columns = ("cause", "parameter", "value", "one sigma", "unit", "value / sigma", size, "variant")
     note = "Usual size: standard deviation of what is met in practice; check a value that is many times larger."
-    return ReportTable("Parameters", columns, rows, (note,))
+    if is_stated:
+        note = (
+            "Prior: from [prior] of bench.toml, or 0 and the standard deviation of what is met in practice; check a "
+            "value that is many sigmas from the mean."
+        )
+    return ReportTable("Parameters", columns, rows, (note, AXES_NOTE))
 
 
 def degenerate_table(diagnosis: Diagnosis) -> ReportTable:
@@ -170,17 +203,20 @@ def _whitened_rms(diagnosis: Diagnosis) -> dict[str, float]:
 
 def repeatability_table(diagnosis: Diagnosis) -> ReportTable:
     """How far the captures of each part repeat."""
+    unknown, both = undetermined_parts(diagnosis), both_parts(diagnosis)
+    motions = [
+        (f"{each.part} (not determined)" if each.part in unknown else each.part, each) for each in diagnosis.motions
+    ]
+    motions += [(_BOTH, both[1])] if both else []
     rows: list[list[Cell]] = [
-        [
-            each.part,
-            with_error(each.shift_um, each.shift_error_um),
-            with_error(each.turn_urad, each.turn_error_urad),
-        ]
-        for each in diagnosis.motions
+        [name, with_error(each.shift_um, each.shift_error_um), with_error(each.turn_urad, each.turn_error_urad)]
+        for name, each in motions
     ]
     columns = ("part", "positions (um)", "turns (urad)")
-    note = "Standard deviation, per axis, of the random motion of the camera against the headset in each capture."
-    return ReportTable("Repeatability", columns, rows, (note,))
+    notes = ["Standard deviation, per axis, of the random motion of the camera against the headset in each capture."]
+    if unknown:
+        notes.append("Not determined: the residual is unexplained, and the motions contain the unexplained effect.")
+    return ReportTable("Repeatability", columns, rows, notes)
 
 
 def excluded_table(diagnosis: Diagnosis) -> ReportTable:
@@ -206,7 +242,8 @@ def excluded_table(diagnosis: Diagnosis) -> ReportTable:
 def unexplained_table(diagnosis: Diagnosis) -> ReportTable:
     """Smooth corrections of what no cause explains."""
     left = diagnosis.unexplained
-    title = "" if left is None else f"Unexplained {left.part} residual, {left.rms_over_noise:.3g} times the noise"
+    times = None if left is None else times_the_noise(diagnosis, left.part)
+    title = "" if left is None else f"Unexplained {left.part} residual, {times:.3g} times the noise"
     rows: list[list[Cell]] = [
         [each.depends_on, each.form, each.terms, _odds(each.log10_odds), _percent(each.improvement)]
         for each in (left.corrections if left else ())
@@ -245,6 +282,9 @@ def noise_table(diagnosis: Diagnosis) -> ReportTable:
         ]
         for floor in diagnosis.noise_floors
     ]
+    both = both_parts(diagnosis)
+    if both is not None:
+        rows.append([_BOTH, None, None, None, with_error(both[0].measured_px, both[0].error_px), *[None] * 5])
     columns = (
         "noise (camera px)",
         "stated",
@@ -267,6 +307,10 @@ def noise_table(diagnosis: Diagnosis) -> ReportTable:
 
 def _percent(improvement: HeldOutImprovement) -> str:
     return f"{improvement.percent:.1f} +- {improvement.sigma:.1f}"
+
+
+def _gain(improvement: HeldOutImprovement) -> str:
+    return _percent(improvement) if abs(improvement.percent) >= _UNCHANGED else "unchanged"
 
 
 def _odds(log10_odds: float) -> Cell:

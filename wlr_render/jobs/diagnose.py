@@ -56,8 +56,9 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     in_use = _in_use(nominal, found)
     progress.say("writing the report")
     files = _write_corrected(folder / CORRECTED, found)
-    report = diagnosis_report(found, in_use, options.inputs(), folder)
-    report = replace(report, warnings=[*report.warnings, *_not_recorded(session)], files=files)
+    report = diagnosis_report(found, in_use, options.inputs(), folder, options.add_causes)
+    limits = [*_not_considered(options), *report.warnings, *_not_recorded(session)]
+    report = replace(report, warnings=limits, files=files)
     report = save_report(report, folder, STEM)
     return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)
 
@@ -83,6 +84,14 @@ def _check_enough_readings(session: Session) -> None:
 
 
 _FEWEST_READINGS = 4  # of two values each, against the six of a camera pose
+
+
+def _not_considered(options: DiagnoseOptions) -> list[str]:
+    """A warning if the options restrict the causes that are considered."""
+    only = [name for name in options.causes if name not in options.exclude]
+    if only:
+        return [f"Only {', '.join(only)} {'was' if len(only) == 1 else 'were'} considered (--causes)."]
+    return [f"Not considered: {', '.join(options.exclude)} (--exclude)."] if options.exclude else []
 
 
 def _not_recorded(session: Session) -> list[str]:
