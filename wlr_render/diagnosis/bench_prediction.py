@@ -12,10 +12,11 @@ from wlr_render.diagnosis.fit import Fit, WeighedReadings, fit
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums, best_scatter
+from wlr_render.diagnosis.search import LOG10_ODDS
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.errors import BadInputError
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import simulate
 
@@ -54,7 +55,8 @@ class PredictedPart(PredictedGroup):
     """How well a part of the session is predicted.
 
     Attributes:
-        is_noise: whether the residual is no more than noise, and a camera that stands and turns as stages repeat.
+        is_noise: whether the residual is no more than noise, and random motions of the camera of the size to which
+            stages repeat; a motion that all captures have in common is none.
         shift_um, turn_urad: repeatability: standard deviations of the camera's position and rotation per axis; None
             where one capture cannot show it, and at run time.
     """
@@ -128,15 +130,19 @@ def predict_session(
     found = fit(readings, Explanation(), Scatter.usual(len(observations.captures)), 0)
     if found is None:
         raise BadInputError(f"{session.name}: the bench does not predict every reading; check its stage and targets.")
+    scatter, systematic = _about_common_motions(readings, found, settings)
     slipped = np.isfinite(bench.mount.slip_time_s)
     still = replace(bench.mount, slip_time_s=np.inf)
-    groups = _Groups(observations, residual, by_own, used, _whitened(found, used, observations.part))
+    groups = _Groups(observations, residual, by_own, used, _whitened(readings, scatter, used))
     return BenchPrediction(
         session.name,
         _mean_square(residual, used),
         None if by_own is None else _mean_square(by_own, used),
         _mean_square(residual_by(replace(bench, mount=still)), used) if slipped else None,
-        tuple(groups.part(int(part), found.scatter, settings) for part in np.unique(observations.part[used])),
+        tuple(
+            groups.part(int(part), scatter, int(part) not in systematic, settings)
+            for part in np.unique(observations.part[used])
+        ),
         tuple(
             groups.group(name, used & rows)
             for name, rows in observations.target_distances().items()
@@ -154,11 +160,35 @@ def predict_session(
     )
 
 
-def _whitened(found: Fit, used: BoolArray, part: IntArray) -> FloatArray:
+def _about_common_motions(readings: WeighedReadings, found: Fit, settings: Settings) -> tuple[Scatter, set[int]]:
+    """How captures scatter about a motion that all of a part have in common, and the parts that clearly have one.
+
+    Such a motion is an error of the bench, which repeatability alone would hide: captures scatter about zero.
+    """
+    observations, scatter, systematic = readings.observations, found.scatter, set[int]()
+    captures, white = len(observations.captures), readings.shared(found.at.residual)
+    for part in np.unique(observations.part[observations.part != RUN_TIME]):
+        rows = observations.part == part
+        if len(np.unique(observations.group[rows])) < 2:
+            continue
+        common = readings.motions * rows[:, None, None]
+        sums = ScatterSums.over(white, readings.motions, common, observations.group, observations.part, captures)
+        _, without = best_scatter(sums.of_columns(np.arange(0)), found.scatter, np.zeros(0))
+        about, cost = best_scatter(sums, found.scatter, np.zeros(6), np.repeat([UNUSUAL_SHIFT, UNUSUAL_TURN], 3))
+        if LOG10_ODDS * (without - cost) > settings.least_log10_odds:
+            systematic.add(int(part))
+            mine = np.arange(len(PART_NAMES)) == part
+            new, old = (each.vector().reshape(3, -1) for each in (about, scatter))
+            scatter = scatter.at(np.where(mine, new, old).ravel())
+    return scatter, systematic
+
+
+def _whitened(readings: WeighedReadings, scatter: Scatter, used: BoolArray) -> FloatArray:
     """Residual (n, 2) in units of the noise within photographs, less the camera's motions; NaN for outliers."""
     white = np.full((len(used), 2), np.nan)
+    residual = readings.whitening(scatter)(readings.predictor.residual(Explanation()))
     # A fit scales noise until its residual is of unit size.
-    white[used] = found.residual * found.scatter.noise[part[used], None]
+    white[used] = residual * scatter.noise[readings.observations.part, None]
     return white
 
 
@@ -175,13 +205,13 @@ class _Groups:
     used: BoolArray
     white: FloatArray
 
-    def part(self, part: int, scatter: Scatter, settings: Settings) -> PredictedPart:
-        """All readings of a part."""
+    def part(self, part: int, scatter: Scatter, random: bool, settings: Settings) -> PredictedPart:
+        """All readings of a part; `random` where its captures have no motion in common."""
         group = self.group(PART_NAMES[part], self.used & (self.observations.part == part))
         shows = part != RUN_TIME and group.captures > 1
         return PredictedPart(
             **vars(group),
-            is_noise=scatter.is_ordinary(part, settings.material_excess),
+            is_noise=random and scatter.is_ordinary(part, settings.material_excess),
             shift_um=float(scatter.shift_um[part]) if shows else None,
             turn_urad=float(scatter.turn_urad[part]) if shows else None,
         )
