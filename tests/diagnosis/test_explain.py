@@ -11,10 +11,11 @@ from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_move
 from wlr_render.calibration.fit_report import HeldOut
 from wlr_render.diagnosis import plots, tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
-from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence, warnings
+from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence
 from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
 from wlr_render.diagnosis.noise_sentences import bench_sentence
+from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text

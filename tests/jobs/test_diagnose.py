@@ -252,8 +252,26 @@ def test_stated_priors_reach_the_causes_and_go_where_the_corrected_bench_has_the
     assert set(seen) == set(CAUSES) - {"latency"}
     x, y = seen["target_scale"].parameters
     assert (x.prior_mean, x.prior_sigma, y) == (0.3, 0.2, CAUSES["target_scale"].parameters[1])
+    assert (
+        "Not considered: latency (--exclude)."
+        in json.loads((tmp_path / "out" / "diagnosis.json").read_text())["warnings"]
+    )
     corrected = load_bench(tmp_path / "out" / "corrected" / "bench.toml")
     assert corrected.priors == {"camera_pupil_offset": {"offset_z": (0.1, 0.05)}}
+
+
+@pytest.mark.parametrize(
+    ("options", "warnings"),
+    [
+        ({}, []),
+        ({"causes": ("latency",)}, ["Only latency was considered (--causes)."]),
+        ({"causes": ("latency", "panel_bow")}, ["Only latency, panel_bow were considered (--causes)."]),
+        ({"causes": ("latency", "panel_bow"), "exclude": ("latency",)}, ["Only panel_bow was considered (--causes)."]),
+        ({"exclude": ("latency",)}, ["Not considered: latency (--exclude)."]),
+    ],
+)
+def test_a_restricted_list_of_causes_is_warned_of(options, warnings):
+    assert diagnose._not_considered(diagnose.DiagnoseOptions(Path("session"), **options)) == warnings
 
 
 @pytest.mark.parametrize(

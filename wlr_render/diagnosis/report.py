@@ -9,6 +9,7 @@ from wlr_render.diagnosis import explain, plots, tables
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.noise_sentences import bench_sentence
+from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text
 from wlr_render.report.records import fields_of
@@ -92,7 +93,7 @@ def diagnosis_report(
         f"Diagnosis of {diagnosis.session} ({diagnosis.device}, {diagnosis.eye} eye)",
         f"{explain.verdict_sentence(diagnosis)} {bench_sentence(diagnosis)}",
         explain.advice(diagnosis),
-        explain.warnings(diagnosis),
+        warnings(diagnosis),
         [block for block in blocks if not isinstance(block, ReportTable) or block.rows],
         inputs,
         record=diagnosis_record(diagnosis, in_use),

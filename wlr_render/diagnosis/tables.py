@@ -7,7 +7,6 @@ from wlr_render.diagnosis.explain import (
     AXES_NOTE,
     RESIDUALS,
     odds_text,
-    stated_prior,
     times_the_noise,
     value_and_sigma,
     value_text,
@@ -16,6 +15,7 @@ from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.noise_sentences import both_parts, undetermined_parts, with_error
 from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.report_warnings import stated_prior
 from wlr_render.report.blocks import Cell, ReportTable
 
 _UNITS = {" panel px": "panel px", "'": "arcmin"}

@@ -1,0 +1,120 @@
+"""Warnings of a diagnosis: limits of the result, in sentences."""
+
+from collections import Counter
+
+import numpy as np
+
+from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
+from wlr_render.diagnosis.explain import undecided, value_text
+from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
+from wlr_render.diagnosis.scatter import FEWEST_TO_STAND_OUT, USUAL_SHIFT, USUAL_TURN
+from wlr_render.diagnosis.search import times_between_captures
+from wlr_render.diagnosis.settings import DEFAULT, Settings
+
+_SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding
+_NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number states both
+ENOUGH_CAPTURES = 6
+"""Captures of a part from which its repeatability and the captures that moved are known well enough to be useful."""
+_UNUSUAL = 5.0  # prior sigmas
+
+
+def warnings(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
+    """Limits of the result; each a sentence."""
+    found = _noise_to_state(diagnosis)
+    found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
+    found += [
+        _unusual(cause, parameter, stated_prior(diagnosis, cause, parameter))
+        for cause in diagnosis.causes
+        for parameter in cause.parameters
+        if parameter.sigma > 0 and _prior_sigmas(diagnosis, cause, parameter) > _UNUSUAL
+    ]
+    if diagnosis.correlations.condition > settings.max_condition:
+        found.append(
+            f"The values found are correlated (condition {diagnosis.correlations.condition:.0g}): several sets of them "
+            "fit nearly as well, and each error bar holds with the others free."
+        )
+    if diagnosis.excluded:
+        found.append(f"Captures that moved were excluded ({len(diagnosis.excluded)}) from all numbers.")
+    return [*found, *_too_few(diagnosis)]
+
+
+def stated_prior(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> tuple[float, float] | None:
+    """Mean and sigma of a parameter by [prior] of the bench file, in the parameter's unit; None if not stated."""
+    return diagnosis.observations.nominal.priors.get(cause.name, {}).get(parameter.name)
+
+
+def _prior_sigmas(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> float:
+    """Distance of a value from the mean of its prior, in prior sigmas."""
+    mean, sigma = stated_prior(diagnosis, cause, parameter) or (parameter.prior_mean, parameter.prior_sigma)
+    return abs(parameter.value - mean) / sigma
+
+
+def _unusual(cause: FoundCause, parameter: ParameterValue, stated: tuple[float, float] | None) -> str:
+    """The warning of a value that its prior does not expect."""
+    if stated is None:
+        times = abs(parameter.value - parameter.prior_mean) / parameter.prior_sigma
+        return (
+            f"{cause.name}: {value_text(parameter)} is {times:.0f} times its usual size; suspect a cause that is not "
+            "in the list."
+        )
+    mean, sigma = stated
+    return (
+        f"{cause.name}: {value_text(parameter)} is {abs(parameter.value - mean) / sigma:.0f} sigma from the prior in "
+        f"bench.toml ([{mean:g}, {sigma:g}]); check that prior, or suspect a cause that is not in the list."
+    )
+
+
+def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
+    """The noise to type into the bench file, where the stated noise is not believable."""
+    floors = diagnosis.noise_floors
+    wrong = [floor for floor in floors if not floor.is_believable]
+    if not wrong:
+        return []
+    measured = [floor.measured_px for floor in wrong]
+    stated = diagnosis.observations.nominal.camera.point_sigma_px
+    is_one = len(wrong) == len(floors) and max(measured) < _NEARLY_ONE * min(measured)
+    if is_one and all(abs(floor.stated_px / stated - 1.0) < _SAME_STATED for floor in wrong):
+        typed = float(np.average(measured, weights=[floor.error_px**-2 for floor in wrong]))
+        off = _percent(typed, stated)
+        return [f"The noise differs from point_sigma_px by {off}: type point_sigma_px = {typed:#.3g}."]
+    parts = " and ".join(f"{floor.part} by {_percent(floor.measured_px, floor.stated_px)}" for floor in wrong)
+    return [f"The noise differs from the stated one: {parts}. The diagnosis uses the measured noise."]
+
+
+def _percent(value: float, reference: float) -> str:
+    return f"{100 * abs(value / reference - 1.0):.0f} %"
+
+
+def _too_few(diagnosis: Diagnosis) -> list[str]:
+    """What cannot be told of parts with few captures, and what would be needed."""
+    observations, found = diagnosis.readings.observations, []
+    counts = Counter(name.part for name in observations.captures)
+    for part, count in sorted(counts.items()):
+        if count >= FEWEST_TO_STAND_OUT or part == RUN_TIME:
+            continue
+        cannot = "which of them moved cannot be told, and how far captures repeat is hardly known"
+        if count == 1:
+            cannot = (
+                f"how far captures repeat cannot be told, and what is usual is assumed (about {USUAL_SHIFT:.0f} um and "
+                f"{USUAL_TURN:.0f} urad); an error of the camera's place in it looks like a cause"
+            )
+        found.append(
+            f"The {PART_NAMES[part]} part has {count} capture{'s' * (count > 1)}: {cannot}. {ENOUGH_CAPTURES} or more "
+            "captures of the part from different places are needed."
+        )
+    times = len({float(t) for part in observations.session.plan.parts if part is not None for t in part.time_s})
+    if times > 1 and not len(times_between_captures(observations.session.plan)):
+        found.append(
+            f"Only {times} captures differ in time: a slip, or another cause with a moment, cannot be told from a "
+            "capture that moved. Two captures on either side of the moment are needed."
+        )
+    return found
+
+
+def _confusable(cause: FoundCause, settings: Settings) -> str:
+    names = ", ".join(f"{other.name} (cosine {other.cosine:.3f})" for other in cause.degenerate)
+    close = undecided(cause, settings)
+    if not close:
+        return f"{cause.name} is nearly degenerate with {names}. The session decides for it."
+    doubtful = "; ".join(f"from {other.name}: {other.separated_by}" for other in close)
+    return f"{cause.name} is nearly degenerate with {names}. The session does not decide. To separate it {doubtful}."
