@@ -132,7 +132,9 @@ def test_one_capture_is_enough(corrected, second, tmp_path, capsys):
     status, printed = run(capsys, corrected, folder, "--out", tmp_path / "out")
     assert status == 0
     assert "predicts the only capture of one to noise and repeatability" in printed.out
-    (capture,) = json.loads((tmp_path / "out" / "report.json").read_text())["captures"]
+    record = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert record["advice"] == ["This bench needs no correction for such captures."]
+    (capture,) = record["captures"]
     assert capture["name"] == "see-through capture 3 of target pose 2"
     assert capture["readings"] == len(kept)
 

@@ -127,8 +127,9 @@ def _part_sentence(part: PredictedPart, session: str) -> str:
     text += f" ({part.whitened:.3g} with measured noise and repeatability)" if part.is_noise else ""
     if part.by_own_bench is None:
         return f"{text}."
-    better = "better" if _is_better(part) else "no better"
-    return f"{text}, {better} than {session}'s own bench ({part.by_own_bench:.4g})."
+    is_worse = part.reduced_chi_squared > (1.0 + DEFAULT.material_variance) * part.by_own_bench
+    compared = "better" if _is_better(part) else "worse" if is_worse else "no better"
+    return f"{text}, {compared} than {session}'s own bench ({part.by_own_bench:.4g})."
 
 
 def _is_better(part: PredictedPart) -> bool:
@@ -146,6 +147,8 @@ def _advice(found: BenchPrediction, bench: Path, session: Path, folder: Path) ->
     if found.is_noise:
         if not known:
             return "The optics of this bench predict these captures; they need no correction."
+        if not {PART_NAMES[DISPLAY], PART_NAMES[SEE_THROUGH]} <= {part.name for part in found.parts}:
+            return "This bench needs no correction for such captures."
         return f"Use this bench for such captures: {command('calibrate captures', True, 'calibrate')}"
     if known and not any(_is_better(part) for part in found.parts):
         return (
