@@ -32,7 +32,7 @@ _REMEDIES = {
     "eye tracking": "calibrate the eye tracking again, or enter the correction",
     "clock": "draw each frame for the later time at which it is seen",
 }
-"""What to do about a cause, by the part of the bench that it belongs to."""
+"""Remedies of a cause, by the part of the bench that it belongs to."""
 
 _TABLES = {"device": "readout", "eye tracking": "eye_tracking"}
 """Table of bench.toml of a part, where its name differs."""
@@ -41,7 +41,7 @@ _MEANWHILE = {
     "panel pixels": "Until the cause is found, render with models fitted to the session (calibrate captures): like "
     "this function they absorb what is fixed in the headset.",
 }
-"""What to do about a residual that no cause explains, by the variables that it depends on."""
+"""Remedies of a residual that no cause explains, by the variables that it depends on."""
 
 RESIDUALS = (
     ("display", "display", "display_rms_px", " panel px"),
@@ -103,7 +103,7 @@ def _captures_beside(diagnosis: Diagnosis, moved: Iterable[MovedCapture]) -> int
 
 
 def advice(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
-    """What to do next, most urgent first; each a sentence."""
+    """Next steps, most urgent first; each a sentence."""
     if diagnosis.verdict == NO_EFFECT:
         return ["Keep using the bench file; effects below the detection limits would not have been seen."]
     steps = [_before_acting(cause, other) for cause in diagnosis.causes for other in undecided(cause, settings)]
@@ -111,7 +111,7 @@ def advice(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
     left = diagnosis.unexplained
     if left is not None:
         best = _smooth_match(left, settings)
-        dependence = f" that depends on {best.depends_on} and is not in the list of causes" if best else ""
+        dependence = f" that depends on {best.depends_on} and is none of the causes considered" if best else ""
         steps.append(
             f"Look for an effect in the {left.part} part{dependence}."
             if best

@@ -86,7 +86,7 @@ def _percent(value: float, reference: float) -> str:
 
 
 def _too_few(diagnosis: Diagnosis) -> list[str]:
-    """What cannot be told of parts with few captures, and what would be needed."""
+    """Limits of parts with few captures, and the captures that would lift them."""
     observations, found = diagnosis.readings.observations, []
     counts = Counter(name.part for name in observations.captures)
     for part, count in sorted(counts.items()):

@@ -50,8 +50,8 @@ def residuals_table(diagnosis: Diagnosis) -> ReportTable:
     ]
     if unknown:
         notes.append(
-            "No residual is expected of a part whose residual is unexplained: the motions of its captures, as fitted, "
-            "contain the unexplained effect."
+            "No expected residual is stated for a part with an unexplained residual: the motions of its captures, as "
+            "fitted, contain the unexplained effect."
         )
     return ReportTable("Simulation against measurement", columns, rows, notes)
 
@@ -88,7 +88,7 @@ def causes_table(diagnosis: Diagnosis) -> ReportTable:
 
 
 def in_use_table(in_use: ImprovementInUse) -> ReportTable:
-    """What the corrected bench improves in use."""
+    """Errors of models and pictures with both benches."""
     rows: list[list[Cell]] = [
         [f"{side} model refitted to the session", each.before, each.after, _gain(each.improvement)]
         for side, each in (("display", in_use.display), ("see-through", in_use.see_through))
@@ -202,7 +202,7 @@ def _whitened_rms(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 def repeatability_table(diagnosis: Diagnosis) -> ReportTable:
-    """How far the captures of each part repeat."""
+    """Repeatability of the captures of each part, and of both together where the parts agree."""
     unknown, both = undetermined_parts(diagnosis), both_parts(diagnosis)
     motions = [
         (f"{each.part} (not determined)" if each.part in unknown else each.part, each) for each in diagnosis.motions
