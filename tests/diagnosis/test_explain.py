@@ -15,6 +15,7 @@ from wlr_render.diagnosis.explain import advice, value_text, values_to_type, ver
 from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
 from wlr_render.diagnosis.noise_sentences import bench_sentence
+from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.evaluation.metrics import Summary
@@ -134,7 +135,7 @@ def test_the_motions_of_an_unexplained_part_are_no_repeatability(unexplained):
     assert "Repeatability of the display is not determined, as its residual is unexplained." in text
     assert "See-through: positions repeat to " in text
     assert re.search(r"\. Display residual \S+ panel px; see-through residual \S+', expected ", verdict_sentence(found))
-    assert [row[0] for row in tables.repeatability_table(found).rows] == ["display (not determined)", "see-through"]
+    assert [row[0] for row in repeatability_table(found).rows] == ["display (not determined)", "see-through"]
     residuals = tables.residuals_table(found)
     expected = {row[0]: row[residuals.columns.index("expected")] for row in residuals.rows}
     assert expected["display (panel px)"] is None is expected["all readings (sigma)"]
@@ -152,11 +153,11 @@ def test_the_mean_of_parts_that_agree_is_a_row(nothing):
     )
     floors = tuple(replace(nothing.noise_floors[0], part=each.part) for each in nothing.noise_floors)
     alike = replace(nothing, motions=motions, noise_floors=floors)
-    assert tables.repeatability_table(alike).rows[-1] == ["both, weighted mean", "9.0 +- 0.7", "25 +- 2"]
-    assert tables.noise_table(alike).rows[-1][0] == "both, weighted mean"
+    assert repeatability_table(alike).rows[-1] == ["both, weighted mean", "9.0 +- 0.7", "25 +- 2"]
+    assert noise_table(alike).rows[-1][0] == "both, weighted mean"
     assert bench_sentence(alike).startswith("Positions repeat to 9.0 +- 0.7 um, turns to 25 +- 2 urad")
     apart = replace(alike, motions=(motions[0], replace(motions[1], shift_um=30.0)))
-    assert len(tables.repeatability_table(apart).rows) == len(tables.noise_table(apart).rows) == 2
+    assert len(repeatability_table(apart).rows) == len(noise_table(apart).rows) == 2
 
 
 @pytest.mark.parametrize(
@@ -183,7 +184,7 @@ def test_tables_hold_the_numbers_of_the_record(explained, unexplained, nothing):
     assert tables.unexplained_table(unexplained).rows[0][0] == "panel pixels"
     assert not tables.unexplained_table(explained).rows
     assert len(tables.limits_table(nothing).rows) == len(nothing.detection_limits) > 0
-    noise = tables.noise_table(unexplained)
+    noise = noise_table(unexplained)
     assert [row[noise.columns.index("stated agrees")] for row in noise.rows] == ["no", "no"]
     residuals = {row[0]: row for row in tables.residuals_table(explained).rows}
     assert residuals["all readings (sigma)"][1:3] == [explained.before.over_noise, explained.after.over_noise]

@@ -9,6 +9,7 @@ from wlr_render.diagnosis import explain, plots, tables
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.noise_sentences import bench_sentence
+from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text
@@ -87,7 +88,7 @@ def diagnosis_report(
     blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis), tables.degenerate_table(diagnosis)]
     blocks += [plots.correlations_plot(diagnosis)] if len(diagnosis.correlations.names) > 1 else []
     blocks += [tables.unexplained_table(diagnosis), Text("Why the search ended:", diagnosis.reasons)]
-    blocks += [Section("Noise"), tables.repeatability_table(diagnosis), tables.noise_table(diagnosis)]
+    blocks += [Section("Noise"), repeatability_table(diagnosis), noise_table(diagnosis)]
     blocks += [plots.normality_plot(diagnosis)]
     return Report(
         f"Diagnosis of {diagnosis.session} ({diagnosis.device}, {diagnosis.eye} eye)",

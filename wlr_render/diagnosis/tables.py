@@ -13,13 +13,12 @@ from wlr_render.diagnosis.explain import (
 )
 from wlr_render.diagnosis.fit import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
-from wlr_render.diagnosis.noise_sentences import both_parts, undetermined_parts, with_error
+from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.report_warnings import stated_prior
 from wlr_render.report.blocks import Cell, ReportTable
 
 _UNITS = {" panel px": "panel px", "'": "arcmin"}
-_BOTH = "both, weighted mean"
 _UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # of each place that are shown
 
@@ -201,24 +200,6 @@ def _whitened_rms(diagnosis: Diagnosis) -> dict[str, float]:
     return {str(name): float(rms[n]) for n, name in enumerate(observations.captures) if count[n]}
 
 
-def repeatability_table(diagnosis: Diagnosis) -> ReportTable:
-    """Repeatability of the captures of each part, and of both together where the parts agree."""
-    unknown, both = undetermined_parts(diagnosis), both_parts(diagnosis)
-    motions = [
-        (f"{each.part} (not determined)" if each.part in unknown else each.part, each) for each in diagnosis.motions
-    ]
-    motions += [(_BOTH, both[1])] if both else []
-    rows: list[list[Cell]] = [
-        [name, with_error(each.shift_um, each.shift_error_um), with_error(each.turn_urad, each.turn_error_urad)]
-        for name, each in motions
-    ]
-    columns = ("part", "positions (um)", "turns (urad)")
-    notes = ["Standard deviation, per axis, of the random motion of the camera against the headset in each capture."]
-    if unknown:
-        notes.append("Not determined: the residual is unexplained, and the motions contain the unexplained effect.")
-    return ReportTable("Repeatability", columns, rows, notes)
-
-
 def excluded_table(diagnosis: Diagnosis) -> ReportTable:
     """Excluded captures, and the move that would explain each."""
     rows: list[list[Cell]] = [
@@ -263,46 +244,6 @@ def limits_table(diagnosis: Diagnosis) -> ReportTable:
     ]
     columns = ("cause", "parameter", "detection limit", "unit")
     return ReportTable("Detection limits", columns, rows, ("Five standard errors, each cause acting alone.",))
-
-
-def noise_table(diagnosis: Diagnosis) -> ReportTable:
-    """Noise of each part: stated, measured, and used."""
-    rows: list[list[Cell]] = [
-        [
-            floor.part,
-            floor.stated_px,
-            floor.within_px,
-            floor.repeats_px,
-            with_error(floor.measured_px, floor.error_px),
-            floor.used_px,
-            "yes" if floor.is_believable else "no",
-            floor.rim_factor,
-            100 * float(np.expm1(floor.photographs_differ)),
-            100 * floor.shared,
-        ]
-        for floor in diagnosis.noise_floors
-    ]
-    both = both_parts(diagnosis)
-    if both is not None:
-        rows.append([_BOTH, None, None, None, with_error(both[0].measured_px, both[0].error_px), *[None] * 5])
-    columns = (
-        "noise (camera px)",
-        "stated",
-        "within photographs",
-        "repeats",
-        "measured",
-        "used",
-        "stated agrees",
-        "corner / middle",
-        "photographs differ (%)",
-        "shared (%)",
-    )
-    note = (
-        "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice "
-        "from one place. Measured: both combined by inverse variance. Used: measured and stated weighted by their "
-        "errors. Shared: of the variance, by neighbouring points of a photograph."
-    )
-    return ReportTable("Noise", columns, rows, (note,))
 
 
 def _percent(improvement: HeldOutImprovement) -> str:
