@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
-from wlr_render.diagnosis.fit import Fit, WeighedReadings, held_out_improvement
+from wlr_render.diagnosis.fit import Fit, WeighedReadings, held_out_improvement, off_prior
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.diagnosis.scatter import Scatter, best_scatter, marginal, surprise
+from wlr_render.diagnosis.scatter import Scatter, best_scatter, cost, marginal, surprise
 from wlr_render.diagnosis.search import LOG10_ODDS
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 
 Design = tuple[str, str, FloatArray]
@@ -73,21 +73,20 @@ def corrections(readings: WeighedReadings, found: Fit, part: int) -> list[Fitted
 def odds_beside(readings: WeighedReadings, found: Fit, number: int, beside: FittedCorrection) -> float:
     """Log10 odds for one of a fit's causes against none where a smooth correction may explain the same.
 
-    The correction's size is what it takes without the cause; so a cause that it can imitate gains nothing.
+    The correction's size is what it takes without the cause; so a cause whose effect it can take gains nothing.
     """
-    at, explanation = found.at, found.explanation
-    owner = np.repeat(np.arange(len(explanation.values)), [len(each) for each in explanation.values])[at.free]
-    prior_sigma = np.array([parameter.prior_sigma for parameter in explanation.parameters()])
-    values = (explanation.vector() / prior_sigma)[at.free]
-    mine, jacobian = owner == number, np.nan_to_num(at.jacobian)
-    without = at.residual + jacobian[:, :, mine] @ values[mine]
+    rest, columns = found.owner != number, found.at.jacobian
+    mean, without = -off_prior(found.explanation)[found.at.free], found.residual_without(number)
+    # The cause's own values count from none.
+    mean = np.where(rest, mean, mean + found.effects)
 
-    def cost(columns: FloatArray) -> float:
-        both = np.concatenate([columns, beside.columns], axis=-1)
-        sigma = np.r_[np.ones(columns.shape[-1]), np.full(beside.columns.shape[-1], beside.size)]
-        return best_scatter(readings.sums(without, both), found.scatter, np.zeros(both.shape[-1]), sigma)[1]
+    def least(chosen: BoolArray) -> float:
+        both = np.concatenate([columns[:, :, chosen], beside.columns], axis=-1)
+        means = np.r_[mean[chosen], np.zeros(beside.columns.shape[-1])]
+        sigma = np.r_[np.ones(int(chosen.sum())), np.full(beside.columns.shape[-1], beside.size)]
+        return best_scatter(readings.sums(without, both), found.scatter, means, sigma)[1]
 
-    return float(LOG10_ODDS * (cost(jacobian[:, :, ~mine]) - cost(jacobian)))
+    return float(LOG10_ODDS * (least(rest) - least(np.ones_like(rest))))
 
 
 def _columns(design: FloatArray) -> FloatArray:
@@ -99,8 +98,7 @@ def _columns(design: FloatArray) -> FloatArray:
 
 
 def _without(readings: WeighedReadings, left: FloatArray, scatter: Scatter) -> float:
-    sums = readings.sums(left, np.zeros((*left.shape, 0)))
-    return marginal(sums, scatter).minus_two_log + surprise(scatter, sums)
+    return cost(readings.sums(left, np.zeros((*left.shape, 0))), scatter, np.zeros(0))
 
 
 def _evidence(
@@ -109,7 +107,7 @@ def _evidence(
     """Most probable size of a correction's coefficients, in sigma, and log10 of the odds for it against none."""
     sums = readings.sums(left, columns)
     best = (0.0, 0.0)
-    for less, noise in product(_LESS_MOTION, {1.0, round(float(scatter.noise[sums.part_of[sums.used][0]]), 1)}):
+    for less, noise in product(_LESS_MOTION, {1.0, float(scatter.noise[sums.part_of[sums.used][0]])}):
         at = Scatter(
             np.full_like(scatter.noise, noise), less * scatter.shift_um, less * scatter.turn_urad, scatter.moved
         )
@@ -118,8 +116,8 @@ def _evidence(
         pull, values = axes.T @ found.gradient, values.clip(0.0)
         for size in _SIZES:
             shrunk = pull**2 * size**2 / (1.0 + size**2 * values)
-            cost = found.minus_two_log + unusual + float(np.sum(np.log1p(size**2 * values) - shrunk))
-            best = max(best, (LOG10_ODDS * (base - cost), float(size)))
+            least = found.minus_two_log + unusual + float(np.sum(np.log1p(size**2 * values) - shrunk))
+            best = max(best, (LOG10_ODDS * (base - least), float(size)))
     return best[1], best[0]
 
 

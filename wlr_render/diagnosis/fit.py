@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import t as student
 
+from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.noise import Noise
@@ -21,12 +22,13 @@ from wlr_render.diagnosis.scatter import (
     Scatter,
     ScatterSums,
     best_scatter,
+    cost,
     marginal,
     minus_two_log_evidence,
 )
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
@@ -35,6 +37,7 @@ _SPREADS = 4.0  # standard deviations above its mean up to which the square of a
 _HELD = 1e-2  # of the whole information: a half that determines less of a parameter does not move it
 _POSE = ("camera_pupil_offset", "camera_rotation")
 _MICRO = {"mm": 1e3, "deg": float(np.radians(1e6))}
+_FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 _MOST_STEPS = 4  # whole steps from the best multiple that are counted
 
 
@@ -74,11 +77,9 @@ class WeighedReadings:
     def whitening(self, scatter: Scatter) -> Whitening:
         """That makes errors independent and of unit size, given the sizes of what is random."""
         group, part = self.observations.group, self.observations.part
-        names, first = np.unique(group, return_index=True)
-        order = np.argsort(group, kind="stable")
-        rows = np.split(order, np.cumsum(np.bincount(group[order])[names])[:-1])
+        names, rows = rows_by_label(group)
         part_of = np.zeros(len(self.observations.captures), dtype=np.int64)
-        part_of[names] = part[first]
+        part_of[names] = [part[mine[0]] for mine in rows]
         sizes = scatter.sizes(part_of)[names]
         white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
         return Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
@@ -105,7 +106,7 @@ def camera_motions(predictor: Predictor) -> FloatArray:
         hypothesis = Hypothesis(CAUSES[name], next(iter(CAUSES[name].variants)))
         at = predictor.added(state, nothing.plus(hypothesis))
         full = np.zeros((*at.residual.shape, 3))
-        full[:, :, at.free] = np.nan_to_num(at.jacobian)
+        full[:, :, at.free] = at.jacobian
         columns.append(full / [each.prior_sigma * _MICRO[each.unit] for each in hypothesis.cause.parameters])
     motions = np.concatenate(columns, axis=-1)
     motions[predictor.observations.part == RUN_TIME] = 0.0
@@ -140,6 +141,25 @@ class Fit:
     def covariance(self) -> FloatArray:
         """Of the free parameters (p, p) in prior sigmas."""
         return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def owner(self) -> IntArray:
+        """Which cause each free value belongs to (p,)."""
+        counts = [len(each) for each in self.explanation.values]
+        return np.repeat(np.arange(len(counts)), counts)[self.at.free]
+
+    @cached_property
+    def effects(self) -> FloatArray:
+        """Free values (p,) in prior sigmas; 0 for those that only shape an effect."""
+        parameters = self.explanation.parameters()
+        sizes = np.array([each.role is Role.SIZE for each in parameters], dtype=bool)
+        sigma = np.array([each.prior_sigma for each in parameters])
+        return np.asarray(np.where(sizes, self.explanation.vector() / sigma, 0.0)[self.at.free])
+
+    def residual_without(self, number: int) -> FloatArray:
+        """Residual (n, 2) in units of sigma without one of the causes, to first order."""
+        mine = self.owner == number
+        return np.asarray(self.at.residual + self.at.jacobian[:, :, mine] @ self.effects[mine])
 
     def sigmas(self) -> FloatArray:
         """One standard deviation of all parameters, in their units; 0 for those that are not free."""
@@ -206,8 +226,8 @@ def _stepped(
     predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float
 ) -> tuple[Explanation, State, float, float] | None:
     """The next explanation, its state, what it gains, and the damping to go on with; None where no step helps."""
-    rows = whiten(np.nan_to_num(at.jacobian)).reshape(-1, at.free.size)
-    residual, off = whiten(at.residual), _off_prior(at.explanation)[at.free]
+    rows = whiten(at.jacobian).reshape(-1, at.free.size)
+    residual, off = whiten(at.residual), off_prior(at.explanation)[at.free]
     information = rows.T @ rows + np.eye(len(off))
     gradient = rows.T @ residual.ravel() - off
     before = float(np.sum(residual**2)) + _prior_cost(at.explanation)
@@ -229,8 +249,8 @@ def _stepped(
     return None
 
 
-def _off_prior(explanation: Explanation) -> FloatArray:
-    """Distance of all values from what is expected of them, in prior sigmas; 0 for times."""
+def off_prior(explanation: Explanation) -> FloatArray:
+    """Distance (p,) of all values from what is expected of them, in prior sigmas; 0 for times."""
     parameters = explanation.parameters()
     mean = np.array([p.starts[0] if p.role is Role.SHAPE else p.prior_mean for p in parameters])
     sigma = np.array([p.prior_sigma for p in parameters])
@@ -240,7 +260,7 @@ def _off_prior(explanation: Explanation) -> FloatArray:
 
 
 def _prior_cost(explanation: Explanation) -> float:
-    off = _off_prior(explanation)
+    off = off_prior(explanation)
     return float(off @ off)
 
 
@@ -248,15 +268,15 @@ def _evidence(
     readings: WeighedReadings, at: Linearisation, scatter: Scatter, vary: bool
 ) -> tuple[Scatter, float, float]:
     """The sizes of what is random at a solution, -2 log evidence, and the largest change of the sizes' logarithms."""
-    sums = readings.sums(at.residual, np.nan_to_num(at.jacobian))
-    mean = -_off_prior(at.explanation)[at.free]
+    sums = readings.sums(at.residual, at.jacobian)
+    mean = -off_prior(at.explanation)[at.free]
     if vary:
-        found, cost = best_scatter(sums, scatter, mean)
+        found, least = best_scatter(sums, scatter, mean)
     else:
-        found, cost = scatter, minus_two_log_evidence(marginal(sums, scatter), mean)
-    cost += whole_step_cost(sums, found, at.explanation, at.free)
-    cost += 2.0 * float(np.log(choices(at.explanation, readings.observations)))
-    return found, cost, float(np.max(np.abs(found.vector() - scatter.vector())))
+        found, least = scatter, cost(sums, scatter, mean)
+    least += whole_step_cost(sums, found, at.explanation, at.free)
+    least += 2.0 * float(np.log(choices(at.explanation, readings.observations)))
+    return found, least, float(np.max(np.abs(found.vector() - scatter.vector())))
 
 
 def choices(explanation: Explanation, observations: Observations) -> float:
@@ -265,8 +285,15 @@ def choices(explanation: Explanation, observations: Observations) -> float:
     for hypothesis in explanation.hypotheses:
         count *= len(hypothesis.cause.variants)
         if any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters):
-            count *= max(1, len(observations.captures) - 1)
+            count *= max(1, len(times_between_captures(observations.session.plan)))
     return count
+
+
+def times_between_captures(plan: SessionPlan) -> FloatArray:
+    """Times in the middle between captures, ascending, with some captures on either side."""
+    parts = [part for part in plan.parts if part is not None]
+    times = np.unique(np.concatenate([part.time_s for part in parts]))
+    return np.asarray(0.5 * (times[1:] + times[:-1]))[_FEWEST - 1 : len(times) - _FEWEST]
 
 
 def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanation, free: IntArray) -> float:
@@ -278,7 +305,7 @@ def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanatio
     whole = np.isfinite(steps)
     if not whole.any():
         return 0.0
-    found, mean = marginal(sums, scatter), -_off_prior(explanation)[free]
+    found, mean = marginal(sums, scatter), -off_prior(explanation)[free]
     normal = found.information + np.eye(len(free))
     smooth = minus_two_log_evidence(found, mean)
     normal[np.ix_(whole, whole)] -= np.eye(int(whole.sum()))
@@ -328,9 +355,12 @@ def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
 def few_captures_factor(found: Fit, observations: Observations) -> float:
     """By how much one standard deviation is wider, as the motions' sizes are known from few captures only.
 
-    Student's t with the captures that the fit leaves free; 1 where motions do not matter.
+    Student's t with the captures that the fit leaves free; 1 at run time, which has no motions.
     """
-    freedom = max(1, len(np.unique(observations.group)) - found.at.free.size // 3)
+    count = len(np.unique(observations.group[observations.part != RUN_TIME]))
+    if count == 0:
+        return 1.0
+    freedom = max(1, count - found.at.free.size // 3)
     return float(student.ppf(0.841344746, freedom))
 
 
@@ -369,7 +399,7 @@ def held_out_residual(found: Fit, observations: Observations) -> FloatArray:
         found: the fit.
         observations: to which it was fitted.
     """
-    left, jacobian = found.at.residual.copy(), np.nan_to_num(found.at.jacobian)
+    left, jacobian = found.at.residual.copy(), found.at.jacobian
     for number in np.unique(observations.group) if found.at.free.size else ():
         mine = observations.group == number
         flat = found.jacobian[mine].reshape(-1, found.at.free.size)
@@ -398,17 +428,15 @@ def instability(observations: Observations, found: Fit) -> FloatArray:
     and far from the image's centre, left and right, top and bottom, of the stage's x and y, and early and late. What
     noise alone may change is taken off. 0 is stable; near 1 and above there is no such cause.
     """
-    owners = np.repeat(np.arange(len(found.explanation.values)), [len(v) for v in found.explanation.values])
-    owners = owners[found.at.free]
-    prior_sigma = np.array([parameter.prior_sigma for parameter in found.explanation.parameters()])
-    effect = (found.explanation.vector() / prior_sigma)[found.at.free]
+    effect = found.effects
+    sized = effect != 0.0
     worst = np.zeros(len(found.explanation.values))
     scale = reduced_chi_squared(found)
     for half in _halves(observations):
         first, second = (_solved(found, rows) for rows in (half, ~half))
         change, covariance = first[0] - second[0], scale * (first[1] + second[1])
         for cause in range(len(worst)):
-            mine = owners == cause
+            mine = sized & (found.owner == cause)
             weight = found.information[np.ix_(mine, mine)]
             noise = weight @ covariance[np.ix_(mine, mine)]
             usual = float(np.trace(noise) + _SPREADS * np.sqrt(2.0 * np.trace(noise @ noise)))

@@ -25,6 +25,7 @@ _SPREADS = np.concatenate([[0.0], np.geomspace(0.03, 2.0, 60)])
 _SHARES = np.linspace(0.0, 0.95, 39)
 _REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # of shared noise, in distances between neighbouring readings
 _USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # in the same distances, and standard deviation of its logarithm
+_PHOTOGRAPHS = (4, 40)  # in which it is looked for
 _WORK = 4e7  # cube of the readings of a photograph, times the photographs in which shared noise is looked for
 _MOST_READINGS = 250  # of one photograph, for that
 _ENOUGH_IN_COMMON = 5  # photographs
@@ -237,7 +238,7 @@ def _shared(
     if not own:
         return 0.0, np.nan, True, 1.0
     readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
-    step = int(np.ceil(len(own) / max(4.0, _WORK / readings**3)))
+    step = int(np.ceil(len(own) / np.clip(_WORK / readings**3, *_PHOTOGRAPHS)))
     chosen = own[step // 2 :: step]
     incoherent = _incoherent(observations, residual, own)
     blocks = [_contrasts(observations, incoherent, each, shape) for each in chosen]

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.diagnosis.fit import Fit, WeighedReadings
+from wlr_render.diagnosis.fit import Fit, WeighedReadings, off_prior
 from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
-from wlr_render.diagnosis.scatter import marginal, minus_two_log_evidence, motions_of, one_at_rest, surprise
+from wlr_render.diagnosis.scatter import cost, motions_of, one_at_rest
 from wlr_render.diagnosis.search import LOG10_ODDS
 from wlr_render.numerics.arrays import BoolArray
 
@@ -36,16 +36,16 @@ class MovedCapture:
 def moved_captures(readings: WeighedReadings, found: Fit) -> list[MovedCapture]:
     """The captures that moved according to a fit; a run-time recording has no camera pose, and is none."""
     observations = readings.observations
-    sums = readings.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
-    motion, mean = motions_of(sums, found.scatter), np.zeros(found.at.free.size)
-    cost = minus_two_log_evidence(marginal(sums, found.scatter), mean) + surprise(found.scatter, sums)
+    sums = readings.sums(found.at.residual, found.at.jacobian)
+    motion, mean = motions_of(sums, found.scatter), -off_prior(found.explanation)[found.at.free]
+    least = cost(sums, found.scatter, mean)
     made = []
     for number in np.flatnonzero(found.scatter.moved):
         rows = observations.group == number
         before = readings.shared(found.at.residual)[rows]
         after = before - readings.motions[rows] @ motion[number]
         rest = one_at_rest(found.scatter, int(number))
-        odds = LOG10_ODDS * (minus_two_log_evidence(marginal(sums, rest), mean) + surprise(rest, sums) - cost)
+        odds = LOG10_ODDS * (cost(sums, rest, mean) - least)
         shift, turn = (1e-3 * motion[number, :3]).tolist(), np.degrees(1e-6 * motion[number, 3:]).tolist()
         name, rms = observations.captures[number], [float(np.sqrt(np.mean(each**2))) for each in (before, after)]
         known = not _is_placed_by_bare(observations, name)

@@ -188,8 +188,9 @@ class Predictor:
             readings = _merged(
                 simulate_to_first_order(bench, self._touched(bench, base), base.dot_views), base.readings
             )
-            column = (residual - self.observations.residual(readings)) / _STEP
-            if np.nanmax(np.abs(column), initial=0.0) > _NOTHING:
+            # A reading that the step loses says nothing of the value.
+            column = np.nan_to_num((residual - self.observations.residual(readings)) / _STEP)
+            if np.max(np.abs(column), initial=0.0) > _NOTHING:
                 columns.append(column)
                 free.append(number)
         jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))

@@ -40,6 +40,8 @@ from wlr_render.diagnosis.fit import (
     few_captures_factor,
     fit,
     instability,
+    off_prior,
+    times_between_captures,
 )
 from wlr_render.diagnosis.noise import Noise, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
@@ -53,7 +55,6 @@ from wlr_render.diagnosis.search import (
     Search,
     Selection,
     hypotheses,
-    times_between_captures,
 )
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.geometry.directions import ARCMIN
@@ -94,7 +95,7 @@ def diagnose(
     left = _unexplained(search, found, prepared.noise, settings)
     dropped: list[str] = []
     if left and found.explanation.hypotheses:
-        found, dropped = _without_imitations(search, found, left)
+        found, dropped = _without_spurious_matches(search, found, left)
         rankings = _rankings(search, found, selection.first)
         left = _unexplained(search, found, prepared.noise, settings)
     named = tuple(_found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
@@ -153,13 +154,12 @@ def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Setti
         return first
     explanation = first.selection.fit.explanation
     noise = noise_of(as_stated.observations, as_stated.residual(explanation), settings)
-    same = np.array_equal(noise.outlier, first.noise.outlier) and all(
-        np.allclose([new.used_px, new.shared], [old.used_px, old.shared], rtol=settings.same_noise, atol=0.1)
-        for new, old in zip(noise.floors, first.noise.floors, strict=True)
-    )
-    if same and np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=5 * settings.same_noise):
+    now, before = ([floor.shared for floor in each.floors] for each in (noise, first.noise))
+    same = np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=settings.same_noise)
+    same = same and np.allclose(now, before, atol=settings.same_noise)
+    if same and np.array_equal(noise.outlier, first.noise.outlier):
         return first
-    progress("the noise is smaller than it seemed: again")
+    progress("the noise differs from the first estimate: again")
     return _with_noise_left_by(explanation, as_stated, causes, settings, progress)
 
 
@@ -192,9 +192,9 @@ def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit,
         ]
         best = min(others, key=lambda each: each.minus_two_log_evidence, default=found)
         if best.minus_two_log_evidence >= found.minus_two_log_evidence:
-            break
+            return found, rankings
         found = best
-    return found, rankings
+    return found, _rankings(search, found, first)
 
 
 def _rankings(search: Search, found: Fit, first: CandidateRanking) -> list[CandidateRanking]:
@@ -226,8 +226,8 @@ def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -
     return left
 
 
-def _without_imitations(search: Search, found: Fit, left: Sequence[Unexplained]) -> tuple[Fit, list[str]]:
-    """Leave out the causes that only imitate what no cause explains; and a sentence on each.
+def _without_spurious_matches(search: Search, found: Fit, left: Sequence[Unexplained]) -> tuple[Fit, list[str]]:
+    """Leave out the causes that only resemble what no cause explains; and a sentence on each.
 
     What explains the parts that are explained, by themselves, stays. Of the other causes each must explain more than
     smooth functions of what the residual depends on, and must have the same value in all halves of the readings.
@@ -241,7 +241,11 @@ def _without_imitations(search: Search, found: Fit, left: Sequence[Unexplained])
         alone = Search(full, subsample, search.hypotheses, search.progress, search.settings).select().fit
         kept = set(alone.explanation.names)
         if not kept <= set(found.explanation.names):
-            found = search.refitted(alone.explanation, found.scatter)
+            joined = found.explanation
+            for hypothesis, values in zip(alone.explanation.hypotheses, alone.explanation.values, strict=True):
+                if hypothesis.cause.name not in joined.names:
+                    joined = joined.plus(hypothesis, values)
+            found = search.pruned(search.refitted(joined, found.scatter))
     dropped = []
     while (spurious := _spurious(search, found, kept, parts)) is not None:
         number, sentence = spurious
@@ -300,8 +304,8 @@ def _excluded(
 
 def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
     """How far the captures of each part repeat, with standard errors by the curvature of the evidence."""
-    sums = readings.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
-    errors = scatter_errors(sums, found.scatter, np.zeros(found.at.free.size))
+    sums = readings.sums(found.at.residual, found.at.jacobian)
+    errors = scatter_errors(sums, found.scatter, -off_prior(found.explanation)[found.at.free])
     return tuple(
         MotionSize(
             PART_NAMES[part],
@@ -414,15 +418,18 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
         causes: to be considered.
     """
     limits = []
-    fewer = 1.0 / float(np.sqrt(search.share))
+    # Each reading of the subsample stands for several, but each capture for itself.
+    scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(search.share))
     times = times_between_captures(search.full.observations.session.plan)
     middle = float(times[len(times) // 2]) if len(times) else 0.0
     for cause in causes.values():
         hypothesis = Hypothesis(cause, next(iter(cause.variants)))
         is_time = [parameter.role is Role.TIME for parameter in cause.parameters]
+        if any(is_time) and len(times) == 0:
+            continue
         values = np.where(is_time, middle, cause.null())
         start = Explanation().plus(hypothesis, values)
-        alone = fit(search.subsample, start, found.scatter, 0, vary_scatter=False)
+        alone = fit(search.subsample, start, scatter, 0, vary_scatter=False)
         if alone is None:
             continue
         # Without the prior, which says nothing about what would have been seen.
@@ -431,7 +438,7 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
         moment = f" (from {middle:.0f} s on)" if any(is_time) else ""
         for number, each in zip(alone.at.free, sigma, strict=True):
             parameter = cause.parameters[number]
-            limit = search.settings.detection_limit_se * fewer * float(each) * parameter.prior_sigma
+            limit = search.settings.detection_limit_se * float(each) * parameter.prior_sigma
             if limit > 0.0:
                 limits.append(DetectionLimit(cause.name, f"{parameter.name}{moment}", parameter.unit, limit))
     return tuple(limits)

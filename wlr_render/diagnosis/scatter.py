@@ -16,9 +16,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from wlr_render.diagnosis.observations import PART_NAMES
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 
-_SHIFT, _TURN = 1e-6, 1e-6  # metres, radians: units of motions
 USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
 UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
@@ -121,9 +120,7 @@ class ScatterSums:
         ee, ey, ex = np.zeros((captures, 6, 6)), np.zeros((captures, 6)), np.zeros((captures, 6, m))
         count, square = np.zeros(_PARTS), np.zeros(_PARTS)
         xx, xy = np.zeros((_PARTS, m, m)), np.zeros((_PARTS, m))
-        order = np.argsort(group, kind="stable")
-        names, first = np.unique(group[order], return_index=True)
-        for name, rows in zip(names, np.split(order, first[1:]), strict=True):
+        for name, rows in zip(*rows_by_label(group), strict=True):
             mine, e, x = y[rows].ravel(), motions[rows].reshape(-1, 6), columns[rows].reshape(2 * len(rows), m)
             part_of[name], used[name], at = part[rows[0]], True, part[rows[0]]
             ee[name], ey[name], ex[name] = e.T @ e, e.T @ mine, e.T @ x
@@ -132,10 +129,6 @@ class ScatterSums:
             xx[at] += x.T @ x
             xy[at] += x.T @ mine
         return cls(part_of, used, count, square, ee, ey, ex, xx, xy)
-
-    def of_columns(self, which: IntArray) -> "ScatterSums":
-        """For some of the columns."""
-        return replace(self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which])
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +191,18 @@ def surprise(scatter: Scatter, sums: ScatterSums) -> float:
     return float(np.sum(np.square(off))) + 2.0 * _COST_OF_MOVING * int(scatter.moved.sum())
 
 
+def cost(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0) -> float:
+    """-2 log evidence, weighed with how usual the sizes are.
+
+    Args:
+        sums: over the readings.
+        scatter: sizes of what is random.
+        mean: (m,) of the values' priors less the values at which the sums were made, in prior sigmas.
+        sigma: (m,) of the priors.
+    """
+    return minus_two_log_evidence(marginal(sums, scatter), mean, sigma) + surprise(scatter, sums)
+
+
 def best_scatter(
     sums: ScatterSums, start: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
 ) -> tuple[Scatter, float]:
@@ -209,15 +214,14 @@ def best_scatter(
     usual = np.repeat(np.log([1.0, USUAL_SHIFT, USUAL_TURN]), _PARTS)
     first[~free] = usual[~free]
 
-    def cost(inner: FloatArray) -> float:
+    def at(inner: FloatArray) -> float:
         vector = first.copy()
         vector[free] = inner
-        at = start.at(vector)
-        return minus_two_log_evidence(marginal(sums, at), mean, sigma) + surprise(at, sums)
+        return cost(sums, start.at(vector), mean, sigma)
 
     def with_slope(inner: FloatArray) -> tuple[float, FloatArray]:
-        value = cost(inner)
-        return value, np.array([(cost(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))])
+        value = at(inner)
+        return value, np.array([(at(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))])
 
     low = np.concatenate([np.zeros(_PARTS), np.full(2 * _PARTS, _LOWEST)])[free]
     high = np.concatenate([np.full(_PARTS, _NOISIEST), np.full(2 * _PARTS, _HIGHEST)])[free]
@@ -228,7 +232,7 @@ def best_scatter(
         jac=True,
         method="L-BFGS-B",
         bounds=np.stack([low, high], axis=1),
-        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(cost(inside)), 1.0), "gtol": 0.05},
+        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(at(inside)), 1.0), "gtol": 0.05},
     )
     vector = first.copy()
     vector[free] = found.x
@@ -241,9 +245,9 @@ def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> 
     Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
     of highest evidence is kept, and each is tried once more by itself.
     """
-    best, cost = best_scatter(sums, replace(start, moved=np.zeros_like(start.moved)), mean)
+    best, least = best_scatter(sums, replace(start, moved=np.zeros_like(start.moved)), mean)
     if start.moved.any():
-        best, cost = min((best, cost), best_scatter(sums, start, mean), key=lambda each: each[1])
+        best, least = min((best, least), best_scatter(sums, start, mean), key=lambda each: each[1])
     for part in range(_PARTS):
         own = np.flatnonzero(sums.used & (sums.part_of == part))
         if len(own) < FEWEST_TO_STAND_OUT or not np.any(sums.ee[own]):
@@ -252,12 +256,12 @@ def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> 
             gain = _own_gain(sums, best, mean)[own]
             if np.max(gain) < _STANDS_OUT:
                 break
-            best, cost = _prefix(sums, best, cost, own[np.argsort(-gain)], mean)
-        best, cost = one_by_one(sums, best, cost, own[best.moved[own]], mean)
-    return best, cost
+            best, least = _prefix(sums, best, least, own[np.argsort(-gain)], mean)
+        best, least = one_by_one(sums, best, least, own[best.moved[own]], mean)
+    return best, least
 
 
-def _prefix(sums: ScatterSums, best: Scatter, cost: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
+def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
     """The best number of captures that moved, taken in an order."""
     most = len(order) // 2
     tried: dict[int, tuple[Scatter, float]] = {}
@@ -276,32 +280,31 @@ def _prefix(sums: ScatterSums, best: Scatter, cost: float, order: IntArray, mean
         if at(nearer) >= at(count):
             break
         count = nearer
-    return tried[count] if at(count) < cost else (best, cost)
+    return tried[count] if at(count) < least else (best, least)
 
 
 def one_by_one(
-    sums: ScatterSums, best: Scatter, cost: float, captures: IntArray, mean: FloatArray
+    sums: ScatterSums, best: Scatter, least: float, captures: IntArray, mean: FloatArray
 ) -> tuple[Scatter, float]:
     """Take each of some captures out of, or into, those that moved, if that has the higher evidence."""
     for number in captures:
         moved = best.moved.copy()
         moved[number] = not moved[number]
         at = replace(best, moved=moved)
-        if minus_two_log_evidence(marginal(sums, at), mean) + surprise(at, sums) < cost:
-            best, cost = best_scatter(sums, at, mean)
-    return best, cost
+        if cost(sums, at, mean) < least:
+            best, least = best_scatter(sums, at, mean)
+    return best, least
 
 
 def scatter_errors(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
     """Standard errors of the logarithms of noise, shifts and turns (3, parts) by the curvature of the evidence."""
     first, step = scatter.vector(), 0.1
 
-    def cost(vector: FloatArray) -> float:
-        at = scatter.at(vector)
-        return minus_two_log_evidence(marginal(sums, at), mean) + surprise(at, sums)
+    def at(vector: FloatArray) -> float:
+        return cost(sums, scatter.at(vector), mean)
 
-    at_best = cost(first)
-    curvature = np.array([(cost(first + step * u) - 2 * at_best + cost(first - step * u)) / step**2 for u in np.eye(9)])
+    at_best = at(first)
+    curvature = np.array([(at(first + step * u) - 2 * at_best + at(first - step * u)) / step**2 for u in np.eye(9)])
     return np.asarray(np.sqrt(2.0 / curvature.clip(1e-3)).reshape(3, _PARTS))
 
 

@@ -21,31 +21,23 @@ from wlr_render.diagnosis.fit import (
     held_out_improvement,
     held_out_residual,
     is_physical,
+    off_prior,
     reduced_chi_squared,
+    times_between_captures,
 )
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
-from wlr_render.diagnosis.scatter import (
-    Scatter,
-    ScatterSums,
-    best_scatter,
-    marginal,
-    minus_two_log_evidence,
-    one_by_one,
-    surprise,
-    with_moved_captures,
-)
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis
+from wlr_render.diagnosis.scatter import Scatter, ScatterSums, best_scatter, cost, one_by_one, with_moved_captures
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
 LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
-_NOTHING_MORE = "no other cause has better odds than none"
+_NOTHING_MORE = "no further cause is worth fitting"
 _TIMES = 6  # tried at once
 _HOPELESS = -2.0  # gain with the sizes of what is random as they are, below which others do not help
 _ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
 _NOTABLE = 1e-3  # of the noise's variance: what a cause takes off a part in which it acts at least
-_FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +159,13 @@ class Search:
 
     def _with_moved(self, found: Fit) -> Fit:
         """A fit to all readings with the captures that moved found anew."""
-        mean = np.zeros(found.at.free.size)
-        sums = self.full.sums(found.at.residual, np.nan_to_num(found.at.jacobian))
+        mean = -off_prior(found.explanation)[found.at.free]
+        sums = self.full.sums(found.at.residual, found.at.jacobian)
         again, _ = with_moved_captures(sums, found.scatter, mean)
         if np.array_equal(again.moved, found.scatter.moved):
             return found
-        return _fitted(self.full, found.explanation, again)
+        refit = _fitted(self.full, found.explanation, again)
+        return refit if refit.minus_two_log_evidence < found.minus_two_log_evidence else found
 
     def _seeds(self, first: CandidateRanking) -> list[Candidate]:
         """Runners-up of the first place that are worth a restart."""
@@ -185,12 +178,11 @@ class Search:
         while True:
             if len(at.current.explanation.hypotheses) >= most:
                 return Selection(at.current, start, f"{most} causes are the most that are searched for")
-            at = self._equally_searched(at)
             refusal = self._refusal(at)
             if refusal:
                 return Selection(at.current, start, refusal)
             best = at.candidates[0].fit
-            at = self.rank(self._pruned(self._with_moved(best)))
+            at = self.rank(self.pruned(self._with_moved(best)))
 
     def rank(self, current: Fit) -> CandidateRanking:
         """Rank the causes that are not yet at work."""
@@ -202,7 +194,7 @@ class Search:
                 self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
                 screened.append(screen(self.subsample, at, hypothesis))
         found = sorted((each for each in screened if each is not None), key=lambda each: -each.gain)
-        return CandidateRanking(current, at, tuple(found), tuple(self._candidates(at, found)))
+        return self._equally_searched(CandidateRanking(current, at, tuple(found), tuple(self._candidates(at, found))))
 
     def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
         """Fits of the hypotheses that are worth one, best first."""
@@ -221,7 +213,6 @@ class Search:
         )
         if not coarse:
             return []
-        coarse = [replace(each, behind=self.share * each.behind) for each in coarse]
         close = [each for each in coarse if each.behind < settings.close_evidence][: settings.max_contenders]
         refits = ((each, fit(self.full, each.fit.explanation, each.fit.scatter)) for each in close)
         final = _by_evidence(replace(each, fit=found, fitted_to_all=True) for each, found in refits if found)
@@ -282,7 +273,7 @@ class Search:
                 shares.append(1.0 if at_noise else (old - new) / old)
         return max(shares)
 
-    def _pruned(self, found: Fit) -> Fit:
+    def pruned(self, found: Fit) -> Fit:
         """Leave out every cause that a later one has made idle."""
         for place in reversed(range(len(found.explanation.hypotheses) - 1)):
             if self._loss_without(found, place) > self.settings.close_evidence:
@@ -294,15 +285,12 @@ class Search:
 
     def _loss_without(self, found: Fit, place: int) -> float:
         """By how much -2 log evidence rises without one of the causes, to first order."""
-        explanation, at = found.explanation, found.at
-        owner = np.repeat(np.arange(len(explanation.values)), [len(each) for each in explanation.values])[at.free]
-        sigma = np.array([parameter.prior_sigma for parameter in explanation.parameters()])
-        values = (explanation.vector() / sigma)[at.free]
-        mine, jacobian = owner == place, np.nan_to_num(at.jacobian)
-        residual = at.residual + jacobian[:, :, mine] @ values[mine]
-        zero = np.zeros(int(np.sum(~mine)))
-        _, without = best_scatter(self.full.sums(residual, jacobian[:, :, ~mine]), found.scatter, zero)
-        return without - found.minus_two_log_evidence
+        rest = found.owner != place
+        mean = -off_prior(found.explanation)[found.at.free]
+        residual, columns = found.residual_without(place), found.at.jacobian
+        _, without = best_scatter(self.full.sums(residual, columns[:, :, rest]), found.scatter, mean[rest])
+        _, with_it = best_scatter(self.full.sums(found.at.residual, columns), found.scatter, mean)
+        return without - with_it
 
 
 def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:
@@ -335,25 +323,24 @@ def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
 
 def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
     """The gain of a hypothesis over a fit to the same readings; None where it changes nothing."""
-    predictor, mean = readings.predictor, np.zeros(current.at.free.size)
-    own = readings.sums(current.at.residual, np.nan_to_num(current.at.jacobian))
-    base = minus_two_log_evidence(marginal(own, current.scatter), mean) + surprise(current.scatter, own)
+    predictor, mean = readings.predictor, -off_prior(current.explanation)[current.at.free]
+    base = cost(readings.sums(current.at.residual, current.at.jacobian), current.scatter, mean)
     # What a cause does to a few captures, those that seem to have moved do, too; and then say nothing of its moment.
     roles, at_rest = [parameter.role for parameter in hypothesis.cause.parameters], current.scatter.at_rest()
     scatters = [at_rest] if Role.TIME in roles or not current.scatter.moved.any() else [current.scatter, at_rest]
 
-    def joined(start: FloatArray) -> tuple[Linearisation, ScatterSums]:
-        added = predictor.added(current.at.state, current.explanation.plus(hypothesis, start))
+    def joined(start: FloatArray) -> tuple[int, ScatterSums, FloatArray]:
+        explanation = current.explanation.plus(hypothesis, start)
+        added = predictor.added(current.at.state, explanation)
         columns = np.concatenate([current.at.jacobian, added.jacobian], axis=-1)
-        return added, readings.sums(current.at.residual, np.nan_to_num(columns))
+        mean = -off_prior(explanation)[np.concatenate([current.at.free, added.free])]
+        return added.free.size, readings.sums(current.at.residual, columns), mean
 
     def of(start: FloatArray) -> ScreenedHypothesis:
-        added, sums = joined(start)
-        zero = np.zeros(sums.xy.shape[1])
-        costs = [minus_two_log_evidence(marginal(sums, each), zero) + surprise(each, sums) for each in scatters]
+        added, sums, mean = joined(start)
+        costs = [cost(sums, each, mean) for each in scatters]
         best = int(np.argmin(costs))
-        gain = base - costs[best] if added.free.size else 0.0
-        return ScreenedHypothesis(hypothesis, start, gain, added.free.size, scatters[best])
+        return ScreenedHypothesis(hypothesis, start, base - costs[best] if added else 0.0, added, scatters[best])
 
     plan = readings.observations.session.plan
     best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
@@ -363,13 +350,11 @@ def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> S
         best = _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
     if best.gain < _HOPELESS and not (Role.TIME in roles and current.scatter.moved.any()):
         return best
-    _, sums = joined(best.start)
-    zero = np.zeros(sums.xy.shape[1])
-    scatter, cost = best_scatter(sums, best.scatter, zero)
-    scatter, cost = one_by_one(sums, scatter, cost, np.flatnonzero(current.scatter.moved), zero)
-    chosen = Explanation().plus(hypothesis)
-    cost += 2.0 * float(np.log(choices(chosen, readings.observations)))
-    return replace(best, gain=base - cost, scatter=scatter)
+    _, sums, mean = joined(best.start)
+    scatter, least = best_scatter(sums, best.scatter, mean)
+    scatter, least = one_by_one(sums, scatter, least, np.flatnonzero(current.scatter.moved), mean)
+    least += 2.0 * float(np.log(choices(Explanation().plus(hypothesis), readings.observations)))
+    return replace(best, gain=base - least, scatter=scatter)
 
 
 def _with_better_time(
@@ -403,13 +388,6 @@ def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
         values = _some(times_between_captures(plan)) if parameter.role is Role.TIME else np.array(parameter.starts)
         starts = [_with(start, number, float(value)) for start in starts for value in values]
     return starts
-
-
-def times_between_captures(plan: SessionPlan) -> FloatArray:
-    """Times in the middle between captures, ascending, with some captures on either side."""
-    parts = [part for part in plan.parts if part is not None]
-    times = np.unique(np.concatenate([part.time_s for part in parts]))
-    return np.asarray(0.5 * (times[1:] + times[:-1]))[_FEWEST - 1 : len(times) - _FEWEST]
 
 
 def _some(values: FloatArray) -> FloatArray:

@@ -14,7 +14,8 @@ class Settings:
             an effect: how noise is shared by neighbours is not known better.
         outlier_reading: residual of a single reading over the noise of its photograph from which it is an outlier;
             neither noise nor a smooth effect is so far off.
-        same_noise: relative change of sigma below which the causes are not selected again with the new sigma.
+        same_noise: relative change of sigma, or change of the share that neighbours have in common, below which the
+            causes are not selected again with the new noise.
         subsample: readings on which candidates are compared first; all readings are used for the few that remain.
         max_causes: causes that are searched for; more than five are not told apart by one session.
         least_log10_odds: for a cause, or for a smooth correction, below which it is not said to be there: 2 is a chance
@@ -24,8 +25,8 @@ class Settings:
         min_relative_gain: share of the best candidate's first-order gain below which a candidate is not fitted.
         max_fits: candidates that are fitted for each place.
         max_contenders: candidates that are fitted again to all readings.
-        close_evidence: difference of -2 log evidence beyond which a candidate is not fitted to all readings: the
-            subsample cannot be wrong by odds of exp(20).
+        close_evidence: difference of -2 log evidence on the subsample beyond which a candidate is not fitted to all
+            readings, which are only more decided.
         restarts: runners-up of the first place from which the selection is tried again: of two causes at work, the
             one that alone explains most may be neither.
         max_instability: change of a cause's effect between halves of the readings, over the effect, from which the
@@ -43,7 +44,7 @@ class Settings:
     material_variance: float = 0.1
     material_excess: float = 0.25
     outlier_reading: float = 6.0
-    same_noise: float = 0.02
+    same_noise: float = 0.1
     subsample: int = 6000
     max_causes: int = 5
     least_log10_odds: float = 2.0
@@ -51,7 +52,7 @@ class Settings:
     min_relative_gain: float = 0.3
     max_fits: int = 6
     max_contenders: int = 3
-    close_evidence: float = 40.0
+    close_evidence: float = 20.0
     restarts: int = 1
     max_instability: float = 0.35
     max_prior_sigmas: float = 20.0

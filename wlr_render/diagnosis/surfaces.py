@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _DEGREE = 6
@@ -68,9 +68,7 @@ def image_basis(observations: Observations, rows: IntArray) -> FloatArray | None
 
 def photographs(observations: Observations) -> Iterator[IntArray]:
     """The readings of each photograph."""
-    order = np.argsort(observations.photograph, kind="stable")
-    _, first = np.unique(observations.photograph[order], return_index=True)
-    yield from np.split(order, first[1:])
+    yield from rows_by_label(observations.photograph)[1]
 
 
 def surfaces(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Iterator[Surface]:
@@ -79,11 +77,14 @@ def surfaces(observations: Observations, residual: FloatArray, settings: Setting
         design = image_basis(observations, rows)
         if design is None:
             continue
-        own, good = residual[rows], np.ones(len(rows), dtype=bool)
+        good = known = np.asarray(np.isfinite(residual[rows]).all(axis=1))
+        own = np.nan_to_num(residual[rows])
+        if good.sum() <= 2 * design.shape[1]:
+            continue
         for _ in range(_OUTLIER_ROUNDS):
             left, leverage, size = _studentised(design, own, good)
             # 1.18: the median length of a two-vector of unit normal components.
-            near = size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18)
+            near = known & (size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18))
             if np.array_equal(near, good):
                 break
             # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.
