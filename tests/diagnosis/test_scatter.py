@@ -23,11 +23,6 @@ from wlr_render.diagnosis.scatter import (
 NOTHING = np.zeros(0)
 
 
-def of_columns(sums, which):
-    """Sums for some of the columns."""
-    return replace(sums, ex=sums.ex[:, :, which], xx=sums.xx[:, which][:, :, which], xy=sums.xy[:, which])
-
-
 @pytest.fixture(scope="module")
 def drawn():
     """Readings of five captures in two parts, one of which moved, and what follows from them by dense matrices."""
@@ -69,7 +64,7 @@ def test_values_are_integrated_out_over_their_priors_exactly(drawn):
     mean, sigma = np.array([0.4, -1.0, 0.2]), np.array([0.3, 1.0, 2.0])
     expected = density(y - columns @ mean, variance + (columns * sigma**2) @ columns.T)
     assert minus_two_log_evidence(marginal(sums, scatter), mean, sigma) == pytest.approx(expected, rel=1e-9)
-    some = marginal(of_columns(sums, np.array([2, 0])), scatter)
+    some = marginal(sums.of_columns(np.array([2, 0])), scatter)
     expected = density(y, variance + columns[:, [2, 0]] @ columns[:, [2, 0]].T)
     assert minus_two_log_evidence(some, np.zeros(2)) == pytest.approx(expected, rel=1e-9)
 
@@ -181,6 +176,6 @@ def test_a_shift_that_all_captures_have_is_for_the_causes(still):
     y = rng.normal(size=(len(observed), 2)) + columns @ np.array([1.0, -1.0, 0.5])
     sums = ScatterSums.over(y, still.motions, columns, observed.group, observed.part, len(observed.captures))
     with_it, _ = best_scatter(sums, Scatter.usual(36), np.zeros(3))
-    without, _ = best_scatter(of_columns(sums, np.zeros(0, dtype=int)), Scatter.usual(36), NOTHING)
+    without, _ = best_scatter(sums.of_columns(np.zeros(0, dtype=int)), Scatter.usual(36), NOTHING)
     assert with_it.shift_um[DISPLAY] < 6.0
     assert without.shift_um[DISPLAY] > 100.0

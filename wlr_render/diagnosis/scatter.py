@@ -130,6 +130,10 @@ class ScatterSums:
             xy[at] += x.T @ mine
         return cls(part_of, used, count, square, ee, ey, ex, xx, xy)
 
+    def of_columns(self, which: IntArray) -> "ScatterSums":
+        """Sums for some of the columns."""
+        return replace(self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which])
+
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
