@@ -29,6 +29,7 @@ _PHOTOGRAPHS = (4, 40)  # in which it is looked for
 _WORK = 4e7  # cube of the readings of a photograph, times the photographs in which shared noise is looked for
 _MOST_READINGS = 250  # of one photograph, for that
 _ENOUGH_IN_COMMON = 5  # photographs
+_ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
 _COMMON_DEGREE = 6  # of what photographs have in common
 _SMOOTHEST = 3  # degree of what the bench and its optics do to a photograph; what is finer may be shared noise
 
@@ -320,7 +321,8 @@ def _contrasts(
     if len(rows) > _MOST_READINGS:
         near = np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]
         rows, place = rows[near], place[near]
-    design = basis(place, total_degree(2, _SMOOTHEST), Box.around(place)) / shape[rows][:, None]
+    degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
+    design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
     projection = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     return projection.T @ (residual[rows] / shape[rows][:, None]), projection, place
 

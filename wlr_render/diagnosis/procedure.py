@@ -43,7 +43,7 @@ from wlr_render.diagnosis.fit import (
     off_prior,
     times_between_captures,
 )
-from wlr_render.diagnosis.noise import Noise, noise_of
+from wlr_render.diagnosis.noise import Noise, NoiseFloor, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
@@ -214,8 +214,7 @@ def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -
         tried = [each.correction for each in corrections(search.subsample, thinned, part)] if thinned else []
         structured = bool(tried) and tried[0].log10_odds > settings.least_log10_odds
         floor = noise.floor(part)
-        error = 2.0 * floor.error_px / floor.measured_px if floor.error_px > 0 else 0.0
-        error = float(np.hypot(error, np.sqrt(1.0 / np.sum(observations.part == part))))
+        error = _variance_error(observations, int(part), floor, settings)
         excess = float(scatter.noise[part] ** 2 - 1.0)
         moves = max(scatter.shift_um[part] / UNUSUAL_SHIFT, scatter.turn_urad[part] / UNUSUAL_TURN)
         if structured or excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
@@ -224,6 +223,21 @@ def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -
             rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))
             left.append(Unexplained(PART_NAMES[part], depends_on, rms, tuple(tried)))
     return left
+
+
+def _variance_error(observations: Observations, part: int, floor: NoiseFloor, settings: Settings) -> float:
+    """Relative standard error of the noise's variance in a part.
+
+    Where photographs have too few readings to tell what neighbours share, it may be anything; at run time it is as
+    stated.
+    """
+    rows = observations.part == part
+    few = float(np.sqrt(1.0 / np.sum(rows)))
+    if part == RUN_TIME:
+        return few
+    readings = np.sum(rows) / len(np.unique(observations.photograph[rows]))
+    known = floor.error_px > 0 and readings >= settings.fewest_readings
+    return float(np.hypot(few, 2.0 * floor.error_px / floor.measured_px)) if known else np.inf
 
 
 def _without_spurious_matches(search: Search, found: Fit, left: Sequence[Unexplained]) -> tuple[Fit, list[str]]:

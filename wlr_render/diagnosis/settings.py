@@ -12,6 +12,7 @@ class Settings:
         material_variance: share of a variance below which a difference changes neither verdict nor error bars by much.
         material_excess: share by which the variance of a residual without structure must exceed that of the noise to be
             an effect: how noise is shared by neighbours is not known better.
+        fewest_readings: of a photograph that tell noise from what is smooth over it.
         outlier_reading: residual of a single reading over the noise of its photograph from which it is an outlier;
             neither noise nor a smooth effect is so far off.
         same_noise: relative change of sigma, or change of the share that neighbours have in common, below which the
@@ -43,6 +44,7 @@ class Settings:
     significant_se: float = 3.0
     material_variance: float = 0.1
     material_excess: float = 0.25
+    fewest_readings: int = 30
     outlier_reading: float = 6.0
     same_noise: float = 0.1
     subsample: int = 6000
