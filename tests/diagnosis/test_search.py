@@ -50,10 +50,10 @@ def clean_and_noisy(bench, plan):
     return measured(bench, plan, SIGMA_PX, seed=12)
 
 
-def test_causes_are_added_until_none_has_better_odds_than_none(two):
+def test_causes_are_added_until_none_is_worth_fitting(two):
     selection = searching(two).select()
     assert set(names_of(selection)) == {"combiner_tilt", "target_scale"}
-    assert selection.reason == "no other cause has better odds than none"
+    assert selection.reason == "no further cause is worth fitting"
     assert reduced_chi_squared(selection.fit) == pytest.approx(1.0, abs=0.1)
 
 
@@ -160,11 +160,11 @@ def test_a_cause_that_a_later_one_has_made_idle_is_pruned(two):
     search = searching(two)
     both = explanation(panel_shift=[0, 0], combiner_tilt=[0, 0, 0]).plus(hypothesis("target_scale"))
     found = search.refitted(both, Scatter.usual(len(two.captures)))
-    assert search._pruned(found).explanation.names == ("combiner_tilt", "target_scale")
+    assert search.pruned(found).explanation.names == ("combiner_tilt", "target_scale")
 
 
 def test_no_cause_at_work_is_pruned(two):
     search = searching(two)
     start = explanation(target_scale=[0, 0], combiner_tilt=[0, 0, 0])
     found = search.refitted(start, Scatter.usual(len(two.captures)))
-    assert search._pruned(found) is found
+    assert search.pruned(found) is found

@@ -81,7 +81,6 @@ def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found(device)
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="a thick plate passes for a wrinkle of the target", strict=True)
 def test_what_no_cause_stands_for_is_unexplained_and_is_placed():
     wrinkle = {"height_mm": 8.0, "x_ratio": 0.2, "y_ratio": -0.1, "width_ratio": 0.3}
     said = diagnosed(small("northstar"), Effect("target_wrinkle", wrinkle))
