@@ -171,7 +171,7 @@ FAULTS = {
     "device": ('"northstar"', '"nothstar"', "Did you mean northstar?"),
     "device file": ('"northstar"', '"mine.toml"', "mine.toml: there is no such file"),
     "eye": ('"northstar"', '"northstar"\neye = "middle"', "'eye' is 'middle'; it must be one of left, right"),
-    "sigma": ("sigma_px = 0.1", "sigma_px = 0", "'point_sigma_px' is 0.0; it must be above 0 (repeatability"),
+    "sigma": ("sigma_px = 0.1", "sigma_px = 0", "'point_sigma_px' is 0.0; it must be above 0 (standard deviation"),
     "sigma's unit": ("sigma_px", "sigma_mm", "key 'point_sigma_px' is missing (found 'point_sigma_mm' instead)"),
     "sigma is nan": ("sigma_px = 0.1", "sigma_px = nan", "'point_sigma_px' must be finite"),
     "focal length": ("fx = 1350.0", "fx = -1350.0", "'fx' is -1350.0; it must be above 0"),

@@ -140,7 +140,12 @@ SECTIONS = {
             Entry("size_px", ("width", "height"), "image size, pixels", rule=COUNT),
             Entry("focal_px", ("fx", "fy"), "focal length, pixels", rule=POSITIVE),
             Entry("centre_px", ("cx", "cy"), "principal point, pixels", (), CAMERA_PIXEL),
-            Entry("point_sigma_px", ("point_sigma_px",), "standard deviation of a reading per axis (noise), camera pixels", rule=POSITIVE),
+            Entry(
+                "point_sigma_px",
+                ("point_sigma_px",),
+                "standard deviation of a reading per axis (noise), camera pixels",
+                rule=POSITIVE,
+            ),
             Entry(
                 "distortion",
                 ("distortion",),
