@@ -57,9 +57,11 @@ def corrections(readings: WeighedReadings, found: Fit, part: int) -> list[Fitted
     base = _without(mine, left, found.scatter)
     before = _squares(white, own.group, len(own.captures))
     made = []
-    for depends_on, form, design in _designs(own, part):
+    designs = list(_designs(own, part))
+    for depends_on, form, design in designs:
         columns = _columns(design)
         size, odds = _evidence(mine, left, columns, found.scatter, base)
+        odds -= float(np.log10(len(designs)))  # one of so many that were tried
         after = _squares(_held_out(design, white, own.group, size), own.group, len(own.captures))
         gain = held_out_improvement(before, after)
         full = np.zeros((len(rows), *columns.shape[1:]))
@@ -106,7 +108,7 @@ def _evidence(
 ) -> tuple[float, float]:
     """Most probable size of a correction's coefficients, in sigma, and log10 of the odds for it against none."""
     sums = readings.sums(left, columns)
-    best = (0.0, 0.0)
+    best = (-np.inf, 0.0)
     for less, noise in product(_LESS_MOTION, {1.0, float(scatter.noise[sums.part_of[sums.used][0]])}):
         at = Scatter(
             np.full_like(scatter.noise, noise), less * scatter.shift_um, less * scatter.turn_urad, scatter.moved
@@ -114,10 +116,13 @@ def _evidence(
         found, unusual = marginal(sums, at), surprise(at, sums)
         values, axes = np.linalg.eigh(found.information)
         pull, values = axes.T @ found.gradient, values.clip(0.0)
+        costs = []
         for size in _SIZES:
             shrunk = pull**2 * size**2 / (1.0 + size**2 * values)
-            least = found.minus_two_log + unusual + float(np.sum(np.log1p(size**2 * values) - shrunk))
-            best = max(best, (LOG10_ODDS * (base - least), float(size)))
+            costs.append(found.minus_two_log + unusual + float(np.sum(np.log1p(size**2 * values) - shrunk)))
+        # All sizes are equally likely beforehand.
+        least = -2.0 * float(np.logaddexp.reduce(-0.5 * np.array(costs)) - np.log(len(_SIZES)))
+        best = max(best, (LOG10_ODDS * (base - least), float(_SIZES[int(np.argmin(costs))])))
     return best[1], best[0]
 
 
