@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import Fit, WeighedReadings, fit
+from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.search import hypotheses, screen
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 
 _OTHERS = 6
 _WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does

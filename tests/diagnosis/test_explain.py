@@ -12,7 +12,7 @@ from wlr_render.calibration.fit_report import HeldOut
 from wlr_render.diagnosis import plots, tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
 from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence
-from wlr_render.diagnosis.fit import HeldOutImprovement
+from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
 from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table

@@ -22,7 +22,7 @@ def test_the_record_of_an_explained_session_holds_the_truth(explained):
         assert cause.ranking[0].reduced_chi_squared == pytest.approx(explained.after.over_noise**2, rel=0.02)
         assert cause.improvement.significance > 3
     np.testing.assert_allclose(explained.corrected.target.scale, 1.003, atol=2e-4)
-    assert explained.reasons[-1] == "no further cause is worth fitting"
+    assert explained.reasons[-1] == "no other cause makes the readings more probable"
 
 
 def test_a_cause_is_described_with_its_own_effect(explained):

@@ -53,7 +53,7 @@ def clean_and_noisy(bench, plan):
 def test_causes_are_added_until_none_is_worth_fitting(two):
     selection = searching(two).select()
     assert set(names_of(selection)) == {"combiner_tilt", "target_scale"}
-    assert selection.reason == "no further cause is worth fitting"
+    assert selection.reason == "no other cause makes the readings more probable"
     assert reduced_chi_squared(selection.fit) == pytest.approx(1.0, abs=0.1)
 
 
@@ -168,3 +168,17 @@ def test_no_cause_at_work_is_pruned(two):
     start = explanation(target_scale=[0, 0], combiner_tilt=[0, 0, 0])
     found = search.refitted(start, Scatter.usual(len(two.captures)))
     assert search.pruned(found) is found
+
+
+def test_the_excess_is_that_of_the_captures_that_count(clean_and_noisy):
+    readings = weighed(clean_and_noisy)
+    count = len(clean_and_noisy.captures)
+    calm = Scatter.usual(count)
+    one = replace(calm, moved=np.arange(count) == 0)
+    everyone, others = np.ones(count, dtype=bool), np.arange(count) > 0
+    # By the definition: half the squared length of what a motion of usual size does to a reading, on average.
+    size = np.repeat([calm.shift_um[0], calm.turn_urad[0]], 3)
+    mine = readings.motions[readings.observations.part == 0]
+    assert readings.excess(calm, 0, everyone) == pytest.approx(0.5 * np.mean(np.sum((mine * size) ** 2, axis=(1, 2))))
+    assert readings.excess(one, 0, everyone) > 100 * readings.excess(calm, 0, everyone)
+    assert readings.excess(one, 0, others) == pytest.approx(readings.excess(calm, 0, others))

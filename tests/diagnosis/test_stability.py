@@ -5,7 +5,8 @@ import pytest
 from small_session import SIGMA_PX, explanation, fitted_at_rest, measured
 
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import instability, reduced_chi_squared
+from wlr_render.diagnosis.fit import reduced_chi_squared
+from wlr_render.diagnosis.stability import instability
 
 STABLE, UNSTABLE = 0.1, 0.35
 

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
-from wlr_render.diagnosis.fit import Fit, WeighedReadings, held_out_improvement, off_prior
+from wlr_render.diagnosis.fit import Fit, off_prior
+from wlr_render.diagnosis.held_out import held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.scatter import Scatter, best_scatter, cost, marginal, surprise
 from wlr_render.diagnosis.search import LOG10_ODDS
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from wlr_render.diagnosis.fit import Fit, HeldOutImprovement, WeighedReadings
+from wlr_render.diagnosis.fit import Fit
+from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
 

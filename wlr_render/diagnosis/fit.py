@@ -5,7 +5,6 @@ capture (`whitening`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. M
 Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on readings whose errors are made independent.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,10 +13,8 @@ from scipy.stats import t as student
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Role
-from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.noise import Noise
-from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation, Predictor, State
+from wlr_render.diagnosis.observations import RUN_TIME, Observations
+from wlr_render.diagnosis.prediction import Explanation, Linearisation, Predictor, State
 from wlr_render.diagnosis.scatter import (
     Scatter,
     ScatterSums,
@@ -27,90 +24,15 @@ from wlr_render.diagnosis.scatter import (
     minus_two_log_evidence,
 )
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.diagnosis.whitening import Whitening
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
 _SAME_SCATTER = 0.1  # change of a logarithm below which the values are not fitted again
-_SPREADS = 4.0  # standard deviations above its mean up to which the square of a change may be noise
-_HELD = 1e-2  # of the whole information: a half that determines less of a parameter does not move it
-_POSE = ("camera_pupil_offset", "camera_rotation")
-_MICRO = {"mm": 1e3, "deg": float(np.radians(1e6))}
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 _MOST_STEPS = 4  # whole steps from the best multiple that are counted
-
-
-@dataclass(frozen=True, eq=False)
-class WeighedReadings:
-    """Readings with the errors that a bench gives them.
-
-    Attributes:
-        predictor: of the readings, none of which is an outlier; their sigma is that of their noise.
-        noise: of the session.
-        shared: whitening of the noise that neighbours share.
-        motions: (n, 2, 6) change of the white readings by a shift (micrometres) and a turn (microradians) of the camera
-            in the reading's capture; zero at run time.
-    """
-
-    predictor: Predictor
-    noise: Noise
-    shared: Whitening
-    motions: FloatArray
-
-    @classmethod
-    def of(cls, predictor: Predictor, noise: Noise) -> "WeighedReadings":
-        """Of a predictor whose sigma is that of the noise."""
-        observations = predictor.observations
-        shared = shared_noise_whitening(observations, noise)
-        return cls(predictor, noise, shared, shared(camera_motions(predictor)))
-
-    @property
-    def observations(self) -> Observations:
-        """What was read."""
-        return self.predictor.observations
-
-    def of_rows(self, keep: BoolArray) -> "WeighedReadings":
-        """The readings that a mask (n,) names."""
-        return WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
-
-    def whitening(self, scatter: Scatter) -> Whitening:
-        """That makes errors independent and of unit size, given the sizes of what is random."""
-        group, part = self.observations.group, self.observations.part
-        names, rows = rows_by_label(group)
-        part_of = np.zeros(len(self.observations.captures), dtype=np.int64)
-        part_of[names] = [part[mine[0]] for mine in rows]
-        sizes = scatter.sizes(part_of)[names]
-        white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
-        return Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
-
-    def excess(self, scatter: Scatter, part: int) -> float:
-        """Mean square of a part's white readings beside noise, by what captures scatter and what is left as noise."""
-        rows = self.observations.part == part
-        size = np.repeat([scatter.shift_um[part], scatter.turn_urad[part]], 3)
-        moved = 0.5 * float(np.mean(np.sum((self.motions[rows] * size) ** 2, axis=(1, 2))))
-        return float(scatter.noise[part] ** 2 - 1.0) + moved
-
-    def sums(self, residual: FloatArray, columns: FloatArray) -> ScatterSums:
-        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma."""
-        observed = self.observations
-        y, x = self.shared(residual), self.shared(columns)
-        return ScatterSums.over(y, self.motions, x, observed.group, observed.part, len(observed.captures))
-
-
-def camera_motions(predictor: Predictor) -> FloatArray:
-    """Change of the readings (n, 2, 6) in sigma by a micrometre or a microradian of the camera; zero at run time."""
-    nothing = Explanation()
-    state, columns = predictor.state(nothing), []
-    for name in _POSE:
-        hypothesis = Hypothesis(CAUSES[name], next(iter(CAUSES[name].variants)))
-        at = predictor.added(state, nothing.plus(hypothesis))
-        full = np.zeros((*at.residual.shape, 3))
-        full[:, :, at.free] = at.jacobian
-        columns.append(full / [each.prior_sigma * _MICRO[each.unit] for each in hypothesis.cause.parameters])
-    motions = np.concatenate(columns, axis=-1)
-    motions[predictor.observations.part == RUN_TIME] = 0.0
-    return np.asarray(motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,100 +295,3 @@ def correlation_matrix(found: Fit) -> FloatArray:
     """Correlations (p, p) between the free parameters of a fit."""
     sigma = np.sqrt(np.diag(found.covariance))
     return np.asarray(found.covariance / sigma / sigma[:, None])
-
-
-@dataclass(frozen=True)
-class HeldOutImprovement:
-    """How much closer held-out captures are predicted.
-
-    Attributes:
-        percent: reduction of their rms residual.
-        sigma: one standard error of that, from the spread of the captures' differences.
-        significance: mean difference of the captures' squared residuals over its standard error.
-    """
-
-    percent: float
-    sigma: float
-    significance: float
-
-
-def held_out_residual(found: Fit, observations: Observations) -> FloatArray:
-    """Residual (n, 2) in units of sigma of each capture when it is left out of the fit.
-
-    The fit without a capture is one Newton step from the fit with it, which is exact for what is left to change.
-
-    Args:
-        found: the fit.
-        observations: to which it was fitted.
-    """
-    left, jacobian = found.at.residual.copy(), found.at.jacobian
-    for number in np.unique(observations.group) if found.at.free.size else ():
-        mine = observations.group == number
-        flat = found.jacobian[mine].reshape(-1, found.at.free.size)
-        change = np.linalg.solve(found.information - flat.T @ flat, flat.T @ found.residual[mine].ravel())
-        left[mine] += jacobian[mine] @ change
-    return left
-
-
-def held_out_improvement(before: FloatArray, after: FloatArray) -> HeldOutImprovement:
-    """Compare two fits by their held-out squares per capture (groups,); captures that either lacks are left out."""
-    both = np.isfinite(before) & np.isfinite(after)
-    old, new = before[both], after[both]
-    difference = old - new
-    error = float(np.std(difference, ddof=1) * np.sqrt(len(old))) if len(old) > 1 else 0.0
-    ratio = float(np.sqrt(new.sum() / old.sum()))
-    # Leave-one-capture-out values of the ratio give its standard error.
-    ratios = np.sqrt((new.sum() - new) / (old.sum() - old).clip(1e-300))
-    spread = float(np.sqrt((len(old) - 1) / len(old) * np.sum((ratios - ratios.mean()) ** 2)))
-    return HeldOutImprovement(100 * (1 - ratio), 100 * spread, float(difference.sum()) / error if error > 0 else 0.0)
-
-
-def instability(observations: Observations, found: Fit) -> FloatArray:
-    """For each cause of a fit, the largest change of its effect between two halves of the readings, over the effect.
-
-    A spurious match fits one half of the readings with one value and the other half with another. The halves are near
-    and far from the image's centre, left and right, top and bottom, of the stage's x and y, and early and late. What
-    noise alone may change is taken off. 0 is stable; near 1 and above there is no such cause.
-    """
-    effect = found.effects
-    sized = effect != 0.0
-    worst = np.zeros(len(found.explanation.values))
-    scale = reduced_chi_squared(found)
-    for half in _halves(observations):
-        first, second = (_solved(found, rows) for rows in (half, ~half))
-        change, covariance = first[0] - second[0], scale * (first[1] + second[1])
-        for cause in range(len(worst)):
-            mine = sized & (found.owner == cause)
-            weight = found.information[np.ix_(mine, mine)]
-            noise = weight @ covariance[np.ix_(mine, mine)]
-            usual = float(np.trace(noise) + _SPREADS * np.sqrt(2.0 * np.trace(noise @ noise)))
-            moved = max(0.0, float(change[mine] @ weight @ change[mine]) - usual)
-            size = float(effect[mine] @ weight @ effect[mine])
-            worst[cause] = max(worst[cause], float(np.sqrt(moved / size)) if size > 0 else 0.0)
-    return worst
-
-
-def _solved(found: Fit, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Change of the free parameters, and their covariance, by some rows alone; they stay where rows say nothing."""
-    jacobian = found.jacobian[rows].reshape(-1, found.at.free.size)
-    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + _HELD * found.information))
-    return covariance @ (jacobian.T @ found.residual[rows].ravel()), covariance
-
-
-def _halves(observations: Observations) -> Iterable[BoolArray]:
-    """Masks (n,) of one half each, split at the median of every part."""
-    plan, readings = observations.session.plan, observations.session.readings
-    columns: dict[int, list[FloatArray]] = {}
-    centre = observations.nominal.camera.centre_px
-    for part, table, pixel in (
-        (DISPLAY, plan.display, None if plan.display is None else plan.display.camera_pixel),
-        (SEE_THROUGH, plan.see_through, readings.dot_pixel),
-    ):
-        if table is not None and pixel is not None:
-            radius = np.linalg.norm(pixel - centre, axis=1)
-            columns[part] = [radius, pixel[:, 0], pixel[:, 1], table.stage[:, 0], table.stage[:, 1], table.time_s]
-    for number in range(6 if columns else 0):
-        half = np.zeros(len(observations), dtype=bool)
-        for part, variables in columns.items():
-            half[observations.part == part] = variables[number] > np.median(variables[number])
-        yield half

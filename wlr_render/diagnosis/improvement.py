@@ -17,7 +17,7 @@ from wlr_render.calibration.fit_report import AnyModel, HeldOut, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.fit import HeldOutImprovement, held_out_improvement
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary

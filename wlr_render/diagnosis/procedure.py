@@ -33,13 +33,10 @@ from wlr_render.diagnosis.diagnosis import (
 )
 from wlr_render.diagnosis.fit import (
     Fit,
-    WeighedReadings,
-    camera_motions,
     correlation_condition,
     correlation_matrix,
     few_captures_factor,
     fit,
-    instability,
     off_prior,
     times_between_captures,
 )
@@ -57,6 +54,8 @@ from wlr_render.diagnosis.search import (
     hypotheses,
 )
 from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.stability import instability
+from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
@@ -509,7 +508,7 @@ def _noise_summary(observations: Observations, used: BoolArray) -> ResidualSumma
 def _usual_motion(readings: Predictor, found: Fit) -> FloatArray:
     """Change of readings (n, 2, 6), in units of sigma, by a motion of their capture of the usual size."""
     observations, scatter = readings.observations, found.scatter
-    usual = replace(scatter, noise=np.ones_like(scatter.noise), moved=np.zeros_like(scatter.moved))
+    usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
     part_of = np.array([name.part for name in observations.captures])
     return camera_motions(readings) * usual.sizes(part_of)[observations.group][:, None, :]
 

@@ -14,26 +14,24 @@ from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.fit import (
     Fit,
-    HeldOutImprovement,
-    WeighedReadings,
     choices,
     fit,
-    held_out_improvement,
-    held_out_residual,
     is_physical,
     off_prior,
     reduced_chi_squared,
     times_between_captures,
 )
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.diagnosis.scatter import Scatter, ScatterSums, best_scatter, cost, one_by_one, with_moved_captures
 from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
 LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
-_NOTHING_MORE = "no further cause is worth fitting"
+_NOTHING_MORE = "no other cause makes the readings more probable"
 _TIMES = 6  # tried at once
 _HOPELESS = -2.0  # gain with the sizes of what is random as they are, below which others do not help
 _ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
@@ -260,14 +258,12 @@ class Search:
     def _share_explained(self, before: Fit, after: Fit) -> float:
         """Share of the excess over the noise that is explained, in the part where it is most; 1 where none is left.
 
-        A cause that explains little beside something unlisted is more often a spurious match than a true one. One that
-        explains captures that seemed to have moved explains all of them.
+        A cause that explains little beside something unlisted is more often a spurious match than a true one. Captures
+        that moved whatever the cause do not count.
         """
-        if np.sum(after.scatter.moved) < np.sum(before.scatter.moved):
-            return 1.0
-        shares = [0.0]
+        shares, counted = [0.0], ~(before.scatter.moved & after.scatter.moved)
         for part in np.unique(self.full.observations.part):
-            old, new = (self.full.excess(each.scatter, int(part)) for each in (before, after))
+            old, new = (self.full.excess(each.scatter, int(part), counted) for each in (before, after))
             if new < old - _NOTABLE:
                 at_noise = after.scatter.is_ordinary(part, self.settings.material_excess)
                 shares.append(1.0 if at_noise else (old - new) / old)

@@ -11,7 +11,7 @@ from wlr_render.diagnosis.explain import (
     value_and_sigma,
     value_text,
 )
-from wlr_render.diagnosis.fit import HeldOutImprovement
+from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.outliers import MovedCapture

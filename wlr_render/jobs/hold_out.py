@@ -12,8 +12,8 @@ from typing import Annotated
 import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.fit import fit, held_out_residual
-from wlr_render.diagnosis.jackknife import jackknife
+from wlr_render.diagnosis.fit import fit
+from wlr_render.diagnosis.held_out import held_out_residual, jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation

@@ -23,11 +23,11 @@ from benchmarks.diagnosis.truths import truth_of
 from benchmarks.intervals import INTERVAL
 from benchmarks.kept_trials import kept_outcome
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import WeighedReadings
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.simulate_session import simulate
 

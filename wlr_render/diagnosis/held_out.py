@@ -1,0 +1,92 @@
+"""Captures left out of a fit: how well the others predict them, and how the values change (B. Efron, C. Stein 1981).
+
+A fit without a capture is one Newton step from the fit with it, which is exact for what is left to change.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.diagnosis.fit import Fit
+from wlr_render.diagnosis.observations import Observations
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class HeldOutImprovement:
+    """How much closer held-out captures are predicted.
+
+    Attributes:
+        percent: reduction of their rms residual.
+        sigma: one standard error of that, from the spread of the captures' differences.
+        significance: mean difference of the captures' squared residuals over its standard error.
+    """
+
+    percent: float
+    sigma: float
+    significance: float
+
+
+def left_out_changes(found: Fit, group: IntArray, groups: int) -> FloatArray:
+    """Changes (groups, p) of the free parameters, in prior sigmas, when a capture is left out; NaN for captures without
+    readings.
+
+    Args:
+        found: the fit.
+        group: (n,) capture of each reading.
+        groups: number of captures.
+    """
+    changes = np.full((groups, found.at.free.size), np.nan)
+    for number in np.unique(group):
+        mine = group == number
+        flat = found.jacobian[mine].reshape(-1, found.at.free.size)
+        gradient = flat.T @ found.residual[mine].ravel()
+        changes[number] = -np.linalg.lstsq(found.information - flat.T @ flat, gradient, rcond=None)[0]
+    return changes
+
+
+def held_out_residual(found: Fit, observations: Observations) -> FloatArray:
+    """Residual (n, 2) in units of sigma of each capture when it is left out of the fit.
+
+    Args:
+        found: the fit.
+        observations: to which it was fitted.
+    """
+    if found.at.free.size == 0:
+        return found.at.residual
+    changes = left_out_changes(found, observations.group, len(observations.captures))
+    return np.asarray(found.at.residual - np.einsum("nkp,np->nk", found.at.jacobian, changes[observations.group]))
+
+
+def held_out_improvement(before: FloatArray, after: FloatArray) -> HeldOutImprovement:
+    """Compare two fits by their held-out squares per capture (groups,); captures that either lacks are left out."""
+    both = np.isfinite(before) & np.isfinite(after)
+    old, new = before[both], after[both]
+    difference = old - new
+    error = float(np.std(difference, ddof=1) * np.sqrt(len(old))) if len(old) > 1 else 0.0
+    ratio = float(np.sqrt(new.sum() / old.sum()))
+    # Leave-one-capture-out values of the ratio give its standard error.
+    ratios = np.sqrt((new.sum() - new) / (old.sum() - old).clip(1e-300))
+    spread = float(np.sqrt((len(old) - 1) / len(old) * np.sum((ratios - ratios.mean()) ** 2)))
+    return HeldOutImprovement(100 * (1 - ratio), 100 * spread, float(difference.sum()) / error if error > 0 else 0.0)
+
+
+def jackknife(found: Fit, group: IntArray, groups: int) -> FloatArray:
+    """Jackknife standard errors (p,) of the free parameters over captures, in the parameters' units.
+
+    They contain whatever differs from capture to capture, e.g. the stage's repeatability or an effect that the model
+    lacks. With m captures, their relative error is about 1 / sqrt(2 (m - 1)). A parameter that only one capture
+    determines gets no useful error. NaN for fewer than two captures.
+
+    Args:
+        found: the fit.
+        group: (n,) capture of each reading.
+        groups: number of captures.
+    """
+    prior_sigma = np.array([parameter.prior_sigma for parameter in found.explanation.parameters()])
+    changes = left_out_changes(found, group, groups) * prior_sigma[found.at.free]
+    changes = changes[np.isfinite(changes).all(axis=1)]
+    count = len(changes)
+    if count < 2:
+        return np.full(found.at.free.size, np.nan)
+    return np.asarray(np.sqrt((count - 1) * np.mean((changes - changes.mean(axis=0)) ** 2, axis=0)))

@@ -1,0 +1,96 @@
+"""Readings of a session with the errors that a bench gives them: noise, shared noise, and motions of the camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.noise import Noise
+from wlr_render.diagnosis.observations import RUN_TIME, Observations
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.scatter import Scatter, ScatterSums
+from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
+from wlr_render.numerics.arrays import BoolArray, FloatArray, rows_by_label
+
+_POSE = ("camera_pupil_offset", "camera_rotation")
+_MICRO = {"mm": 1e3, "deg": float(np.radians(1e6))}
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedReadings:
+    """Readings with the errors that a bench gives them.
+
+    Attributes:
+        predictor: of the readings, none of which is an outlier; their sigma is that of their noise.
+        noise: of the session.
+        shared: whitening of the noise that neighbours share.
+        motions: (n, 2, 6) change of the white readings by a shift (micrometres) and a turn (microradians) of the camera
+            in the reading's capture; zero at run time.
+    """
+
+    predictor: Predictor
+    noise: Noise
+    shared: Whitening
+    motions: FloatArray
+
+    @classmethod
+    def of(cls, predictor: Predictor, noise: Noise) -> "WeighedReadings":
+        """Of a predictor whose sigma is that of the noise."""
+        observations = predictor.observations
+        shared = shared_noise_whitening(observations, noise)
+        return cls(predictor, noise, shared, shared(camera_motions(predictor)))
+
+    @property
+    def observations(self) -> Observations:
+        """What was read."""
+        return self.predictor.observations
+
+    def of_rows(self, keep: BoolArray) -> "WeighedReadings":
+        """The readings that a mask (n,) names."""
+        return WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
+
+    def whitening(self, scatter: Scatter) -> Whitening:
+        """Return the map that makes errors independent and of unit size, given the sizes of what is random."""
+        group, part = self.observations.group, self.observations.part
+        names, rows = rows_by_label(group)
+        part_of = np.zeros(len(self.observations.captures), dtype=np.int64)
+        part_of[names] = [part[mine[0]] for mine in rows]
+        sizes = scatter.sizes(part_of)[names]
+        white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
+        return Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
+
+    def excess(self, scatter: Scatter, part: int, captures: BoolArray) -> float:
+        """Variance of a part's white readings above that of noise, by motions and by what is left as noise.
+
+        Args:
+            scatter: sizes of what is random.
+            part: of the session.
+            captures: (captures,) whose motions count.
+        """
+        group = self.observations.group
+        rows = (self.observations.part == part) & captures[group]
+        part_of = np.array([name.part for name in self.observations.captures])
+        size = scatter.noise[part] * scatter.sizes(part_of)[group[rows]]
+        moved = np.sum((self.motions[rows] * size[:, None, :]) ** 2, axis=(1, 2))
+        return float(scatter.noise[part] ** 2 - 1.0) + 0.5 * float(np.mean(moved) if rows.any() else 0.0)
+
+    def sums(self, residual: FloatArray, columns: FloatArray) -> ScatterSums:
+        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma."""
+        observed = self.observations
+        y, x = self.shared(residual), self.shared(columns)
+        return ScatterSums.over(y, self.motions, x, observed.group, observed.part, len(observed.captures))
+
+
+def camera_motions(predictor: Predictor) -> FloatArray:
+    """Change of the readings (n, 2, 6) in sigma by a micrometre or a microradian of the camera; zero at run time."""
+    nothing = Explanation()
+    state, columns = predictor.state(nothing), []
+    for name in _POSE:
+        hypothesis = Hypothesis(CAUSES[name], next(iter(CAUSES[name].variants)))
+        at = predictor.added(state, nothing.plus(hypothesis))
+        full = np.zeros((*at.residual.shape, 3))
+        full[:, :, at.free] = at.jacobian
+        columns.append(full / [each.prior_sigma * _MICRO[each.unit] for each in hypothesis.cause.parameters])
+    motions = np.concatenate(columns, axis=-1)
+    motions[predictor.observations.part == RUN_TIME] = 0.0
+    return np.asarray(motions)
