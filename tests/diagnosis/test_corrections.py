@@ -104,8 +104,7 @@ def test_an_effect_is_bound_to_its_variable(noisy, part, effect, variable):
     first = of(noisy, part, effect)[0]
     assert first.depends_on == variable
     assert first.log10_odds > 10
-    # Of what motions of the captures leave, which are free to follow an effect of stage or time.
-    assert first.improvement.percent > 1
+    assert first.improvement.percent > 10
     assert first.improvement.significance > 2.5
 
 

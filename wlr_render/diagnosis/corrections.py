@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Correction
@@ -19,14 +18,14 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE
 from wlr_render.diagnosis.scatter import Scatter, best_scatter, cost, marginal, surprise
 from wlr_render.diagnosis.search import LOG10_ODDS
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.diagnosis.whitening import Whitening
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 
 Design = tuple[str, str, FloatArray]
 """What a correction is bound to, its form, and its terms for each reading of the part."""
 
 _FOLDS = 8
-_RIDGE = 1e-6  # of the design's mean square: keeps terms that a session does not determine at zero
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _SCREW_PERIODS_M = (0.00025, 0.0005, 0.001, 0.002)  # of the leads of micrometer screws
 _SIZES = np.geomspace(0.01, 300.0, 30)  # of a correction that are tried, in units of sigma
@@ -55,16 +54,16 @@ def corrections(readings: WeighedReadings, found: Fit, part: int) -> list[Fitted
     own = mine.observations
     if len(np.unique(own.group)) < 2:
         return []
-    left, white = found.at.residual[rows], found.residual[rows]
-    base = _without(mine, left, found.scatter)
-    before = _squares(white, own.group, len(own.captures))
+    left, whiten = found.at.residual[rows], mine.whitening(found.scatter)
+    base = cost(mine.sums(left, np.zeros((*left.shape, 0))), found.scatter, np.zeros(0))
+    before = _squares(left, own.group)
     made = []
     designs = list(_designs(own, part))
     for depends_on, form, design in designs:
         columns = _columns(design)
         size, odds = _evidence(mine, left, columns, found.scatter, base)
         odds -= float(np.log10(len(designs)))  # one of so many that were tried
-        after = _squares(_held_out(design, white, own.group, size), own.group, len(own.captures))
+        after = _squares(_held_out(columns, left, whiten, own.group, size), own.group)
         gain = held_out_improvement(before, after)
         full = np.zeros((len(rows), *columns.shape[1:]))
         full[rows] = columns
@@ -101,10 +100,6 @@ def _columns(design: FloatArray) -> FloatArray:
     return columns
 
 
-def _without(readings: WeighedReadings, left: FloatArray, scatter: Scatter) -> float:
-    return cost(readings.sums(left, np.zeros((*left.shape, 0))), scatter, np.zeros(0))
-
-
 def _evidence(
     readings: WeighedReadings, left: FloatArray, columns: FloatArray, scatter: Scatter, base: float
 ) -> tuple[float, float]:
@@ -128,27 +123,33 @@ def _evidence(
     return best[1], best[0]
 
 
-def _squares(residual: FloatArray, group: NDArray[np.int64], count: int) -> FloatArray:
-    """Sum of squares per capture (count,); NaN for those without readings."""
-    squares = np.bincount(group, np.sum(residual**2, axis=1), count)
-    return np.asarray(np.where(np.bincount(group, minlength=count) > 0, squares, np.nan))
+def _squares(residual: FloatArray, group: IntArray) -> FloatArray:
+    """Sum of squares of each capture that has readings."""
+    return np.array([np.sum(residual[rows] ** 2) for rows in rows_by_label(group)[1]])
 
 
-def _held_out(design: FloatArray, residual: FloatArray, group: NDArray[np.int64], size: float) -> FloatArray:
-    """Residual (n, 2) after the correction, each capture by a fit to the captures of the other folds."""
-    left = residual.copy()
-    scale = np.sqrt(np.mean(design**2, axis=0)).clip(1e-12)
-    design = design / scale
-    ridge = (1.0 / max(size, 1e-3) ** 2 + _RIDGE * len(design)) * np.eye(design.shape[1])
+def _held_out(columns: FloatArray, left: FloatArray, whiten: Whitening, group: IntArray, size: float) -> FloatArray:
+    """Residual (n, 2) after the correction, each capture by a fit to the captures of the other folds.
+
+    Args:
+        columns: (n, 2, c) of the correction.
+        left: (n, 2) residual, in units of sigma.
+        whiten: by which the fit weighs readings.
+        group: (n,) capture of each reading.
+        size: of the coefficients, which have normal priors.
+    """
+    after, (_, captures) = left.copy(), rows_by_label(group)
     # Captures follow each other in space and time; taking turns spreads every fold over both.
-    numbers = np.unique(group)
-    fold = np.searchsorted(numbers, group) % min(_FOLDS, len(numbers))
-    for number in range(min(_FOLDS, len(numbers))):
-        out = fold == number
-        kept = design[~out]
-        coefficients = np.linalg.solve(kept.T @ kept + ridge, kept.T @ residual[~out])
-        left[out] = residual[out] - design[out] @ coefficients
-    return left
+    folds = [np.concatenate(captures[number::_FOLDS]) for number in range(min(_FOLDS, len(captures)))]
+    white, residual = whiten(columns), whiten(left)
+    flat = [white[rows].reshape(2 * len(rows), -1) for rows in folds]
+    grams = [each.T @ each for each in flat]
+    moments = [each.T @ residual[rows].ravel() for each, rows in zip(flat, folds, strict=True)]
+    prior = np.eye(columns.shape[2]) / max(size, 1e-3) ** 2
+    for number, rows in enumerate(folds):
+        gram, moment = sum(grams) - grams[number], sum(moments) - moments[number]
+        after[rows] -= columns[rows] @ np.linalg.solve(gram + prior, moment)
+    return after
 
 
 def _designs(observations: Observations, part: int) -> Iterator[Design]:
