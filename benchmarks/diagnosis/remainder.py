@@ -8,7 +8,7 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
-from wlr_render.diagnosis.search import hypotheses, screen
+from wlr_render.diagnosis.screening import hypotheses, screen
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 
 _OTHERS = 6

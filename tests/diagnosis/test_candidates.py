@@ -10,7 +10,7 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import times_between_captures
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.search import screen
+from wlr_render.diagnosis.screening import screen
 from wlr_render.simulation.simulate_session import simulate
 
 

@@ -5,9 +5,9 @@ import pytest
 from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_jitter
 
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.findings import detection_limits
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.procedure import detection_limits
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.search import Search
 

@@ -12,7 +12,8 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import reduced_chi_squared
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
-from wlr_render.diagnosis.search import Search, best_fit, hypotheses, screen
+from wlr_render.diagnosis.screening import best_fit, hypotheses, screen
+from wlr_render.diagnosis.search import Search
 from wlr_render.diagnosis.settings import Settings
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")

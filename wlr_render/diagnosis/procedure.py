@@ -5,13 +5,13 @@ stays unexplained; in that order. Generic over causes: nothing here knows any of
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.cause import Cause, Role
+from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.corrections import corrections, odds_beside
 from wlr_render.diagnosis.diagnosis import (
@@ -19,48 +19,38 @@ from wlr_render.diagnosis.diagnosis import (
     NO_EFFECT,
     PARTLY,
     UNEXPLAINED,
-    CaptureResidual,
-    Correlations,
-    DegenerateCause,
     DetectionLimit,
     Diagnosis,
-    FoundCause,
-    MotionSize,
-    ParameterValue,
-    RankedCandidate,
-    ResidualSummary,
     Unexplained,
+)
+from wlr_render.diagnosis.findings import (
+    capture_residuals,
+    correlations,
+    detection_limits,
+    expected_summary,
+    found_cause,
+    motion_sizes,
+    noise_summary,
+    residual_summary,
+    usual_motion,
 )
 from wlr_render.diagnosis.fit import (
     Fit,
-    correlation_condition,
-    correlation_matrix,
-    few_captures_factor,
     fit,
-    off_prior,
-    times_between_captures,
 )
 from wlr_render.diagnosis.noise import Noise, NoiseFloor, noise_of
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, scatter_errors
-from wlr_render.diagnosis.search import (
-    LOG10_ODDS,
-    CandidateRanking,
-    Progress,
-    Search,
-    Selection,
-    hypotheses,
-)
+from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
+from wlr_render.diagnosis.screening import hypotheses
+from wlr_render.diagnosis.search import CandidateRanking, Progress, Search, Selection
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.stability import instability
-from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
-from wlr_render.geometry.directions import ARCMIN
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import BoolArray
 from wlr_render.simulation.bench import Bench
 
-_RANKED = 8
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 _UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}
 
@@ -97,13 +87,13 @@ def diagnose(
         found, dropped = _without_spurious_matches(search, found, left)
         rankings = _rankings(search, found, selection.first)
         left = _unexplained(search, found, prepared.noise, settings)
-    named = tuple(_found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
+    named = tuple(found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
     observations = all_readings.observations
     before, after = (all_readings.residual(each) for each in (Explanation(), found.explanation))
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
-    motion = _usual_motion(all_readings, found)
+    motion = usual_motion(all_readings, found)
     limits: tuple[DetectionLimit, ...] = ()
     if not named and not left and not too_many:
         limits = detection_limits(search, found, causes)
@@ -116,16 +106,16 @@ def diagnose(
         excluded=excluded,
         too_many_moved=too_many,
         noise_floors=prepared.noise.floors,
-        motions=_motion_sizes(readings, found),
-        noise=_noise_summary(observations, used),
-        expected=_expected_summary(observations, motion, used),
-        before=_residual_summary(observations, before, used),
-        after=_residual_summary(observations, after, used),
+        motions=motion_sizes(readings, found),
+        noise=noise_summary(observations, used),
+        expected=expected_summary(observations, motion, used),
+        before=residual_summary(observations, before, used),
+        after=residual_summary(observations, after, used),
         unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
         detection_limits=limits,
         reasons=(*_about_readings(prepared.noise.outlier), *dropped, selection.reason),
-        captures=_capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
-        correlations=_correlations(found),
+        captures=capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
+        correlations=correlations(found),
         observations=observations,
         residual_before=before,
         residual_after=after,
@@ -315,218 +305,7 @@ def _excluded(
     )
 
 
-def _motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
-    """How far the captures of each part repeat, with standard errors by the curvature of the evidence."""
-    sums = readings.sums(found.at.residual, found.at.jacobian)
-    errors = scatter_errors(sums, found.scatter, -off_prior(found.explanation)[found.at.free])
-    return tuple(
-        MotionSize(
-            PART_NAMES[part],
-            float(found.scatter.shift_um[part]),
-            float(errors[1, part] * found.scatter.shift_um[part]),
-            float(found.scatter.turn_urad[part]),
-            float(errors[2, part] * found.scatter.turn_urad[part]),
-        )
-        for part in np.unique(readings.observations.part)
-        if part != RUN_TIME and np.sum(sums.used & (sums.part_of == part)) > 1
-    )
-
-
 def _verdict(has_causes: bool, has_more: bool) -> str:
     if not has_more:
         return EXPLAINED if has_causes else NO_EFFECT
     return PARTLY if has_causes else UNEXPLAINED
-
-
-def _found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanking) -> FoundCause:
-    """Describe one cause of a fit.
-
-    Args:
-        search: what it was found with.
-        found: the fit of all causes.
-        number: which of them.
-        ranking: the candidates for its place, the others being at work.
-    """
-    hypothesis = found.explanation.hypotheses[number]
-    cause = hypothesis.cause
-    first = sum(len(values) for values in found.explanation.values[:number])
-    widened = few_captures_factor(found, search.full.observations)
-    sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
-    parameters = tuple(
-        ParameterValue(
-            parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma, parameter.prior_mean
-        )
-        for parameter, value, sigma in zip(cause.parameters, found.explanation.values[number], sigmas, strict=True)
-    )
-    without = search.full.predictor.residual(found.explanation.without(number))
-    change = without - found.at.residual
-    return FoundCause(
-        cause.name,
-        cause.title,
-        cause.part,
-        hypothesis.variant,
-        parameters,
-        search.improvement(ranking.current, found),
-        _degenerate(ranking, cause.name, search.settings.degenerate_cosine),
-        _ranked(ranking),
-        float(np.sqrt(np.nanmean(change**2))),
-        LOG10_ODDS * (ranking.current.minus_two_log_evidence - found.minus_two_log_evidence),
-        cause.remedy,
-    )
-
-
-def _degenerate(ranking: CandidateRanking, name: str, least_cosine: float) -> tuple[DegenerateCause, ...]:
-    """Causes whose best match of the effect is at a small angle to it.
-
-    To first order a hypothesis at the angle a to the effect gains cos^2 a of what the effect's own cause gains.
-    """
-    gains: dict[str, float] = {}
-    separating: dict[str, str] = {}
-    for each in ranking.screened:
-        cause = each.hypothesis.cause
-        gains[cause.name] = max(gains.get(cause.name, 0.0), each.gain)
-        separating[cause.name] = cause.separated_by
-    own = gains.get(name, 0.0)
-    degenerate = [
-        DegenerateCause(other, min(1.0, float(np.sqrt(gain / own))), separating[other])
-        for other, gain in gains.items()
-        if other != name and own > 0 and gain / own > least_cosine**2
-    ]
-    return tuple(sorted(degenerate, key=lambda each: -each.cosine))
-
-
-def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
-    """Those that were fitted, then the best of the others by their gain to first order."""
-    ranked = [
-        RankedCandidate(
-            each.hypothesis.cause.name, each.hypothesis.variant, each.reduced_chi_squared, LOG10_ODDS * each.behind
-        )
-        for each in ranking.candidates
-    ]
-    named = {each.name for each in ranked}
-    for screened in ranking.screened:
-        name = screened.hypothesis.cause.name
-        if name not in named:
-            named.add(name)
-            ranked.append(RankedCandidate(name, f"{screened.hypothesis.variant}; to first order", np.nan, np.nan))
-    return tuple(ranked[:_RANKED])
-
-
-def _correlations(found: Fit) -> Correlations:
-    """Correlations between the free values of a fit."""
-    hypotheses = found.explanation.hypotheses
-    names = [f"{each.cause.name}.{parameter.name}" for each in hypotheses for parameter in each.cause.parameters]
-    matrix = tuple(tuple(float(value) for value in row) for row in correlation_matrix(found))
-    return Correlations(tuple(names[free] for free in found.at.free), matrix, correlation_condition(found))
-
-
-def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
-    """Five standard errors of every parameter, each cause alone; those that a session says nothing of are left out.
-
-    Those of a cause that acts from some moment on are for the middle of the session.
-
-    Args:
-        search: with the subsample of the readings, which stands for all of them.
-        found: the fit without causes.
-        causes: to be considered.
-    """
-    limits = []
-    # Each reading of the subsample stands for several, but each capture for itself.
-    scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(search.share))
-    times = times_between_captures(search.full.observations.session.plan)
-    middle = float(times[len(times) // 2]) if len(times) else 0.0
-    for cause in causes.values():
-        hypothesis = Hypothesis(cause, next(iter(cause.variants)))
-        is_time = [parameter.role is Role.TIME for parameter in cause.parameters]
-        if any(is_time) and len(times) == 0:
-            continue
-        values = np.where(is_time, middle, cause.null())
-        start = Explanation().plus(hypothesis, values)
-        alone = fit(search.subsample, start, scatter, 0, vary_scatter=False)
-        if alone is None:
-            continue
-        # Without the prior, which says nothing about what would have been seen.
-        information = alone.information - np.eye(alone.at.free.size)
-        sigma = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)).clip(0.0))
-        moment = f" (from {middle:.0f} s on)" if any(is_time) else ""
-        for number, each in zip(alone.at.free, sigma, strict=True):
-            parameter = cause.parameters[number]
-            limit = search.settings.detection_limit_se * float(each) * parameter.prior_sigma
-            if limit > 0.0:
-                limits.append(DetectionLimit(cause.name, f"{parameter.name}{moment}", parameter.unit, limit))
-    return tuple(limits)
-
-
-def _capture_residuals(
-    observations: Observations,
-    before: FloatArray,
-    after: FloatArray,
-    good: BoolArray,
-    excluded: Iterable[MovedCapture],
-) -> tuple[CaptureResidual, ...]:
-    """Residual of each capture over its readings that are no outliers by themselves."""
-    good = good & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
-    group, count = observations.group[good], len(observations.captures)
-    readings = np.bincount(group, minlength=count)
-    rms = [
-        np.sqrt(np.bincount(group, np.mean(each[good] ** 2, axis=1), count) / readings.clip(1))
-        for each in (before, after)
-    ]
-    names = {each.capture for each in excluded}
-    return tuple(
-        CaptureResidual(str(name), int(readings[n]), float(rms[0][n]), float(rms[1][n]), name in names)
-        for n, name in enumerate(observations.captures)
-        if readings[n]
-    )
-
-
-def _residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
-    """Root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
-    used = used & np.isfinite(residual).all(axis=1)
-    return ResidualSummary(
-        _rms(observations.panel_pixels(residual)[used[observations.part == DISPLAY]]),
-        _rms(observations.arcminutes(residual, SEE_THROUGH)[used[observations.part == SEE_THROUGH]]),
-        _rms(observations.arcminutes(residual, RUN_TIME)[used[observations.part == RUN_TIME]]),
-        float(np.sqrt(np.mean(residual[used] ** 2))),
-    )
-
-
-def _noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
-    """The same for noise alone."""
-    sigma = observations.sigma_px[used]
-    arcmin = 1.0 / (np.mean(observations.nominal.camera.focal_px) * ARCMIN)
-
-    def of(part: int) -> float | None:
-        return _rms(sigma[observations.part[used] == part] * arcmin)
-
-    display = used[observations.part == DISPLAY]
-    camera_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
-    panel_px = float(np.sqrt(np.mean(np.sum(camera_px**2, axis=(1, 2))) / 2)) if display.any() else None
-    return ResidualSummary(panel_px, of(SEE_THROUGH), of(RUN_TIME), 1.0)
-
-
-def _usual_motion(readings: Predictor, found: Fit) -> FloatArray:
-    """Change of readings (n, 2, 6), in units of sigma, by a motion of their capture of the usual size."""
-    observations, scatter = readings.observations, found.scatter
-    usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
-    part_of = np.array([name.part for name in observations.captures])
-    return camera_motions(readings) * usual.sizes(part_of)[observations.group][:, None, :]
-
-
-def _expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
-    """The same for noise and the usual motion of each capture (n, 2, 6)."""
-    noise = _noise_summary(observations, used)
-    by_axis = [_residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
-
-    def total(attribute: str) -> float | None:
-        own = getattr(noise, attribute)
-        return None if own is None else float(np.linalg.norm([own, *(getattr(each, attribute) for each in by_axis)]))
-
-    display, see_through, run_time = (
-        total(name) for name in ("display_rms_px", "see_through_rms_arcmin", "run_time_rms_arcmin")
-    )
-    return ResidualSummary(display, see_through, run_time, total("over_noise") or 1.0)
-
-
-def _rms(values: FloatArray) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None

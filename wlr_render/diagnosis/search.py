@@ -4,57 +4,31 @@ Candidates are compared on a subsample of the readings first: all to first order
 start. Those that come close are fitted again to all readings. Every candidate finds its own sizes of what is random.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from wlr_render.captures.session import SessionPlan
-from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.fit import (
     Fit,
-    choices,
     fit,
     is_physical,
     off_prior,
     reduced_chi_squared,
-    times_between_captures,
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.scatter import Scatter, ScatterSums, best_scatter, cost, one_by_one, with_moved_captures
+from wlr_render.diagnosis.scatter import Scatter, best_scatter, with_moved_captures
+from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
 LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
 _NOTHING_MORE = "no other cause makes the readings more probable"
-_TIMES = 6  # tried at once
-_HOPELESS = -2.0  # gain with the sizes of what is random as they are, below which others do not help
-_ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
 _NOTABLE = 1e-3  # of the noise's variance: what a cause takes off a part in which it acts at least
-
-
-@dataclass(frozen=True, eq=False)
-class ScreenedHypothesis:
-    """The gain of a hypothesis to first order.
-
-    Attributes:
-        hypothesis: which.
-        start: its values from which a fit should set out.
-        gain: by how much -2 log evidence would fall.
-        parameters: how many numbers that takes.
-        scatter: sizes of what is random with it.
-    """
-
-    hypothesis: Hypothesis
-    start: FloatArray
-    gain: float
-    parameters: int
-    scatter: Scatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +171,7 @@ class Search:
     def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
         """Fits of the hypotheses that are worth one, best first."""
         settings = self.settings
-        if not screened or screened[0].gain < _HOPELESS:
+        if not screened or screened[0].gain < HOPELESS:
             return []
         least = min(settings.min_relative_gain * screened[0].gain, screened[0].gain)
         # What is small in the subsample may be enough in all readings; then one fit tells.
@@ -310,88 +284,3 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
     for candidate in candidates:
         firsts.setdefault(candidate.hypothesis.cause.name, candidate)
     return list(firsts.values())
-
-
-def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
-    """Every cause in each of its ways."""
-    return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
-
-
-def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
-    """The gain of a hypothesis over a fit to the same readings; None where it changes nothing."""
-    predictor, mean = readings.predictor, -off_prior(current.explanation)[current.at.free]
-    base = cost(readings.sums(current.at.residual, current.at.jacobian), current.scatter, mean)
-    # What a cause does to a few captures, those that seem to have moved do, too; and then say nothing of its moment.
-    roles, at_rest = [parameter.role for parameter in hypothesis.cause.parameters], current.scatter.at_rest()
-    scatters = [at_rest] if Role.TIME in roles or not current.scatter.moved.any() else [current.scatter, at_rest]
-
-    def joined(start: FloatArray) -> tuple[int, ScatterSums, FloatArray]:
-        explanation = current.explanation.plus(hypothesis, start)
-        added = predictor.added(current.at.state, explanation)
-        columns = np.concatenate([current.at.jacobian, added.jacobian], axis=-1)
-        mean = -off_prior(explanation)[np.concatenate([current.at.free, added.free])]
-        return added.free.size, readings.sums(current.at.residual, columns), mean
-
-    def of(start: FloatArray) -> ScreenedHypothesis:
-        added, sums, mean = joined(start)
-        costs = [cost(sums, each, mean) for each in scatters]
-        best = int(np.argmin(costs))
-        return ScreenedHypothesis(hypothesis, start, base - costs[best] if added else 0.0, added, scatters[best])
-
-    plan = readings.observations.session.plan
-    best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
-    if best is None or best.parameters == 0:
-        return None
-    if Role.TIME in roles:
-        best = _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
-    if best.gain < _HOPELESS and not (Role.TIME in roles and current.scatter.moved.any()):
-        return best
-    _, sums, mean = joined(best.start)
-    scatter, least = best_scatter(sums, best.scatter, mean)
-    scatter, least = one_by_one(sums, scatter, least, np.flatnonzero(current.scatter.moved), mean)
-    least += 2.0 * float(np.log(choices(Explanation().plus(hypothesis), readings.observations)))
-    return replace(best, gain=base - least, scatter=scatter)
-
-
-def _with_better_time(
-    of: Callable[[FloatArray], ScreenedHypothesis], best: ScreenedHypothesis, place: int, times: FloatArray
-) -> ScreenedHypothesis:
-    """Try the times around the best so far, ever closer, until its neighbours have been tried."""
-    stride = max(1, len(times) // (2 * _TIMES))
-    while stride >= 1:
-        at = int(np.argmin(np.abs(times - best.start[place])))
-        neighbours = {max(at - stride, 0), min(at + stride, len(times) - 1)} - {at}
-        if not neighbours:
-            break
-        found = max((of(_with(best.start, place, float(times[n]))) for n in neighbours), key=lambda p: p.gain)
-        stride = stride if found.gain > best.gain else stride // 2
-        best = max(best, found, key=lambda each: each.gain)
-    return best
-
-
-def best_fit(readings: WeighedReadings, current: Fit, prospect: ScreenedHypothesis) -> Fit | None:
-    """Fit an explanation with one more cause from the start of its prospect."""
-    corrected = current.explanation.plus(prospect.hypothesis, prospect.start)
-    return fit(readings, corrected, prospect.scatter, near=current.at.state, settled=_ROUGHLY)
-
-
-def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:
-    """Null values with every start of the parameters that have several; none where all captures have one time."""
-    starts = [cause.null()]
-    for number, parameter in enumerate(cause.parameters):
-        if parameter.role is Role.SIZE:
-            continue
-        values = _some(times_between_captures(plan)) if parameter.role is Role.TIME else np.array(parameter.starts)
-        starts = [_with(start, number, float(value)) for start in starts for value in values]
-    return starts
-
-
-def _some(values: FloatArray) -> FloatArray:
-    chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), _TIMES)).round().astype(int))
-    return np.asarray(values[chosen])
-
-
-def _with(values: FloatArray, number: int, value: float) -> FloatArray:
-    changed = values.copy()
-    changed[number] = value
-    return changed

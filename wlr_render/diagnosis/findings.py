@@ -1,0 +1,249 @@
+"""What a diagnosis says of a fit: causes with their values, limits of detection, residuals, and what is expected."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from wlr_render.diagnosis.cause import Cause, Role
+from wlr_render.diagnosis.diagnosis import (
+    CaptureResidual,
+    Correlations,
+    DegenerateCause,
+    DetectionLimit,
+    FoundCause,
+    MotionSize,
+    ParameterValue,
+    RankedCandidate,
+    ResidualSummary,
+)
+from wlr_render.diagnosis.fit import (
+    Fit,
+    correlation_condition,
+    correlation_matrix,
+    few_captures_factor,
+    fit,
+    off_prior,
+    times_between_captures,
+)
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.scatter import scatter_errors
+from wlr_render.diagnosis.search import LOG10_ODDS, CandidateRanking, Search
+from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+
+_RANKED = 8
+
+
+def found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanking) -> FoundCause:
+    """Describe one cause of a fit.
+
+    Args:
+        search: what it was found with.
+        found: the fit of all causes.
+        number: which of them.
+        ranking: the candidates for its place, the others being at work.
+    """
+    hypothesis = found.explanation.hypotheses[number]
+    cause = hypothesis.cause
+    first = sum(len(values) for values in found.explanation.values[:number])
+    widened = few_captures_factor(found, search.full.observations)
+    sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
+    parameters = tuple(
+        ParameterValue(
+            parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma, parameter.prior_mean
+        )
+        for parameter, value, sigma in zip(cause.parameters, found.explanation.values[number], sigmas, strict=True)
+    )
+    without = search.full.predictor.residual(found.explanation.without(number))
+    change = without - found.at.residual
+    return FoundCause(
+        cause.name,
+        cause.title,
+        cause.part,
+        hypothesis.variant,
+        parameters,
+        search.improvement(ranking.current, found),
+        _degenerate(ranking, cause.name, search.settings.degenerate_cosine),
+        _ranked(ranking),
+        float(np.sqrt(np.nanmean(change**2))),
+        LOG10_ODDS * (ranking.current.minus_two_log_evidence - found.minus_two_log_evidence),
+        cause.remedy,
+    )
+
+
+def _degenerate(ranking: CandidateRanking, name: str, least_cosine: float) -> tuple[DegenerateCause, ...]:
+    """Causes whose best match of the effect is at a small angle to it.
+
+    To first order a hypothesis at the angle a to the effect gains cos^2 a of what the effect's own cause gains.
+    """
+    gains: dict[str, float] = {}
+    separating: dict[str, str] = {}
+    for each in ranking.screened:
+        cause = each.hypothesis.cause
+        gains[cause.name] = max(gains.get(cause.name, 0.0), each.gain)
+        separating[cause.name] = cause.separated_by
+    own = gains.get(name, 0.0)
+    degenerate = [
+        DegenerateCause(other, min(1.0, float(np.sqrt(gain / own))), separating[other])
+        for other, gain in gains.items()
+        if other != name and own > 0 and gain / own > least_cosine**2
+    ]
+    return tuple(sorted(degenerate, key=lambda each: -each.cosine))
+
+
+def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
+    """Those that were fitted, then the best of the others by their gain to first order."""
+    ranked = [
+        RankedCandidate(
+            each.hypothesis.cause.name, each.hypothesis.variant, each.reduced_chi_squared, LOG10_ODDS * each.behind
+        )
+        for each in ranking.candidates
+    ]
+    named = {each.name for each in ranked}
+    for screened in ranking.screened:
+        name = screened.hypothesis.cause.name
+        if name not in named:
+            named.add(name)
+            ranked.append(RankedCandidate(name, f"{screened.hypothesis.variant}; to first order", np.nan, np.nan))
+    return tuple(ranked[:_RANKED])
+
+
+def correlations(found: Fit) -> Correlations:
+    """Correlations between the free values of a fit."""
+    hypotheses = found.explanation.hypotheses
+    names = [f"{each.cause.name}.{parameter.name}" for each in hypotheses for parameter in each.cause.parameters]
+    matrix = tuple(tuple(float(value) for value in row) for row in correlation_matrix(found))
+    return Correlations(tuple(names[free] for free in found.at.free), matrix, correlation_condition(found))
+
+
+def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
+    """Five standard errors of every parameter, each cause alone; those that a session says nothing of are left out.
+
+    Those of a cause that acts from some moment on are for the middle of the session.
+
+    Args:
+        search: with the subsample of the readings, which stands for all of them.
+        found: the fit without causes.
+        causes: to be considered.
+    """
+    limits = []
+    # Each reading of the subsample stands for several, but each capture for itself.
+    scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(search.share))
+    times = times_between_captures(search.full.observations.session.plan)
+    middle = float(times[len(times) // 2]) if len(times) else 0.0
+    for cause in causes.values():
+        hypothesis = Hypothesis(cause, next(iter(cause.variants)))
+        is_time = [parameter.role is Role.TIME for parameter in cause.parameters]
+        if any(is_time) and len(times) == 0:
+            continue
+        values = np.where(is_time, middle, cause.null())
+        start = Explanation().plus(hypothesis, values)
+        alone = fit(search.subsample, start, scatter, 0, vary_scatter=False)
+        if alone is None:
+            continue
+        # Without the prior, which says nothing about what would have been seen.
+        information = alone.information - np.eye(alone.at.free.size)
+        sigma = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)).clip(0.0))
+        moment = f" (from {middle:.0f} s on)" if any(is_time) else ""
+        for number, each in zip(alone.at.free, sigma, strict=True):
+            parameter = cause.parameters[number]
+            limit = search.settings.detection_limit_se * float(each) * parameter.prior_sigma
+            if limit > 0.0:
+                limits.append(DetectionLimit(cause.name, f"{parameter.name}{moment}", parameter.unit, limit))
+    return tuple(limits)
+
+
+def capture_residuals(
+    observations: Observations,
+    before: FloatArray,
+    after: FloatArray,
+    good: BoolArray,
+    excluded: Iterable[MovedCapture],
+) -> tuple[CaptureResidual, ...]:
+    """Residual of each capture over its readings that are no outliers by themselves."""
+    good = good & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
+    group, count = observations.group[good], len(observations.captures)
+    readings = np.bincount(group, minlength=count)
+    rms = [
+        np.sqrt(np.bincount(group, np.mean(each[good] ** 2, axis=1), count) / readings.clip(1))
+        for each in (before, after)
+    ]
+    names = {each.capture for each in excluded}
+    return tuple(
+        CaptureResidual(str(name), int(readings[n]), float(rms[0][n]), float(rms[1][n]), name in names)
+        for n, name in enumerate(observations.captures)
+        if readings[n]
+    )
+
+
+def residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
+    """Root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
+    used = used & np.isfinite(residual).all(axis=1)
+    return ResidualSummary(
+        _rms(observations.panel_pixels(residual)[used[observations.part == DISPLAY]]),
+        _rms(observations.arcminutes(residual, SEE_THROUGH)[used[observations.part == SEE_THROUGH]]),
+        _rms(observations.arcminutes(residual, RUN_TIME)[used[observations.part == RUN_TIME]]),
+        float(np.sqrt(np.mean(residual[used] ** 2))),
+    )
+
+
+def noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
+    """Root mean squares per axis of noise alone, over the readings (n,) that count."""
+    sigma = observations.sigma_px[used]
+    arcmin = 1.0 / (np.mean(observations.nominal.camera.focal_px) * ARCMIN)
+
+    def of(part: int) -> float | None:
+        return _rms(sigma[observations.part[used] == part] * arcmin)
+
+    display = used[observations.part == DISPLAY]
+    camera_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
+    panel_px = float(np.sqrt(np.mean(np.sum(camera_px**2, axis=(1, 2))) / 2)) if display.any() else None
+    return ResidualSummary(panel_px, of(SEE_THROUGH), of(RUN_TIME), 1.0)
+
+
+def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
+    """Change of readings (n, 2, 6), in units of sigma, by a motion of their capture of the usual size."""
+    observations, scatter = readings.observations, found.scatter
+    usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
+    part_of = np.array([name.part for name in observations.captures])
+    return camera_motions(readings) * usual.sizes(part_of)[observations.group][:, None, :]
+
+
+def expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
+    """Root mean squares per axis of noise and of the usual motion of each capture (n, 2, 6) of `usual_motion`."""
+    noise = noise_summary(observations, used)
+    by_axis = [residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
+
+    def total(attribute: str) -> float | None:
+        own = getattr(noise, attribute)
+        return None if own is None else float(np.linalg.norm([own, *(getattr(each, attribute) for each in by_axis)]))
+
+    display, see_through, run_time = (
+        total(name) for name in ("display_rms_px", "see_through_rms_arcmin", "run_time_rms_arcmin")
+    )
+    return ResidualSummary(display, see_through, run_time, total("over_noise") or 1.0)
+
+
+def _rms(values: FloatArray) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
+    """How far the captures of each part repeat, with standard errors by the curvature of the evidence."""
+    sums = readings.sums(found.at.residual, found.at.jacobian)
+    errors = scatter_errors(sums, found.scatter, -off_prior(found.explanation)[found.at.free])
+    return tuple(
+        MotionSize(
+            PART_NAMES[part],
+            float(found.scatter.shift_um[part]),
+            float(errors[1, part] * found.scatter.shift_um[part]),
+            float(found.scatter.turn_urad[part]),
+            float(errors[2, part] * found.scatter.turn_urad[part]),
+        )
+        for part in np.unique(readings.observations.part)
+        if part != RUN_TIME and np.sum(sums.used & (sums.part_of == part)) > 1
+    )
