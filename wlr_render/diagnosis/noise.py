@@ -47,16 +47,15 @@ class Variance:
         return bool(np.isfinite(self.value))
 
 
-def is_significant(difference: float, error: float, reference: float = 1.0, settings: Settings = DEFAULT) -> bool:
-    """Whether a difference of two variances is more than chance and large enough to matter.
+def is_significant(difference: float, error: float, settings: Settings = DEFAULT) -> bool:
+    """Whether two variances differ by more than chance, and by enough to matter.
 
     Args:
-        difference: of the variances, of either sign.
+        difference: of their logarithms, of either sign.
         error: its standard error.
-        reference: the variance that it is compared with.
         settings: thresholds.
     """
-    return abs(difference) > max(settings.significant_se * error, settings.material_variance * reference)
+    return abs(difference) > max(settings.significant_se * error, settings.material_variance)
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ def _floor(
         error_px = 0.5 * measured_px * measured.error
         # Of logarithms the relative error is the error, whichever of the two is true.
         logarithm = float(np.log(measured.value))
-        is_believable = not is_significant(logarithm, measured.error, 1.0, settings)
+        is_believable = not is_significant(logarithm, measured.error, settings)
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
         used_px = stated * float(np.exp(0.5 * weight * logarithm)) if is_believable else measured_px
     pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
@@ -338,7 +337,7 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
     if within.value == 0.0 or repeats.value == 0.0:
         return within
     error = float(np.hypot(within.error, repeats.error))
-    if is_significant(float(np.log(within.value / repeats.value)), error, 1.0, settings):
+    if is_significant(float(np.log(within.value / repeats.value)), error, settings):
         return repeats if repeats.value < within.value else within
     weights = np.array([repeats.error, within.error]) ** 2 / error**2
     logarithm = float(weights @ np.log([within.value, repeats.value]))

@@ -62,6 +62,7 @@ def noise_table(diagnosis: Diagnosis) -> ReportTable:
     note = (
         "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice "
         "from one place. Measured: both combined by inverse variance. Used: measured and stated weighted by their "
-        "errors. Shared: of the variance, by neighbouring points of a photograph."
+        "errors, or the measured one where the stated one does not agree. Shared: of the variance, by neighbouring "
+        "points of a photograph."
     )
     return ReportTable("Noise", columns, rows, (note,))

@@ -52,7 +52,7 @@ class Observations:
         nominal: the bench as its makers believe it to be.
         sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
         panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
-        captures: the photographs, sorted.
+        captures: those that have readings, sorted; a capture in several colours is several photographs.
         group: (n,) index into `captures` for each reading, display first, then see-through, then run-time.
         part: (n,) index into `PART_NAMES`.
     """

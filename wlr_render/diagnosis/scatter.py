@@ -53,7 +53,7 @@ class Scatter:
 
     @classmethod
     def usual(cls, captures: int) -> "Scatter":
-        """Of an ordinary bench."""
+        """Sizes from which a search starts: half the usual ones, with no capture that moved."""
         ones = np.ones(_PARTS)
         return cls(ones, 0.5 * USUAL_SHIFT * ones, 0.5 * USUAL_TURN * ones, np.zeros(captures, dtype=bool))
 

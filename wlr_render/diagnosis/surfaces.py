@@ -44,11 +44,6 @@ class Surface:
         return 2 * (int(self.good.sum()) - self.terms)
 
     @property
-    def variance(self) -> float:
-        """Of what is left per axis."""
-        return float(np.sum(self.left[self.good] ** 2)) / self.freedom
-
-    @property
     def squares(self) -> FloatArray:
         """Estimate of the variance of each good reading, per axis (m_good,)."""
         # Weighted by leverage, as noise may grow towards the edge, where a surface follows it most closely.
@@ -91,14 +86,6 @@ def surfaces(observations: Observations, residual: FloatArray, settings: Setting
             good = near
         if good.sum() > 2 * design.shape[1]:
             yield Surface(rows, design, left, leverage, good)
-
-
-def outlier_readings(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> BoolArray:
-    """Single readings (n,) far from a smooth surface through the rest of their photograph: wrong bits, wrong dots."""
-    outlier = np.zeros(len(observations), dtype=bool)
-    for surface in surfaces(observations, residual, settings):
-        outlier[surface.rows[~surface.good]] = True
-    return outlier
 
 
 def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
