@@ -26,7 +26,7 @@ _PIXEL_STEP = 0.5  # camera pixels, of the central differences for the noise
 
 @dataclass(frozen=True, order=True)
 class CaptureName:
-    """One photograph, or one recording.
+    """A capture: what the camera took from one place, or one recording.
 
     Attributes:
         part: index into `PART_NAMES`.
@@ -52,7 +52,7 @@ class Observations:
         nominal: the bench as its makers believe it to be.
         sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
         panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
-        captures: those that have readings, sorted; a capture in several colours is several photographs.
+        captures: of the session, sorted; a capture in several colours is several photographs.
         group: (n,) index into `captures` for each reading, display first, then see-through, then run-time.
         part: (n,) index into `PART_NAMES`.
     """
