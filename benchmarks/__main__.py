@@ -15,7 +15,7 @@ BENCHMARKS = {
     "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",
     "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",
-    "paper": "Planar against volumetric sampling: equal degree, depth, eye box and field, in simulation.",
+    "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }
 """Help texts; each benchmark is the function `run` of `study.py` in its folder."""

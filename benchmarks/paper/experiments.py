@@ -2,96 +2,84 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from itertools import product
 
-import numpy as np
-
-from wlr_render.evaluation.mapping_error import DisplayObservations, displaced
-from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.directions import arcmin_between
+from benchmarks.paper.along_rays import BACK_M, DepthMeasure, DepthTrial, SeeThroughDepthTrial
 from wlr_render.jobs.evaluate.study import Findings, Lines, Study, box_text, error_curves, trial_at
-from wlr_render.jobs.evaluate.trials import DisplayTrial, EvaluatedEye, Measure, Outcome, display_observations
-from wlr_render.mappings import DisplayMapping
-from wlr_render.models.fitted_model import FittedDisplay
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.report.blocks import Cell, Plot, ReportTable
+from wlr_render.report.plots import curves
 
 KINDS = ("planar", "volumetric")
 DENSE = {"planar": 121, "volumetric": 125}
 DEGREE, VIEWPOINTS = 5, 25
 """Limit of the total degree, and camera positions, where an experiment varies something else."""
 SMALL_BOX_MM, LARGE_BOX_MM = (6.0, 4.0, 4.0), (14.0, 10.0, 12.0)
-BACK_M = 0.010
-"""How far viewpoints are moved back along their own rays."""
+COUNTS = (9, 16, 25, 49, 84)
+"""Camera positions."""
 _CLEARLY = 1.05  # a difference below 5 % is not clear: the rms at random viewpoints is uncertain by about that
 
 
-class DepthMeasure(StrEnum):
-    """Errors along the rays of random viewpoints.
-
-    MOVED_BACK: direction of a pixel, from `BACK_M` farther back. ALONG_RAY: angle between the model's answers at two
-    points of one of its rays, the eye box's depth apart.
-    """
-
-    MOVED_BACK = "moved back (arcmin)"
-    ALONG_RAY = "along a ray (arcmin)"
-
-
 @dataclass(frozen=True)
-class DepthTrial(DisplayTrial):
-    """A trial of the display model that is also evaluated along its rays."""
+class Side:
+    """Display or see-through model: its trial and the names of its errors.
 
-    def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
-        """Errors of a fitted model, in the eye box and along rays."""
-        seen = display_observations(self.at, seed)
-        back = moved_back(seen, BACK_M)
-        shown = model.view_dir_of_pixel(back.pixel, back.viewpoint).value
-        # From half the eye box's depth before each viewpoint to half behind it.
-        through = 1e-3 * self.eye_box_mm[2] / -seen.view_dir[:, 2]
-        front = moved_back(seen, -0.5 * through).viewpoint
-        return super().errors(model, rng, seed) | {
-            DepthMeasure.MOVED_BACK: summary(arcmin_between(shown, back.view_dir)),
-            DepthMeasure.ALONG_RAY: summary(self_inconsistency_arcmin(model, front, seen.pixel, through)),
-        }
-
-
-def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
-    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
-    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
-
-
-def self_inconsistency_arcmin(
-    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
-) -> FloatArray:
-    """Self-inconsistency of a mapping along its own rays.
-
-    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
-    farther back on the same ray, where it must be the same.
-
-    Returns:
-        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
+    Attributes:
+        trial: evaluated in the eye box and along rays.
+        measure: the error that plots show, always an angle.
+        other: the error of the opposite query.
+        words, other_words: their names, the unit in brackets.
+        queries: name, measure and unit of each contradiction along a ray.
     """
-    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
-    behind = viewpoint - np.asarray(distance_m)[..., None] * first
-    return arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
+
+    trial: type[DepthTrial] | type[SeeThroughDepthTrial]
+    measure: Measure
+    other: Measure
+    words: str
+    other_words: str
+    queries: Sequence[tuple[str, DepthMeasure, str]]
 
 
-def dense(degrees: Sequence[int], study: Study) -> Findings:
+DISPLAY = Side(
+    DepthTrial,
+    Measure.FORWARD,
+    Measure.BACKWARD,
+    "forward rms, {} (arcmin)",
+    "backward rms, {} (px)",
+    (
+        ("display forward: direction of a pixel", DepthMeasure.ALONG_RAY, "arcmin"),
+        ("display backward: pixel of a view direction", DepthMeasure.PIXEL_ALONG_RAY, "px"),
+    ),
+)
+SEE_THROUGH = Side(
+    SeeThroughDepthTrial,
+    Measure.REAL_POINT,
+    Measure.REAL_RAY,
+    "real point rms, {} (arcmin)",
+    "world ray rms, {} (arcmin)",
+    (
+        ("see-through forward: direction of the world ray", DepthMeasure.ALONG_RAY, "arcmin"),
+        ("see-through forward: place of the world ray", DepthMeasure.OFFSET_ALONG_RAY, "mm"),
+        ("see-through backward: view direction of a real point", DepthMeasure.POINT_ALONG_RAY, "arcmin"),
+    ),
+)
+
+
+def dense(side: Side, degrees: Sequence[int], study: Study) -> Findings:
     """Planar and volumetric sampling at equal total degree, with dense captures."""
     rows: list[list[Cell]] = []
     for eye, degree in product(study.eyes, degrees):
-        pair = [_dense(study, eye, kind, degree) for kind in KINDS]
-        ratio = pair[1].rms(Measure.FORWARD) / pair[0].rms(Measure.FORWARD)
+        pair = [_dense(side, study, eye, kind, degree) for kind in KINDS]
+        ratio = pair[1].rms(side.measure) / pair[0].rms(side.measure)
         terms: list[Cell] = [term_count(4, degree), term_count(5, degree)]
-        errors = [outcome.rms(measure) for measure in (Measure.FORWARD, Measure.BACKWARD) for outcome in pair]
+        errors = [outcome.rms(measure) for measure in (side.measure, side.other) for outcome in pair]
         rows.append([str(eye), degree, *terms, *errors, ratio])
-    columns = ["eye", "N", *_per_kind("terms, {}"), *_per_kind("forward rms, {} (arcmin)")]
-    columns += [*_per_kind("backward rms, {} (px)"), "forward, volumetric / planar"]
+    columns = ["eye", "N", *_per_kind("terms, {}"), *_per_kind(side.words), *_per_kind(side.other_words)]
+    columns.append("volumetric / planar")
     title = f"Dense, noise-free, equal degree: {DENSE['planar']} planar and {DENSE['volumetric']} volumetric viewpoints"
     table = ReportTable(title, columns, rows, (_where_not_better(rows),))
-    return Findings((table, _over_degree("Dense, noise-free captures", study, degrees, Measure.FORWARD)))
+    return Findings((table, _over_degree("Dense, noise-free captures", side, study, degrees, side.measure)))
 
 
 def _where_not_better(rows: Sequence[Sequence[Cell]]) -> str:
@@ -101,29 +89,60 @@ def _where_not_better(rows: Sequence[Sequence[Cell]]) -> str:
     return f"{sentence} (volumetric / planar below {_CLEARLY}){': ' + places if places else ''}."
 
 
-def depth(degrees: Sequence[int], study: Study) -> Findings:
+def depth(side: Side, degrees: Sequence[int], study: Study) -> Findings:
     """Errors behind the eye box on the rays that the model was fitted to, and contradictions along a ray."""
     rows: list[list[Cell]] = []
     for eye in study.eyes:
-        pair = [_dense(study, eye, kind, DEGREE) for kind in KINDS]
-        errors = [outcome.rms(measure) for measure in (Measure.FORWARD, DepthMeasure.MOVED_BACK) for outcome in pair]
-        rows.append([str(eye), *errors, *(_p95(outcome) for outcome in pair)])
+        pair = [_dense(side, study, eye, kind, DEGREE) for kind in KINDS]
+        errors = [outcome.rms(measure) for measure in (side.measure, DepthMeasure.MOVED_BACK) for outcome in pair]
+        rows.append([str(eye), *errors, *(_p95(outcome, DepthMeasure.ALONG_RAY) for outcome in pair)])
     columns = ["eye", *_per_kind("in the eye box, {} (arcmin)"), *_per_kind("moved back, {} (arcmin)")]
     columns += _per_kind("self-contradiction p95, {} (arcmin)")
     moved = f"Moved back {1e3 * BACK_M:g} mm along the same rays"
-    over_degree = _over_degree(moved, study, degrees, DepthMeasure.MOVED_BACK)
+    over_degree = _over_degree(moved, side, study, degrees, DepthMeasure.MOVED_BACK)
     points: list[list[Cell]] = [[trace["name"], *trace["y"]] for trace in over_degree.data]
-    title = f"{moved}: forward rms (arcmin) over N, dense captures"
+    title = f"{moved}: {side.words.split(',')[0]} (arcmin) over N, dense captures"
     at_degrees = ReportTable(title, ["curve", *(f"N={degree}" for degree in degrees)], points)
     return Findings((ReportTable(f"{moved}, N={DEGREE}, dense captures", columns, rows), at_degrees, over_degree))
 
 
-def _dense(study: Study, eye: EvaluatedEye, kind: str, degree: int) -> Outcome:
-    return study.outcome_of(trial_at(DepthTrial, eye, kind, degree, DENSE[kind]))
+def structure(study: Study) -> Findings:
+    """What all four mappings answer at two viewpoints on one ray, where the answers must be equal."""
+    rows: list[list[Cell]] = []
+    for eye, side in product(study.eyes, (DISPLAY, SEE_THROUGH)):
+        pair = [_dense(side, study, eye, kind, DEGREE) for kind in KINDS]
+        for query, measure, unit in side.queries:
+            rows.append([str(eye), query, unit, *(_p95(outcome, measure) for outcome in pair)])
+    title = f"Difference of the answers at two points of one ray, the eye box's depth apart: p95, N={DEGREE}, dense"
+    notes = (
+        "A planar model answers alike along a ray by construction, up to rounding and the solver's tolerance.",
+        "The place of a world ray is compared at the depth of the real point.",
+    )
+    return Findings((ReportTable(title, ["eye", "query", "unit", *KINDS], rows, notes),))
 
 
-def _p95(outcome: Outcome) -> float:
-    recorded = outcome.errors.get(DepthMeasure.ALONG_RAY)
+def positions(side: Side, study: Study) -> Findings:
+    """Error over the number of camera positions, the degree limited as in `calibrate`."""
+    rows: list[list[Cell]] = []
+    lines: Lines = {}
+    for eye in study.eyes:
+        errors = {
+            kind: [study.outcome_of(trial_at(side.trial, eye, kind, None, count)).rms(side.measure) for count in COUNTS]
+            for kind in KINDS
+        }
+        rows += [[str(eye), kind, *found] for kind, found in errors.items()]
+        lines |= {f"{eye}, {kind}": (COUNTS, found) for kind, found in errors.items()}
+    title = f"Camera positions, noise-free: {side.words.split(',')[0]}"
+    table = ReportTable(f"{title} (arcmin)", ["eye", "sampling", *(str(count) for count in COUNTS)], rows)
+    return Findings((table, _error_plot(title, "number of camera positions", side, lines)))
+
+
+def _dense(side: Side, study: Study, eye: EvaluatedEye, kind: str, degree: int) -> Outcome:
+    return study.outcome_of(trial_at(side.trial, eye, kind, degree, DENSE[kind]))
+
+
+def _p95(outcome: Outcome, measure: DepthMeasure) -> float:
+    recorded = outcome.errors.get(measure)
     return float("nan") if recorded is None else recorded.p95
 
 
@@ -131,12 +150,17 @@ def _per_kind(column: str) -> list[str]:
     return [column.format(kind) for kind in KINDS]
 
 
-def _over_degree(title: str, study: Study, degrees: Sequence[int], measure: str) -> Plot:
+def _over_degree(title: str, side: Side, study: Study, degrees: Sequence[int], measure: str) -> Plot:
     lines: Lines = {
-        f"{eye}, {kind}": (degrees, [_dense(study, eye, kind, n).rms(measure) for n in degrees])
+        f"{eye}, {kind}": (degrees, [_dense(side, study, eye, kind, n).rms(measure) for n in degrees])
         for eye, kind in product(study.eyes, KINDS)
     }
-    return error_curves(title, "total degree N", lines)
+    return _error_plot(title, "total degree N", side, lines)
+
+
+def _error_plot(title: str, x_title: str, side: Side, lines: Lines) -> Plot:
+    y_title = f"{side.words.split(',')[0]} (arcmin)"
+    return curves(title, lines, (x_title, y_title), log_y=True, grouped=True)
 
 
 def eye_box(study: Study) -> Findings:

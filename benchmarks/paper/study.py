@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from benchmarks.paper.experiments import dense, depth, eye_box, field
+from benchmarks.paper.experiments import DISPLAY, SEE_THROUGH, dense, depth, eye_box, field, positions, structure
 from wlr_render.jobs.evaluate.study import Experiment, StudyOptions, run_study
 from wlr_render.jobs.options import Degree, ProgressArgument, described
 from wlr_render.progress import SILENT
@@ -17,7 +17,7 @@ class PaperOptions(StudyOptions):
     """Options of `paper`."""
 
     _: KW_ONLY
-    degrees: Annotated[tuple[int, ...], described("Total degrees of both display models.", many=True), Degree] = (
+    degrees: Annotated[tuple[int, ...], described("Total degrees of the models.", many=True), Degree] = (
         3,
         4,
         5,
@@ -32,8 +32,13 @@ def run(options: PaperOptions = PaperOptions(), *, progress: ProgressArgument = 
         BadInputError: see `run_study`.
     """
     experiments: dict[str, Experiment] = {
-        "dense": partial(dense, options.degrees),
-        "depth": partial(depth, options.degrees),
+        "display-dense": partial(dense, DISPLAY, options.degrees),
+        "display-depth": partial(depth, DISPLAY, options.degrees),
+        "display-camera-positions": partial(positions, DISPLAY),
+        "see-through-dense": partial(dense, SEE_THROUGH, options.degrees),
+        "see-through-depth": partial(depth, SEE_THROUGH, options.degrees),
+        "see-through-camera-positions": partial(positions, SEE_THROUGH),
+        "structure": structure,
         "eye-box": eye_box,
         "field": field,
     }

@@ -5,7 +5,10 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
+from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import EyeMappings, FieldOfView, Panel
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
@@ -66,6 +69,41 @@ def test_exact_see_through_captures_are_the_truth_and_cover_the_field(setup):
             rows = (captures.target_pose == pose) & (captures.capture == position)
             span = np.ptp(directions.tangents_of_dir(captures.view_dir[rows]), axis=0)
             assert np.all(span > 0.85 * (setup.field.high - setup.field.low))
+
+
+@pytest.mark.parametrize("errors", [{}, {"stage_error_m": 5e-5, "stage_turn_rad": 1e-4}])
+def test_forward_see_through_captures_satisfy_the_backward_solve(setup, errors):
+    truth = traced_eye(load_device("freeform40"))
+    bent = replace(setup, truth=truth, camera_field=truth.field, grid=(7, 5), **errors)
+    at = planar(bent, 5)
+    forward = simulate_see_through(replace(bent, see_through_rays="forward"), at, rng())
+    assert len(forward) == 2 * 5 * 35
+    np.testing.assert_array_equal(forward.viewpoint, at[forward.capture])
+    # The same random numbers as in simulate_see_through: shifts, then turns, for each target.
+    draw, solve = rng(), bent.truth.see_through.view_dir_of_real_point
+    for pose, depth in enumerate(bent.target_depths_m):
+        shift, turn = draw.normal(0.0, bent.stage_error_m, at.shape), np.zeros_like(at)
+        if bent.stage_turn_rad:
+            turn = draw.normal(0.0, bent.stage_turn_rad, at.shape)
+        rows = forward.target_pose == pose
+        point, capture = forward.point[rows], forward.capture[rows]
+        np.testing.assert_allclose(bent.truth.eye_box.centre[2] - point[:, 2], depth)
+        true = solve(point, (at + shift)[capture]).value
+        measured = np.einsum("nij,ni->nj", rotations_of_vectors(turn)[capture], true)
+        np.testing.assert_allclose(measured, forward.view_dir[rows], atol=1e-12)
+
+
+def test_forward_see_through_captures_leave_out_points_within_the_optics(setup):
+    # World rays of freeform40 leave its last surface 32 to 49 mm in front of the eye box.
+    truth = traced_eye(load_device("freeform40"))
+    near = replace(
+        setup, truth=truth, camera_field=truth.field, target_depths_m=(0.041, 0.4), see_through_rays="forward"
+    )
+    captures = simulate_see_through(near, planar(near), rng())
+    rows = captures.target_pose == 0
+    assert 0.1 * 9 * 525 < np.sum(rows) < 0.9 * 9 * 525
+    assert np.sum(~rows) == 9 * 525
+    assert truth.see_through.view_dir_of_real_point(captures.point, captures.viewpoint).ok.all()
 
 
 def test_camera_noise_is_isotropic_and_of_the_stated_size(setup):
@@ -157,6 +195,7 @@ def test_same_seed_gives_the_same_captures(setup):
         ({"grid": (0, 3)}, "at least one column"),
         ({"target_depths_m": (1.0, 1.0)}, "give no ray"),
         ({"target_depths_m": (-1.0, 1.0)}, "give no ray"),
+        ({"see_through_rays": "sideways"}, "'see_through_rays' is 'sideways'"),
     ],
 )
 def test_impossible_benches_are_refused(flat_image_headset, fault, words):

@@ -3,19 +3,21 @@
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate
 from wlr_render.errors import BadInputError
-from wlr_render.geometry import directions
+from wlr_render.geometry import directions, rays
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import EyeMappings, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
+SeeThroughRays = Literal["backward", "forward"]
 LEAST_SIGMA_ARCMIN = 1e-3
 """Stated by captures of a camera without noise on a stage with errors: 0 would state that the camera stood exactly."""
 
@@ -37,9 +39,12 @@ class CaptureSetup:
             of it, by a grid of panel pixels.
         grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
         target_depths_m: depths of the flat targets in front of the eye box, at least two different ones.
+        see_through_rays: "backward" solves for the direction of each dot, as a photograph of a target sees it.
+            "forward" traces a grid of camera pixels through the optics to the target planes (paper: section 4.3):
+            one trace per reading and no solve.
 
     Raises:
-        BadInputError: a negative error, an empty grid, or target depths that do not determine a ray.
+        BadInputError: a negative error, an empty grid, target depths that do not determine a ray, or other rays.
     """
 
     truth: EyeMappings
@@ -51,6 +56,7 @@ class CaptureSetup:
     _: KW_ONLY
     stage_turn_rad: float = 0.0
     stage_curve: Callable[[FloatArray], FloatArray] | None = None
+    see_through_rays: SeeThroughRays = "backward"
 
     def __post_init__(self) -> None:
         for name in ("camera_noise_arcmin", "stage_error_m", "stage_turn_rad"):
@@ -62,6 +68,10 @@ class CaptureSetup:
         if len(set(self.target_depths_m)) < 2 or min(self.target_depths_m) <= 0:
             raise BadInputError(
                 f"capture setup: target depths {self.target_depths_m} m give no ray; give two or more, all above 0."
+            )
+        if self.see_through_rays not in get_args(SeeThroughRays):
+            raise BadInputError(
+                f"capture setup: 'see_through_rays' is '{self.see_through_rays}'; it must be 'backward' or 'forward'."
             )
 
     def camera_positions(self, kind: str, count: int) -> FloatArray:
@@ -162,6 +172,10 @@ class _Visits:
         return measured if self.turned is None else np.asarray(measured @ np.swapaxes(self.turned, -1, -2))
 
 
+_Readings = tuple[NDArray[np.int64], FloatArray, FloatArray]
+"""Number of the position (n,), measured direction (n, 3) and real point (n, 3) of each reading."""
+
+
 def _visited(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> _Visits:
     position = np.asarray(viewpoint + rng.normal(0.0, setup.stage_error_m, viewpoint.shape))
     if setup.stage_turn_rad == 0.0 and setup.stage_curve is None:
@@ -187,7 +201,7 @@ def _decoded(setup: CaptureSetup, visits: _Visits) -> tuple[NDArray[np.int64], F
 
 
 def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> SeeThroughCaptures:
-    """Photograph the dots of every target through the optics; the camera's field is the display's.
+    """Photograph every target through the optics; the camera's field is the display's.
 
     Args:
         setup: what stands on the bench, and its errors.
@@ -204,22 +218,40 @@ def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.ran
 def _one_target(
     setup: CaptureSetup, number: int, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
-    visits = _visited(setup, viewpoint, rng)
-    dot = setup.dots(setup.target_depths_m[number], viewpoint)
-    seen = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
-    view_dir = visits.measured(seen.value)
-    position, column = np.nonzero(seen.usable & setup.field.contains(view_dir))
+    seen = _met_by_camera_pixels if setup.see_through_rays == "forward" else _seen_dots
+    position, view_dir, point = seen(setup, setup.target_depths_m[number], viewpoint, _visited(setup, viewpoint, rng))
     return SeeThroughCaptures(
         device=setup.truth.name,
         eye=setup.truth.eye,
         eye_box=setup.truth.eye_box,
         viewpoint=viewpoint[position],
-        view_dir=view_dir[position, column],
-        point=dot[column],
+        view_dir=view_dir,
+        point=point,
         capture=position,
         target_pose=np.full(len(position), number),
         sigma_arcmin=np.full(len(position), setup.stated_sigma_arcmin),
     )
+
+
+def _seen_dots(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
+    """Directions of the dots of a target, solved for."""
+    dot = setup.dots(depth_m, viewpoint)
+    seen = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
+    view_dir = visits.measured(seen.value)
+    position, column = np.nonzero(seen.usable & setup.field.contains(view_dir))
+    return position, view_dir[position, column], dot[column]
+
+
+def _met_by_camera_pixels(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
+    """Where the world rays of camera pixels meet the plane of a target; rays that do not reach it are left out."""
+    view_dir = setup.camera_dirs()
+    seen = setup.truth.see_through.real_ray_of_view_dir(visits.true(view_dir[None]), visits.position[:, None])
+    position, column = np.nonzero(seen.usable & (seen.value[..., 5] < 0.0))
+    ray = seen.value[position, column]
+    point = rays.split(rays.at_z(ray, setup.truth.eye_box.centre[2] - depth_m))[0]
+    # A plane that lies among the optics is met before the world ray begins.
+    beyond = point[:, 2] <= ray[:, 2]
+    return position[beyond], view_dir[column[beyond]], point[beyond]
 
 
 def with_camera_noise(captures: AnyCaptures, sigma_arcmin: float, rng: np.random.Generator) -> AnyCaptures:

@@ -2,17 +2,23 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.paper.experiments import (
+from benchmarks.paper.along_rays import (
     DepthMeasure,
     DepthTrial,
-    dense,
     moved_back,
+    pixel_inconsistency_px,
+    real_point_inconsistency_arcmin,
+    see_through_moved_back,
     self_inconsistency_arcmin,
+    world_ray_inconsistency,
 )
+from benchmarks.paper.experiments import DISPLAY, KINDS, SEE_THROUGH, dense
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import summary
 from wlr_render.jobs.evaluate.study import Study
 from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
 
 SEED = 3
 BOX = (10.0, 8.0, 6.0)
@@ -34,6 +40,37 @@ def test_static_and_planar_models_never_contradict_themselves_along_a_ray_and_a_
     assert along[2] > 0.1
 
 
+def test_all_four_mappings_of_planar_models_answer_alike_along_a_ray_and_volumetric_ones_do_not():
+    along = {
+        (side, kind): side.trial("freeform40", kind, 3, 25, BOX).run(SEED).errors
+        for side in (DISPLAY, SEE_THROUGH)
+        for kind in KINDS
+    }
+    for side in (DISPLAY, SEE_THROUGH):
+        for _, measure, _ in side.queries:
+            assert along[side, "planar"][measure].p95 < 1e-5, measure
+            assert along[side, "volumetric"][measure].p95 > 1e-3, measure
+            assert along[side, "volumetric"][measure].missing == 0
+
+
+def test_true_optics_answer_alike_along_a_ray():
+    eye = traced_eye(load_device("freeform40"))
+    rng = np.random.default_rng(SEED)
+    viewpoint = eye.eye_box.at(rng.uniform(-1, 1, (40, 3)))
+    view_dir = eye.field.directions(5, 8)
+    through = np.full(len(view_dir), 0.006)
+    seen = mapping_error.see_through_observations(eye.see_through, viewpoint, view_dir, through + 0.5)
+    angle, offset = world_ray_inconsistency(eye.see_through, seen, through)
+    np.testing.assert_allclose(angle, 0.0, atol=1e-6)
+    np.testing.assert_allclose(offset, 0.0, atol=1e-12)
+    np.testing.assert_allclose(real_point_inconsistency_arcmin(eye.see_through, seen, through), 0.0, atol=1e-6)
+    back = mapping_error.see_through_error(eye.see_through, see_through_moved_back(seen, 0.010))
+    np.testing.assert_allclose(back.backward_arcmin, 0.0, atol=1e-6)
+    shown = mapping_error.observations_of_dirs(eye.display, viewpoint, view_dir)
+    assert len(shown.pixel) > 30
+    np.testing.assert_allclose(pixel_inconsistency_px(eye.display, shown, through[:1]), 0.0, atol=1e-6)
+
+
 def test_moved_back_along_its_rays_planar_sampling_is_as_accurate_as_in_the_eye_box():
     # Found once with an independent program in the same eye box, as the figures in tests/jobs/test_evaluate.py.
     errors = DepthTrial("northstar", "planar", 5, 25, BOX).run(SEED)
@@ -43,7 +80,7 @@ def test_moved_back_along_its_rays_planar_sampling_is_as_accurate_as_in_the_eye_
 def test_the_verdict_on_dense_captures_follows_the_numbers():
     forward = {("a", "planar"): 1.0, ("a", "volumetric"): 2.0, ("b", "planar"): 1.0, ("b", "volumetric"): 0.5}
     study = Study((eye("a"), eye("b")), lambda t: outcome(forward[t.device, t.kind]))
-    table, plot = dense((3,), study).blocks
+    table, plot = dense(DISPLAY, (3,), study).blocks
     assert "in 1 of 2 cases" in table.notes[0]
     assert "b (right) N=3 (0.50)" in table.notes[0]
     assert [row[-1] for row in table.rows] == [2.0, 0.5]

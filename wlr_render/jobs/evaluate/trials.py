@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache, partial
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import AnyCaptures
+from wlr_render.captures.correspondences import AnyCaptures, SeeThroughCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.mappings import EyeBox, EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.processes import as_finished
@@ -26,6 +28,7 @@ from wlr_render.progress import Progress
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,
+    SeeThroughRays,
     simulate_display,
     simulate_see_through,
     with_camera_noise,
@@ -250,19 +253,31 @@ class DisplayTrial(Trial):
 class SeeThroughTrial(Trial):
     """A trial of the see-through model."""
 
+    RAYS: ClassVar[SeeThroughRays] = "backward"
+
     def run(self, seed: int) -> Outcome:
         """Fit and evaluate."""
-        captures = _measured(self, simulate_see_through, self.rng(seed))
+        captures = _measured(self, _SIMULATE[self.RAYS], self.rng(seed))
         fitted, seconds = _timed(fit_see_through, captures, self)
+        return Outcome(self.errors(fitted.mapping, seed), FoundBench.of(fitted), len(fitted.captures), seconds)
+
+    def errors(self, model: FittedSeeThrough, seed: int) -> dict[str, Summary]:
+        """Errors of a fitted model."""
         seen = see_through_observations(self.at, seed)
-        error = mapping_error.see_through_error(fitted.mapping, seen)
-        errors: dict[str, Summary] = {
+        error = mapping_error.see_through_error(model, seen)
+        return {
             Measure.REAL_POINT: summary(error.backward_arcmin),
             Measure.REAL_RAY: summary(error.forward_arcmin),
             Measure.MISS: summary(1e3 * error.forward_miss_m),
-            Measure.PREDICTED: summary(fitted.mapping.sigma(seen.point, seen.viewpoint)),
+            Measure.PREDICTED: summary(model.sigma(seen.point, seen.viewpoint)),
         }
-        return Outcome(errors, FoundBench.of(fitted), len(fitted.captures), seconds)
+
+
+def _simulate_forwards(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> SeeThroughCaptures:
+    return simulate_see_through(replace(setup, see_through_rays="forward"), viewpoint, rng)
+
+
+_SIMULATE = {"backward": simulate_see_through, "forward": _simulate_forwards}
 
 
 @dataclass(frozen=True)

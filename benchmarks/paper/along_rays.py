@@ -1,0 +1,154 @@
+"""Trials of models along rays: farther back than the eye box, and against themselves at two points of one ray."""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import ClassVar
+
+import numpy as np
+
+from wlr_render.evaluation import mapping_error
+from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations, displaced
+from wlr_render.evaluation.metrics import Summary, summary
+from wlr_render.geometry import rays
+from wlr_render.geometry.directions import arcmin_between
+from wlr_render.jobs.evaluate.trials import (
+    DisplayTrial,
+    SeeThroughTrial,
+    display_observations,
+    see_through_observations,
+)
+from wlr_render.mappings import DisplayMapping, SeeThroughMapping
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation.simulate_captures import SeeThroughRays
+
+BACK_M = 0.010
+"""How far viewpoints are moved back along their own rays."""
+
+
+class DepthMeasure(StrEnum):
+    """Errors along the rays of random viewpoints.
+
+    MOVED_BACK: of the direction of a pixel, or of a real point, from `BACK_M` farther back. The others compare a
+    model's answers at two points of one of its rays, the eye box's depth apart, where they must be equal. ALONG_RAY:
+    forward query, the direction of a pixel, or of the world ray of a view direction. OFFSET_ALONG_RAY: distance of
+    that world ray from the first one's point at the depth of the real point. PIXEL_ALONG_RAY and POINT_ALONG_RAY:
+    backward query, the pixel of a view direction, and the view direction of a real point.
+    """
+
+    MOVED_BACK = "moved back (arcmin)"
+    ALONG_RAY = "along a ray (arcmin)"
+    OFFSET_ALONG_RAY = "offset along a ray (mm)"
+    PIXEL_ALONG_RAY = "pixel along a ray (px)"
+    POINT_ALONG_RAY = "real point along a ray (arcmin)"
+
+
+@dataclass(frozen=True)
+class DepthTrial(DisplayTrial):
+    """A trial of the display model that is also evaluated along its rays."""
+
+    def errors(self, model: FittedDisplay, rng: np.random.Generator, seed: int) -> dict[str, Summary]:
+        """Errors of a fitted model, in the eye box and along rays."""
+        seen = display_observations(self.at, seed)
+        back = moved_back(seen, BACK_M)
+        shown = model.view_dir_of_pixel(back.pixel, back.viewpoint).value
+        through = _through(self, seen.view_dir)
+        front = moved_back(seen, -0.5 * through)
+        return super().errors(model, rng, seed) | {
+            DepthMeasure.MOVED_BACK: summary(arcmin_between(shown, back.view_dir)),
+            DepthMeasure.ALONG_RAY: summary(self_inconsistency_arcmin(model, front.viewpoint, seen.pixel, through)),
+            DepthMeasure.PIXEL_ALONG_RAY: summary(pixel_inconsistency_px(model, front, through)),
+        }
+
+
+@dataclass(frozen=True)
+class SeeThroughDepthTrial(SeeThroughTrial):
+    """A trial of the see-through model, captured forwards as in the paper, that is also evaluated along its rays."""
+
+    RAYS: ClassVar[SeeThroughRays] = "forward"
+
+    def errors(self, model: FittedSeeThrough, seed: int) -> dict[str, Summary]:
+        """Errors of a fitted model, in the eye box and along rays."""
+        seen = see_through_observations(self.at, seed)
+        back = mapping_error.see_through_error(model, see_through_moved_back(seen, BACK_M))
+        through = _through(self, seen.view_dir)
+        front = see_through_moved_back(seen, -0.5 * through)
+        angle, offset = world_ray_inconsistency(model, front, through)
+        return super().errors(model, seed) | {
+            DepthMeasure.MOVED_BACK: summary(back.backward_arcmin),
+            DepthMeasure.ALONG_RAY: summary(angle),
+            DepthMeasure.OFFSET_ALONG_RAY: summary(1e3 * offset),
+            DepthMeasure.POINT_ALONG_RAY: summary(real_point_inconsistency_arcmin(model, front, through)),
+        }
+
+
+def _through(trial: DisplayTrial | SeeThroughTrial, view_dir: FloatArray) -> FloatArray:
+    """Length (...) of a ray of direction (..., 3) between planes as far apart as the eye box is deep, metres."""
+    return np.asarray(1e-3 * trial.eye_box_mm[2] / -view_dir[..., 2])
+
+
+def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
+    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
+    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
+
+
+def see_through_moved_back(
+    observations: SeeThroughObservations, distance_m: float | FloatArray
+) -> SeeThroughObservations:
+    """The same points and rays with viewpoints moved back along their view rays, by one distance or (n,) distances."""
+    return replace(observations, viewpoint=_behind(observations.viewpoint, observations.view_dir, distance_m))
+
+
+def _behind(viewpoint: FloatArray, view_dir: FloatArray, distance_m: float | FloatArray) -> FloatArray:
+    return np.asarray(viewpoint - np.asarray(distance_m)[..., None] * view_dir)
+
+
+def self_inconsistency_arcmin(
+    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
+) -> FloatArray:
+    """Self-inconsistency of a mapping along its own rays.
+
+    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
+    farther back on the same ray, where it must be the same.
+
+    Returns:
+        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
+    """
+    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
+    behind = _behind(viewpoint, first, distance_m)
+    return arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
+
+
+def pixel_inconsistency_px(
+    candidate: DisplayMapping, observations: DisplayObservations, distance_m: FloatArray
+) -> FloatArray:
+    """Distance (n,) in pixels between the pixels of a view direction at two viewpoints on one ray."""
+    first = candidate.pixel_of_view_dir(observations.view_dir, observations.viewpoint).value
+    behind = moved_back(observations, distance_m).viewpoint
+    second = candidate.pixel_of_view_dir(observations.view_dir, behind).value
+    return np.asarray(np.linalg.norm(second - first, axis=-1))
+
+
+def world_ray_inconsistency(
+    candidate: SeeThroughMapping, observations: SeeThroughObservations, distance_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Angle and distance between the world rays of a view direction at two viewpoints on one view ray.
+
+    Returns:
+        (n,) arcminutes; and (n,) metres from the second ray to the point of the first at the depth of the real point.
+    """
+    first = candidate.real_ray_of_view_dir(observations.view_dir, observations.viewpoint).value
+    behind = see_through_moved_back(observations, distance_m).viewpoint
+    second = candidate.real_ray_of_view_dir(observations.view_dir, behind).value
+    point = rays.split(rays.at_z(first, observations.point[:, 2]))[0]
+    angle = arcmin_between(rays.split(first)[1], rays.split(second)[1])
+    return angle, rays.distance_to_point(second, point)
+
+
+def real_point_inconsistency_arcmin(
+    candidate: SeeThroughMapping, observations: SeeThroughObservations, distance_m: FloatArray
+) -> FloatArray:
+    """Angle (n,) between the view directions of a real point at two viewpoints on one of the model's view rays."""
+    first = candidate.view_dir_of_real_point(observations.point, observations.viewpoint).value
+    behind = _behind(observations.viewpoint, first, distance_m)
+    return arcmin_between(first, candidate.view_dir_of_real_point(observations.point, behind).value)
