@@ -284,7 +284,9 @@ def require_planar(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrou
     """
     display, see_through = mappings.display, mappings.see_through
     if isinstance(display, PlanarDisplay) and isinstance(see_through, PlanarSeeThrough):
-        return display, see_through
+        parts: tuple[object, object] = display.forward, see_through.deviation
+        if all(isinstance(part, Polynomial) for part in parts):
+            return display, see_through
     raise BadInputError(
         f"{mappings.name}: only planar models can be solved in a shader; use the node grid, or fit a planar model."
     )

@@ -27,7 +27,7 @@ from wlr_render.models.spread import Covariance
 from wlr_render.models.static import StaticDisplay
 from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.regressor import Regressor
 
 DISPLAY_LIMITS = (Limits(pixel=8, place=5, total=8), Limits(pixel=10, place=5, total=10))
 """What the optics of the shipped devices need at usual noise, and without noise; the evidence decides how much of it
@@ -152,19 +152,23 @@ def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
     )
 
 
-def _bundle(captures: DisplayCaptures, plane: BasePlane, forward: Polynomial, spread: Covariance) -> FittedDisplay:
+def _bundle(
+    captures: DisplayCaptures, plane: BasePlane, forward: Regressor, spread: Covariance | None
+) -> FittedDisplay:
     return BundleDisplay(captures.panel, captures.eye_box, plane, forward, backward_start_of(forward), spread)
 
 
-def _volumetric(captures: DisplayCaptures, _: BasePlane, forward: Polynomial, spread: Covariance) -> FittedDisplay:
+def _volumetric(
+    captures: DisplayCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None
+) -> FittedDisplay:
     return VolumetricDisplay(captures.panel, captures.eye_box, forward, backward_start_of(forward), spread)
 
 
-def _static(captures: DisplayCaptures, _: BasePlane, forward: Polynomial, spread: Covariance) -> FittedDisplay:
+def _static(captures: DisplayCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None) -> FittedDisplay:
     return StaticDisplay(captures.panel, captures.eye_box, forward, backward_start_of(forward), spread)
 
 
-def _points(captures: DisplayCaptures, _: BasePlane, point: Polynomial, spread: Covariance) -> FittedDisplay:
+def _points(captures: DisplayCaptures, _: BasePlane, point: Regressor, spread: Covariance | None) -> FittedDisplay:
     return PointPerPixelDisplay(captures.panel, captures.eye_box, point, spread)
 
 

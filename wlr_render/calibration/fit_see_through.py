@@ -24,7 +24,7 @@ from wlr_render.models.spread import Covariance
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.regressor import Regressor
 
 SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=8, place=5, total=8))
 """Of direction and place: deviations are smoother than the display's distortion."""
@@ -131,18 +131,20 @@ def _readings(
 
 
 def _bundle(
-    captures: SeeThroughCaptures, plane: BasePlane, deviation: Polynomial, spread: Covariance
+    captures: SeeThroughCaptures, plane: BasePlane, deviation: Regressor, spread: Covariance | None
 ) -> FittedSeeThrough:
     return BundleSeeThrough(captures.eye_box, plane, deviation, spread)
 
 
 def _volumetric(
-    captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Covariance
+    captures: SeeThroughCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None
 ) -> FittedSeeThrough:
     return VolumetricSeeThrough(captures.eye_box, forward, spread)
 
 
-def _static(captures: SeeThroughCaptures, _: BasePlane, forward: Polynomial, spread: Covariance) -> FittedSeeThrough:
+def _static(
+    captures: SeeThroughCaptures, _: BasePlane, forward: Regressor, spread: Covariance | None
+) -> FittedSeeThrough:
     return StaticSeeThrough(captures.eye_box, forward, spread)
 
 

@@ -18,7 +18,8 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.contraction import require_unique
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.regressor import Regressor
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,14 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
 
     Attributes:
         readings: (captures, plane, limits, trend) -> readings.
-        model: (captures, plane, polynomial, spread) -> model.
+        model: (captures, plane, regressor, spread) -> model.
         has_places: whether it depends on the camera position; if not, its orders have no limit for the place.
         at_one_position: whether only the camera position nearest to the eye box's centre is used.
         needs_trend: whether it has a trend. is_trend_alone: and nothing else.
     """
 
     readings: Callable[..., FitReadings]
-    model: Callable[[AnyCaptures, BasePlane, Polynomial, Covariance], AnyModel]
+    model: Callable[[AnyCaptures, BasePlane, Regressor, Covariance | None], AnyModel]
     has_places: bool = True
     at_one_position: bool = False
     needs_trend: bool = False

@@ -35,10 +35,11 @@ from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.newton import Root
 from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.regressor import Regressor
 
 
 def solve_display(
-    tangents_of: Polynomial, plane: BasePlane, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray | None
+    tangents_of: Regressor, plane: BasePlane, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Root:
     """Solve for the point on the base plane of the ray from a pixel to a viewpoint.
 
@@ -62,11 +63,11 @@ def solve_display(
         carried = viewpoint[index, :2] + depth[:, None] * tangents
         return point - carried, np.eye(2) - plane.carry_by_tangents(depth, tangents) @ jacobian
 
-    return solve_warm_then_cold(residual, start, viewpoint[:, :2])
+    return solve_warm_then_cold(residual, start, viewpoint[:, :2], tangents_of.rounding)
 
 
 def solve_see_through(
-    deviation: Polynomial, plane: BasePlane, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
+    deviation: Regressor, plane: BasePlane, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Root:
     """Solve for the view direction of a real point; see `inverse.solve_view_tangents`.
 
@@ -86,10 +87,10 @@ def solve_see_through(
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
         return _deviation_at(deviation, plane, tangents, viewpoint[index])
 
-    return solve_view_tangents(deviation_at, point, viewpoint, start)
+    return solve_view_tangents(deviation_at, point, viewpoint, start, deviation.rounding)
 
 
-def _deviation_at(deviation: Polynomial, plane: BasePlane, tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
+def _deviation_at(deviation: Regressor, plane: BasePlane, tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
     """The deviation at view tangents (m, 2) of viewpoints (m, 3); p~ moves with the tangents."""
     depth = plane.depth_along(viewpoint, tangents)
     in_plane = viewpoint[:, :2] + depth[:, None] * tangents
@@ -118,7 +119,7 @@ class BundleDisplay(FittedDisplay):
     panel: Panel
     eye_box: EyeBox
     base_plane: BasePlane
-    forward: Polynomial
+    forward: Regressor
     backward_start: Polynomial
     spread: Covariance | None = None
 
@@ -163,7 +164,7 @@ class BundleSeeThrough(FittedSeeThrough):
 
     eye_box: EyeBox
     base_plane: BasePlane
-    deviation: Polynomial
+    deviation: Regressor
     spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"deviation": (4, 4)}

@@ -13,7 +13,8 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox
 from wlr_render.models.inverse import Deviation
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.regressor import Regressor
 
 NEAREST_POINT_M = 0.25
 """Nearest real point, in front of the viewpoint, for which a see-through solve must be unique."""
@@ -21,7 +22,7 @@ NEAREST_POINT_M = 0.25
 _PIXELS, _PLACES, _DIRECTIONS, _DEPTHS = 13, 9, 13, 5  # grid points per axis, from edge to edge
 
 
-def display_contraction(forward: Polynomial, plane: BasePlane, eye_box: EyeBox) -> float:
+def display_contraction(forward: Regressor, plane: BasePlane, eye_box: EyeBox) -> float:
     """Largest norm of the derivative of p~ -> carry(viewpoint, t(pixel, p~)): |s| ||dt/dp~|| on an untilted plane.
 
     On a plane of slope m it is h / (1 + m . t) times ||(I - t m^T / (1 + m . t)) dt/dp~||, with h the height of the

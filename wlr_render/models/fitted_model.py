@@ -17,6 +17,7 @@ from wlr_render.models.inverse import solve_pixel
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.regressor import Regressor
 
 _CHUNK = 65_536  # elements per block: a whole panel must not hold all its basis terms and Jacobians at once
 
@@ -121,7 +122,7 @@ def joined(*columns: FloatArray) -> FloatArray:
 
 
 def pixel_answer(
-    forward: Polynomial, backward_start: Polynomial, place: FloatArray, tangents: FloatArray, start: FloatArray | None
+    forward: Regressor, backward_start: Polynomial, place: FloatArray, tangents: FloatArray, start: FloatArray | None
 ) -> Answer:
     """Answer of a display's backward query: `inverse.solve_pixel`, inside where the forward inputs are in their box."""
     root = solve_pixel(forward, backward_start, place, tangents, start)
@@ -133,7 +134,7 @@ Forms = dict[str, tuple[int, int]]
 
 
 class FittedModel(ABC):
-    """Base of models made of polynomials; a subclass is a frozen dataclass and implements the formulas.
+    """Base of models made of regressors; a subclass is a frozen dataclass and implements the formulas.
 
     Attributes:
         FORMS: variables and outputs of each polynomial, by attribute name; the first is the model, others start solves.
@@ -151,7 +152,9 @@ class FittedModel(ABC):
 
     def __post_init__(self) -> None:
         for name, (variables, outputs) in self.FORMS.items():
-            polynomial: Polynomial = getattr(self, name)
+            polynomial: Regressor = getattr(self, name)
+            if not isinstance(polynomial, Polynomial):
+                continue
             found = len(polynomial.box.low), polynomial.orders.shape[1], polynomial.coefficients.shape
             expected = variables, variables, (len(polynomial.orders), outputs)
             if found != expected:

@@ -12,6 +12,7 @@ import numpy as np
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import Residual, Root, solve_2x2
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.regressor import Regressor
 
 TOLERANCE = 1e-12
 """On the residual: metres in the base plane where its point is solved for, tangents elsewhere."""
@@ -20,22 +21,26 @@ _START_DEGREE = 3
 _LEVELS = 7, 4  # samples per pixel axis and per axis of the place
 
 
-def solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: FloatArray) -> Root:
-    """Solve from `start` (n, 2), and once more from `cold` (n, 2) where that fails; None starts cold."""
+def solve_warm_then_cold(residual: Residual, start: FloatArray | None, cold: FloatArray, rounding: float = 0.0) -> Root:
+    """Solve from `start` (n, 2), and once more from `cold` (n, 2) where that fails; None starts cold.
+
+    The residual may be as large as its `rounding`.
+    """
+    tolerance = max(TOLERANCE, rounding)
     if start is None:
-        return solve_2x2(residual, cold, TOLERANCE)
-    warm = solve_2x2(residual, np.where(np.isfinite(start), start, cold), TOLERANCE)
+        return solve_2x2(residual, cold, tolerance)
+    warm = solve_2x2(residual, np.where(np.isfinite(start), start, cold), tolerance)
     lost = np.flatnonzero(~warm.converged)
     if lost.size == 0:
         return warm
-    again = solve_2x2(lambda unknown, index: residual(unknown, lost[index]), cold[lost], TOLERANCE)
+    again = solve_2x2(lambda unknown, index: residual(unknown, lost[index]), cold[lost], tolerance)
     unknown, converged = warm.unknown.copy(), warm.converged.copy()
     unknown[lost], converged[lost] = again.unknown, again.converged
     return Root(unknown, converged, warm.iterations + again.iterations)
 
 
 def solve_pixel(
-    tangents_of: Polynomial,
+    tangents_of: Regressor,
     backward_start: Polynomial,
     place: FloatArray,
     tangents: FloatArray,
@@ -61,7 +66,7 @@ def solve_pixel(
         return value - tangents[index], jacobian
 
     cold = backward_start(np.concatenate([place, tangents], axis=1))
-    return solve_warm_then_cold(residual, start, cold)
+    return solve_warm_then_cold(residual, start, cold, tangents_of.rounding)
 
 
 @dataclass(frozen=True)
@@ -110,6 +115,7 @@ def solve_view_tangents(
     point: FloatArray,
     viewpoint: FloatArray,
     start: FloatArray | None,
+    rounding: float = 0.0,
 ) -> Root:
     """Solve for the view direction of a real point, so that its ray in the world passes through the point.
 
@@ -121,6 +127,7 @@ def solve_view_tangents(
         point: (n, 3) in front of the viewpoint.
         viewpoint: (n, 3).
         start: (n, 2) earlier solutions, or None.
+        rounding: size of what is rounding in the residual.
 
     Returns:
         Root whose unknown is t, (n, 2).
@@ -132,10 +139,10 @@ def solve_view_tangents(
         bent, slope = deviation_at(tangents, index).seen_at(inverse_depth[index])
         return tangents - straight[index] + bent, np.eye(2) + slope
 
-    return solve_warm_then_cold(residual, start, straight)
+    return solve_warm_then_cold(residual, start, straight, rounding)
 
 
-def backward_start_of(forward: Polynomial) -> Polynomial:
+def backward_start_of(forward: Regressor) -> Polynomial:
     """Low-degree polynomial (place, tx, ty) -> (u, v) near the inverse of a display's (u, v, place) -> (tx, ty).
 
     Least squares on a grid over the box of `forward`. It is only where the solves of backward queries start.

@@ -299,6 +299,8 @@ def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
         return {"width_px": part.width_px, "height_px": part.height_px}
     if isinstance(part, BasePlane):
         return {"z_m": part.z, "slope": list(part.slope)}
+    if not isinstance(part, Polynomial):
+        raise BadInputError("only models made of polynomials can be written to a model file; this one is not.")
     orders, values = part.orders.tolist(), part.coefficients.tolist()
     return {
         "low": part.box.low.tolist(),

@@ -15,7 +15,7 @@ from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, Sensiti
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.regressor import Regressor
 
 _TOLERANCE = 1e-12  # tangents
 
@@ -35,7 +35,7 @@ class PointPerPixelDisplay(FittedDisplay):
 
     panel: Panel
     eye_box: EyeBox
-    point: Polynomial
+    point: Regressor
     spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"point": (2, 3)}

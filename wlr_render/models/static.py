@@ -16,6 +16,7 @@ from wlr_render.models.spread import Covariance
 from wlr_render.models.volumetric import deviated_contraction, deviated_ray, deviated_sensitivity, deviated_view
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
+from wlr_render.numerics.regressor import Regressor
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class StaticDisplay(FittedDisplay):
 
     panel: Panel
     eye_box: EyeBox
-    forward: Polynomial
+    forward: Regressor
     backward_start: Polynomial
     spread: Covariance | None = None
 
@@ -61,7 +62,7 @@ class StaticSeeThrough(FittedSeeThrough):
     """
 
     eye_box: EyeBox
-    forward: Polynomial
+    forward: Regressor
     spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (2, 4)}

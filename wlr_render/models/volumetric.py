@@ -25,6 +25,7 @@ from wlr_render.models.inverse import Deviation, solve_view_tangents
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.regressor import Regressor
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class VolumetricDisplay(FittedDisplay):
 
     panel: Panel
     eye_box: EyeBox
-    forward: Polynomial
+    forward: Regressor
     backward_start: Polynomial
     spread: Covariance | None = None
 
@@ -72,7 +73,7 @@ class VolumetricSeeThrough(FittedSeeThrough):
     """
 
     eye_box: EyeBox
-    forward: Polynomial
+    forward: Regressor
     spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {"forward": (5, 4)}
@@ -91,7 +92,7 @@ class VolumetricSeeThrough(FittedSeeThrough):
         return deviated_sensitivity(self.forward, viewpoint, subject, viewpoint, tangents)
 
 
-def deviated_contraction(forward: Polynomial, eye_box: EyeBox, place_of: Callable[[FloatArray], FloatArray]) -> float:
+def deviated_contraction(forward: Regressor, eye_box: EyeBox, place_of: Callable[[FloatArray], FloatArray]) -> float:
     """Contraction of `deviated_view`, for the places (m, any) of viewpoints (m, 3)."""
     box = Box(forward.box.low[-2:], forward.box.high[-2:])
 
@@ -104,12 +105,12 @@ def deviated_contraction(forward: Polynomial, eye_box: EyeBox, place_of: Callabl
     return see_through_contraction(deviation_at, contains, eye_box, box)
 
 
-def _deviation(forward: Polynomial, place: FloatArray, tangents: FloatArray) -> Deviation:
+def _deviation(forward: Regressor, place: FloatArray, tangents: FloatArray) -> Deviation:
     by = place.shape[1], place.shape[1] + 1
     return Deviation.at_viewpoint(*forward.with_jacobian(joined(place, tangents), axes=by))
 
 
-def deviated_ray(forward: Polynomial, place: FloatArray, tangents: FloatArray, viewpoint: FloatArray) -> Answer:
+def deviated_ray(forward: Regressor, place: FloatArray, tangents: FloatArray, viewpoint: FloatArray) -> Answer:
     """The ray through viewpoint_xy + B at the viewpoint's z, with tangents t + A; A and B at (place (m, any), t)."""
     inputs = joined(place, tangents)
     value = forward(inputs)
@@ -118,7 +119,7 @@ def deviated_ray(forward: Polynomial, place: FloatArray, tangents: FloatArray, v
 
 
 def deviated_view(
-    forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
+    forward: Regressor, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Answer:
     """The view direction whose `deviated_ray` passes through the point."""
     forward_at = forward.held(range(place.shape[1]), place)
@@ -126,13 +127,13 @@ def deviated_view(
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
         return Deviation.at_viewpoint(*forward_at.with_jacobian(tangents, index))
 
-    root = solve_view_tangents(deviation_at, point, viewpoint, start)
+    root = solve_view_tangents(deviation_at, point, viewpoint, start, forward.rounding)
     inside = forward.box.contains(joined(place, root.unknown))
     return Answer(root.unknown, inside, root.converged, root.unknown)
 
 
 def deviated_sensitivity(
-    forward: Polynomial, place: FloatArray, point: FloatArray, viewpoint: FloatArray, tangents: FloatArray
+    forward: Regressor, place: FloatArray, point: FloatArray, viewpoint: FloatArray, tangents: FloatArray
 ) -> Sensitivity:
     """How `deviated_view` follows the polynomial."""
     by_value = _deviation(forward, place, tangents).view_by_value(1.0 / (viewpoint[:, 2] - point[:, 2]))

@@ -308,6 +308,21 @@ class Polynomial:
     box: Box
     coefficients: FloatArray
 
+    @property
+    def outputs(self) -> int:
+        """Number of them."""
+        return int(self.coefficients.shape[1])
+
+    @property
+    def numbers(self) -> int:
+        """How many have to be stored."""
+        return int(self.coefficients.size)
+
+    @property
+    def rounding(self) -> float:
+        """See `regressor.Regressor`."""
+        return 0.0
+
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Values (..., outputs) at inputs (..., variables)."""
         split = self._cheapest()

@@ -1,0 +1,225 @@
+"""One map for each camera position, and what lies between the positions: tables, and principal components.
+
+Tables with interpolation are what headsets ship (US 10,373,297; US 10,241,545). Principal components of the maps, with
+scores that depend on the eye's position, are Guan et al., "Perceptual requirements for eye-tracked distortion
+correction in VR", SIGGRAPH 2022, as far as its abstract goes: there the maps are traced through a prescription.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import Delaunay
+
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
+from wlr_render.numerics.regressor import NumericRegressor
+from wlr_render.rivals.samples import FOLDS, Samples
+
+MAP_DEGREES = (4, 6, 8)
+"""Of the polynomial of one position's map; held-out readings choose."""
+_CONSTANT = 1e-6  # of the extent of the places: what a place of one position may vary by
+_COMPONENTS = (2, 3, 4, 6, 8, 10, 14, 18)
+_SCORE_DEGREES = (2, 3, 4, 5, 6)
+_STEPS_INWARD = 60
+_INWARD = 0.97  # of the distance from the centre, a step
+
+
+@dataclass(frozen=True, eq=False)
+class PositionMaps:
+    """The map of each of k camera positions: polynomials of the pixel or direction.
+
+    Attributes:
+        samples: from which they come.
+        orders: (terms, 2) of the polynomials. box: of their two inputs.
+        coefficients: (k, terms, outputs).
+        place: (k, place variables) of the positions, scaled.
+    """
+
+    samples: Samples
+    orders: np.ndarray
+    box: Box
+    coefficients: FloatArray
+    place: FloatArray
+
+    @classmethod
+    def of(cls, samples: Samples, degree: int | None = None) -> "PositionMaps":
+        """Fit each map by least squares; held-out readings of all positions choose the degree if none is given.
+
+        Raises:
+            BadInputError: a position's place is not one point, or it has too few readings.
+        """
+        if degree is None:
+            fewest = np.bincount(samples.position).min() * 0.8 / samples.readings.blocks
+            known = [each for each in MAP_DEGREES if term_count(2, each) < fewest] or [2]
+            degree = min(known, key=lambda each: _held_out_map_error(samples, each))
+        subject = samples.readings.inputs[:, ~samples.is_place]
+        box = samples.readings.box.of(np.flatnonzero(~samples.is_place).tolist())
+        orders = total_degree(2, degree)
+        phi, target = basis(subject, orders, box), samples.target()
+        coefficients, places = [], []
+        for position in range(int(samples.position.max()) + 1):
+            rows = np.flatnonzero(samples.position == position)
+            design = samples.design(phi[rows], rows)
+            if len(rows) < design.shape[1]:
+                raise BadInputError(
+                    f"camera position {position} has {len(rows)} readings, too few for a map of its own; "
+                    f"a table needs {design.shape[1]} or more at each."
+                )
+            coefficients.append(
+                samples.by_block(np.asarray(np.linalg.lstsq(design, target[rows], rcond=1e-10)[0], np.float64))
+            )
+            place = samples.scaled[rows][:, samples.is_place]
+            if place.size and np.ptp(place, axis=0).max() > _CONSTANT:
+                raise BadInputError(
+                    "the camera positions do not lie in the base plane, so that a position's rays cross it at many "
+                    "points; a table needs one place for each map: take positions in one plane."
+                )
+            places.append(place[0])
+        return cls(samples, orders, box, np.array(coefficients), np.array(places))
+
+    def metric_root(self) -> FloatArray:
+        """Upper triangular (m, m): its product with the columns of a map has the map's size over all readings."""
+        samples = self.samples
+        phi = basis(samples.readings.inputs[:, ~samples.is_place], self.orders, self.box)
+        return np.asarray(np.linalg.qr(samples.design(phi) / np.sqrt(len(samples)), mode="r"))
+
+    def regressor(self, weights: Callable[[FloatArray], FloatArray], coefficients: FloatArray) -> NumericRegressor:
+        """The sum over c of weights (n, c) at scaled places (n, place variables) times maps (c, terms, outputs)."""
+        samples, flat = self.samples, coefficients.reshape(len(coefficients), -1)
+        box, is_place = samples.readings.box, samples.is_place
+
+        def value(inputs: FloatArray) -> FloatArray:
+            mixed = (weights(box.scaled(inputs)[:, is_place]) @ flat).reshape(len(inputs), len(self.orders), -1)
+            return np.asarray(np.einsum("nt,nto->no", basis(inputs[:, ~is_place], self.orders, self.box), mixed))
+
+        return NumericRegressor(value, box, samples.outputs, numbers=coefficients.size)
+
+
+def _held_out_map_error(samples: Samples, degree: int) -> float:
+    """Sum of squares at every fifth reading of each position, of a map fitted to the others."""
+    subject = samples.readings.inputs[:, ~samples.is_place]
+    phi = basis(subject, total_degree(2, degree), samples.readings.box.of(np.flatnonzero(~samples.is_place).tolist()))
+    target, error = samples.target(), 0.0
+    out = np.random.default_rng(0).permutation(len(samples)) % FOLDS == 0
+    for position in range(int(samples.position.max()) + 1):
+        here = samples.position == position
+        kept, left = np.flatnonzero(here & ~out), np.flatnonzero(here & out)
+        solution = np.linalg.lstsq(samples.design(phi[kept], kept), target[kept], rcond=1e-10)[0]
+        error += float(np.sum((samples.design(phi[left], left) @ solution - target[left]) ** 2))
+    return error
+
+
+def linear_table(samples: Samples) -> NumericRegressor:
+    """Maps interpolated linearly within the triangles (tetrahedra) of Delaunay; clamped to their hull."""
+    maps = PositionMaps.of(samples)
+    if len(maps.place) == 1 or maps.place.shape[1] == 0:
+        return maps.regressor(lambda place: np.ones((len(place), 1)), maps.coefficients[:1])
+    _require_places(maps.place, maps.place.shape[1] + 1)
+    return maps.regressor(_linear_weights(maps.place), maps.coefficients)
+
+
+def thin_plate_table(samples: Samples) -> NumericRegressor:
+    """Maps interpolated by thin plates: the smoothest function through all of them."""
+    maps = PositionMaps.of(samples)
+    if len(maps.place) == 1 or maps.place.shape[1] == 0:
+        return maps.regressor(lambda place: np.ones((len(place), 1)), maps.coefficients[:1])
+    variables = maps.place.shape[1]
+    degree = 2 if len(maps.place) > 2 * term_count(variables, 2) else 1
+    _require_places(maps.place, term_count(variables, degree))
+    spline = RBFInterpolator(maps.place, np.eye(len(maps.place)), kernel="thin_plate_spline", degree=degree)
+    return maps.regressor(spline, maps.coefficients)
+
+
+def principal_components(samples: Samples) -> NumericRegressor:
+    """Mean map and principal components, with scores that are polynomials of the place.
+
+    Their numbers and degree are those with the least error at held-out positions.
+    """
+    maps = PositionMaps.of(samples)
+    if maps.place.shape[1] == 0:
+        return linear_table(samples)
+    root = maps.metric_root()
+    by_column = np.stack([samples.by_column(each) for each in maps.coefficients])
+    size = np.einsum("ij,kjo->kio", root, by_column).reshape(len(maps.place), -1)  # as seen in the readings
+    fold = np.random.default_rng(0).permutation(len(size)) % FOLDS
+    choices = [
+        (count, degree)
+        for count, degree in product(_COMPONENTS, _SCORE_DEGREES)
+        if count < 0.8 * len(size) - 1 and term_count(maps.place.shape[1], degree) <= 0.8 * len(size)
+    ]
+    if not choices:
+        raise BadInputError(f"{len(size)} camera positions are too few for principal components; take 9 or more.")
+
+    def error(choice: tuple[int, int]) -> float:
+        total = 0.0
+        for number in range(FOLDS):
+            components = _Components.of(maps.place[fold != number], size[fold != number], *choice)
+            total += float(np.sum((components.maps(maps.place[fold == number]) - size[fold == number]) ** 2))
+        return total
+
+    found = _Components.of(maps.place, size, *min(choices, key=error))
+    seen = np.concatenate([found.mean[None], found.axes]).reshape(-1, *by_column.shape[1:])
+    every = np.stack([samples.by_block(np.linalg.solve(root, each)) for each in seen])
+    regressor = maps.regressor(found.weights, every)
+    return NumericRegressor(
+        regressor.function, regressor.box, regressor.outputs, numbers=every.size + found.scores.coefficients.size
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Components:
+    """mean (m,) + scores(place) @ axes (count, m)."""
+
+    mean: FloatArray
+    axes: FloatArray
+    scores: Polynomial
+
+    @classmethod
+    def of(cls, place: FloatArray, rows: FloatArray, count: int, degree: int) -> "_Components":
+        mean = rows.mean(axis=0)
+        left, size, axes = np.linalg.svd(rows - mean, full_matrices=False)
+        orders, box = total_degree(place.shape[1], degree), Box(-np.ones(place.shape[1]), np.ones(place.shape[1]))
+        scores = np.linalg.lstsq(basis(place, orders, box), (left * size)[:, :count], rcond=1e-10)[0]
+        return cls(mean, axes[:count], Polynomial(orders, box, np.asarray(scores)))
+
+    def weights(self, place: FloatArray) -> FloatArray:
+        """Of the mean and the axes, (n, 1 + count)."""
+        return np.hstack([np.ones((len(place), 1)), self.scores(place)])
+
+    def maps(self, place: FloatArray) -> FloatArray:
+        """(n, m)."""
+        return self.mean + self.scores(place) @ self.axes
+
+
+def _require_places(place: FloatArray, fewest: int) -> None:
+    variables = place.shape[1]
+    if len(place) < fewest or np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-3) < variables:
+        raise BadInputError(
+            f"{len(place)} camera positions do not span {variables} dimensions of places; take {fewest} or more."
+        )
+
+
+def _linear_weights(place: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """(m, place variables) -> (m, k) weights of k places; outside their hull, those of a point drawn in to it."""
+    simplices, centre, variables = Delaunay(place), place.mean(axis=0), place.shape[1]
+
+    def weights(wanted: FloatArray) -> FloatArray:
+        point = np.where(np.isfinite(wanted), wanted, centre)
+        index = simplices.find_simplex(point)
+        for _ in range(_STEPS_INWARD):
+            outside = index < 0
+            if not outside.any():
+                break
+            point = np.where(outside[:, None], centre + _INWARD * (point - centre), point)
+            index[outside] = simplices.find_simplex(point[outside])
+        transform = simplices.transform[index]
+        first = np.einsum("nij,nj->ni", transform[:, :variables], point - transform[:, variables])
+        found = np.zeros((len(point), len(place)))
+        np.put_along_axis(found, simplices.simplices[index], np.column_stack([first, 1.0 - first.sum(axis=1)]), axis=1)
+        return found
+
+    return weights
