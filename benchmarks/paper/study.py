@@ -6,10 +6,28 @@ from pathlib import Path
 from typing import Annotated
 
 from benchmarks.paper.experiments import DISPLAY, SEE_THROUGH, dense, depth, eye_box, field, positions, structure
-from wlr_render.jobs.evaluate.study import Experiment, StudyOptions, run_study
+from benchmarks.paper.failure_figures import failures
+from benchmarks.paper.figures import (
+    display_bundle,
+    one_pixel,
+    pupil_swim,
+    sampling,
+    see_through_bundle,
+    two_planes,
+)
+from wlr_render.jobs.evaluate.study import Experiment, Findings, Study, StudyOptions, run_study
 from wlr_render.jobs.options import Degree, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+
+
+def figures(study: Study) -> Findings:
+    """The paper's figures, in its order: of the first eye, pupil swim and failures of all."""
+    eye, eyes = study.eyes[0], tuple(study.eyes)
+    swim, display_swim, see_through_swim = pupil_swim(eyes)
+    bundles = display_bundle(eye), see_through_bundle(eye)
+    blocks = (one_pixel(eye), swim, display_swim, sampling(eye), *failures(eyes), *bundles, see_through_swim)
+    return Findings((*blocks, two_planes(eye)))
 
 
 @dataclass(frozen=True)
@@ -39,6 +57,7 @@ def run(options: PaperOptions = PaperOptions(), *, progress: ProgressArgument = 
         "see-through-depth": partial(depth, SEE_THROUGH, options.degrees),
         "see-through-camera-positions": partial(positions, SEE_THROUGH),
         "structure": structure,
+        "figures": figures,
         "eye-box": eye_box,
         "field": field,
     }

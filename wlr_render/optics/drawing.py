@@ -28,7 +28,7 @@ _SURFACE_COLOURS = ("tab:purple", "tab:brown", "tab:olive", "tab:pink", "tab:cya
 
 
 @dataclass(frozen=True)
-class _Projection:
+class Projection:
     """A projection along one device axis: -z to the right, and `up` (1: y, 0: x) upwards."""
 
     title: str
@@ -36,6 +36,7 @@ class _Projection:
     label: str
 
     def in_mm(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Forward and upward coordinates in millimetres, (...) each, of points (..., 3) in metres."""
         return -1e3 * point[..., 2], 1e3 * point[..., self.up]
 
     def directions(self, angle: FloatArray) -> FloatArray:
@@ -45,9 +46,9 @@ class _Projection:
         return result
 
 
-_VIEWS = (
-    _Projection("from the side", 1, "up, y (mm)"),
-    _Projection("from above", 0, "right, x (mm)"),
+VIEWS = (
+    Projection("from the side", 1, "up, y (mm)"),
+    Projection("from above", 0, "right, x (mm)"),
 )
 
 
@@ -67,14 +68,14 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     optics = device.eyes[eye]
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     figure.suptitle(f"{device.name}, {eye} eye")
-    for axes, view in zip(figure.subplots(1, 2), _VIEWS, strict=True):
+    for axes, view in zip(figure.subplots(1, 2), VIEWS, strict=True):
         _draw_view(axes, optics, view)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
     write_figure(path, figure, 150)
 
 
-def _draw_view(axes: "Axes", optics: EyeOptics, view: _Projection) -> None:
+def _draw_view(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
     axes.set_title(view.title)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("forward, -z (mm)")
@@ -86,7 +87,7 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: _Projection) -> None:
     _draw_eye_box(axes, optics, view)
     low, high = axes.dataLim.get_points().copy()
     for surface, colour in zip(optics.surfaces(), itertools.cycle(_SURFACE_COLOURS), strict=False):
-        cut = _cut(surface, optics.eye_box.centre, view)
+        cut = cut_surface(surface, optics.eye_box.centre, view)
         # A surface without an aperture has no end; the drawing shows it as far as the panel and the rays reach, twice.
         line = np.stack(view.in_mm(cut), axis=-1)
         line[np.any(np.abs(line - (low + high) / 2) > high - low, axis=-1)] = np.nan
@@ -95,14 +96,14 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: _Projection) -> None:
         axes.invert_yaxis()  # seen from above and looking to the right, the right-hand side is below
 
 
-def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: _Projection) -> None:
+def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
     unit = np.zeros((len(_EDGES), 3))
     unit[:, [2, view.up]] = 2.0 * _EDGES - 1.0
     axes.plot(*view.in_mm(optics.eye_box.at(unit)), color="tab:green", ls="--", label="eye box")
     axes.plot(*view.in_mm(optics.eye_box.centre), "o", ms=4, color="tab:green", label="nominal viewpoint")
 
 
-def _cut(surface: PlacedSurface, centre: FloatArray, view: _Projection) -> FloatArray:
+def cut_surface(surface: PlacedSurface, centre: FloatArray, view: Projection) -> FloatArray:
     """Points of a surface in the plane of the view through `centre`, (n, 3); NaN separates pieces.
 
     They are found by a fan of straight rays, whatever the shape.
@@ -112,7 +113,7 @@ def _cut(surface: PlacedSurface, centre: FloatArray, view: _Projection) -> Float
     return np.where((met.status == Status.OK)[:, None], met.origin, np.nan)
 
 
-def _draw_rays(axes: "Axes", optics: EyeOptics, view: _Projection) -> None:
+def _draw_rays(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
     """Rays to the panel, evenly over the angles at which it is seen in this plane, and the world's rays there."""
     centre = optics.eye_box.centre
     ahead = _FAN[np.abs(_FAN) < 0.5 * np.pi]
@@ -132,7 +133,7 @@ def _draw_rays(axes: "Axes", optics: EyeOptics, view: _Projection) -> None:
     _draw_lines(axes, view, [centre, display.points, panel_end], "tab:blue", "display rays")
 
 
-def _draw_lines(axes: "Axes", view: _Projection, parts: list[FloatArray], colour: str, label: str) -> None:
+def _draw_lines(axes: "Axes", view: Projection, parts: list[FloatArray], colour: str, label: str) -> None:
     """One line per ray through its start (3,), the points between (n, steps, 3) and its end (n, 3)."""
     start, between, end = parts
     line = np.concatenate([np.broadcast_to(start, (len(end), 1, 3)), between, end[:, None]], axis=1)
