@@ -37,7 +37,7 @@ def failures(eyes: tuple[EvaluatedEye, ...]) -> tuple[Plot, ...]:
     depths = ", ".join(dict.fromkeys(f"{eye.eye_box_mm[2]:g}" for eye in eyes))
     caption = (
         f"The exact direction is the same at every place of the ray. The eye box is {depths} mm deep, half of it on "
-        "each side of zero. A planar model has one error for the whole ray; that of a volumetric model changes along it."
+        "each side of zero. A planar model has one error for the whole ray, a volumetric one has another at each place."
     )
     axes = ("place on the ray behind the base plane (mm)", "error (arcmin)")
     titles = f"Figure 5a: one pixel along its ray, {models}", f"Figure 5b: one world ray along its view ray, {models}"
