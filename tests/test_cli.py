@@ -30,6 +30,7 @@ from wlr_render.report.terminal import print_report
 
 ROOT = Path(__file__).resolve().parent.parent
 every_verb = pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
+PAPERS_RASTER = ("--raster-camera", "viewpoint", "--map-from", "mesh")
 HEAVY = ("numpy", "scipy", "cv2", "trimesh", "pyrender", "moderngl", "matplotlib", "embreex", "jinja2", "plotly")
 
 
@@ -435,6 +436,20 @@ def test_options_reach_the_jobs():
     assert options_given_by(["compare", "a", "b", "--eye", "left", *offset]) == CompareOptions(
         "a", "b", eye="left", viewpoint_offset_mm=(1.0, -2.0, 0.5)
     )
+
+
+@pytest.mark.parametrize(
+    ("verb", "arguments"),
+    [("render", "a b"), ("demo", "--seed 1"), ("compare", "a b"), ("verify session", "s")],
+    ids=str,
+)
+def test_every_verb_that_rasters_takes_the_raster_of_the_paper(verb, arguments, capsys):
+    words = [*verb.split(), *arguments.split()]
+    default, paper = (options_given_by([*words, *given]) for given in ([], PAPERS_RASTER))
+    assert (default.raster_camera, default.map_from) == ("nearest", "depth")
+    assert (paper.raster_camera, paper.map_from) == ("viewpoint", "mesh")
+    shown = printed_by([*verb.split(), "--help"], capsys)
+    assert all(flag in shown for flag in PAPERS_RASTER[::2])
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):

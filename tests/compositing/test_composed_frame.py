@@ -116,3 +116,14 @@ def test_opengl_and_the_cpu_compose_the_same_frame(compositor, headset):
     assert (difference > 3).mean() < 0.005
     assert difference.mean() < 0.5
     assert (gl.status == cpu.status).mean() > 0.995
+
+
+@pytest.mark.parametrize("context", CONTEXTS)
+def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(compositor, renderer, headset, context):
+    seen = viewpoint(headset)
+    nearest, paper = (compositor(headset, context=context, raster_camera=place) for place in ("nearest", "viewpoint"))
+    places = [made.begin_frame(HEAD, seen)["right"].view.position_in_world for made in (nearest, paper)]
+    np.testing.assert_allclose(places[1], transforms.apply(HEAD, seen), atol=1e-12)
+    assert np.linalg.norm(places[0] - places[1]) > 1e-4
+    misplaced, _ = compared(paper, renderer, headset, (HEAD, seen))
+    assert misplaced.max() < MOST_ARCMIN

@@ -131,6 +131,7 @@ def test_choices_that_are_none_are_told_in_a_sentence(compositor, flat_image_hea
         ({"solve": "exact"}, "choose from auto, pixels, nodes"),
         ({"resolution": 0.0}, "resolution"),
         ({"resolution": np.nan}, "resolution"),
+        ({"raster_camera": "pupil"}, "raster_camera 'pupil': choose from nearest, viewpoint"),
         ({"late_margin_deg": -1.0}, "late_margin_deg"),
         ({"background": (0, 0, 300)}, "background"),
         ({"models": {"left": flat_image_headset}}, "model of the right eye"),

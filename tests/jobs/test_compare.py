@@ -34,6 +34,10 @@ def test_each_method_of_rasterising_has_its_figures(comparison):
     assert mesh["colour difference (8 bit)"] > 0
     assert all(0 <= row["disoccluded (%)"] < 2 for row in rows.values())
     assert double["colour difference (8 bit)"] < plain["colour difference (8 bit)"] < 5
+    paper = rows["camera at the viewpoint, map from the mesh (paper)"]
+    assert paper["max (arcmin)"] == 0
+    assert paper["disoccluded (%)"] == rows["raster camera at the viewpoint"]["disoccluded (%)"]
+    assert paper["colour difference (8 bit)"] != mesh["colour difference (8 bit)"]
 
 
 def test_the_error_map_and_the_frames_are_what_the_table_summarises(comparison):
@@ -61,7 +65,7 @@ def test_the_report_says_from_where_and_what_came_out(comparison, model_file):
     record = json.loads((folder / "report.json").read_text())
     centre = open_eye(model_file).eye_box.centre
     np.testing.assert_allclose(record["viewpoint_in_device_m"]["right"], centre + [0.003, -0.002, 0.001])
-    assert len(record["tables"][0]["rows"]) == 4
+    assert len(record["tables"][0]["rows"]) == 5
     assert record["provenance"]["inputs"][0]["name"] == model_file
     plain = rows_by_method(report.tables[0])["raster + warp"]
     assert f"{plain['median (arcmin)']:.3g}' off in the median" in report.verdict
@@ -74,6 +78,19 @@ def test_the_error_plot_shows_the_error_map(comparison):
     angle = read_map(folder / "error.tiff")[..., 0]
     np.testing.assert_allclose(plot.data[0]["customdata"], angle, rtol=1e-3, atol=1e-12)
     assert np.nanmax(plot.data[0]["z"]) == pytest.approx(np.log10(np.nanmax(angle)), abs=1e-3)
+
+
+def test_the_chosen_way_of_rasterising_is_drawn_and_leads_the_table(comparison, model_file, scene_file, tmp_path):
+    options = CompareOptions(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), backend="cpu", out=tmp_path)
+    report = compare(replace(options, raster_camera="viewpoint", map_from="mesh"))
+    name = "camera at the viewpoint, map from the mesh (paper)"
+    assert report.tables[0].rows[0][0] == name
+    assert rows_by_method(report.tables[0]) == rows_by_method(comparison[0].tables[0])
+    raster, traced = (read_png(tmp_path / f"{stem}.png").astype(int) for stem in ("raster", "raytrace"))
+    difference = rows_by_method(report.tables[0])[name]["colour difference (8 bit)"]
+    assert np.abs(raster - traced).mean() == pytest.approx(difference)
+    (plot,) = [block for block in report.blocks if isinstance(block, Plot)]
+    assert name in plot.caption
 
 
 @needs_browser

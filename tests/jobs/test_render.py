@@ -219,9 +219,34 @@ def test_map_from_the_mesh_shows_the_same_picture(options):
     assert differs.mean() < 0.02  # silhouettes
 
 
+@pytest.mark.parametrize("map_from", ["depth", "mesh"])
+def test_the_raster_camera_stands_where_it_is_put(moving, map_from):
+    viewpoint = open_eye(moving.headset).eye_box.centre
+    still = replace(moving, head=None, eye_track=None, maps="tiff", map_from=map_from)
+    place = {}
+    for raster_camera in ("nearest", "viewpoint"):
+        job = replace(still, raster_camera=raster_camera, out=moving.out / raster_camera)
+        render(job)
+        place[raster_camera] = json.loads((job.out / "right-000000.json").read_text())["position_in_device_m"]
+    np.testing.assert_allclose(place["viewpoint"], viewpoint, atol=1e-12)
+    assert np.linalg.norm(place["nearest"] - viewpoint) > 1e-4
+
+
+def test_a_folder_of_a_version_without_raster_camera_is_continued(options):
+    render(options)
+    record = json.loads((options.out / "sequence.json").read_text())
+    del record["job"]["raster_camera"]
+    (options.out / "sequence.json").write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match="holds the frames of another job"):
+        render(replace(options, raster_camera="viewpoint"))
+    assert counts(render(options)) == (0, 1)
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
+        ({"method": "raytrace", "raster_camera": "viewpoint"}, "--raster-camera is used with --method raster only"),
+        ({"raster_camera": "pupil"}, "--raster-camera is pupil; choose from nearest, viewpoint"),
         ({"method": "raytrace", "maps": "pfm"}, "--maps is used with --method raster only"),
         ({"method": "raytrace", "materials": "gltf"}, "--materials is used with --method raster only"),
         ({"method": "raytrace", "map_from": "mesh"}, "--map-from is used with --method raster only"),

@@ -15,7 +15,7 @@ def random_polynomial(rng, variables, degree, outputs=2):
 
 
 @pytest.mark.parametrize(("variables", "degree", "terms"), [(4, 5, 126), (5, 5, 252), (4, 3, 35), (5, 3, 56)])
-def test_number_of_terms_is_that_of_the_paper(variables, degree, terms):
+def test_number_of_terms_is_the_binomial_coefficient(variables, degree, terms):
     assert polynomial.term_count(variables, degree) == terms
     assert len(polynomial.total_degree(variables, degree)) == terms
 

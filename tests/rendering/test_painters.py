@@ -136,8 +136,8 @@ def test_the_raster_camera_reduces_disocclusion(toy_headset):
     renderer = RayRenderer(scene)
     traced = TracedPainter(headset, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
     hidden = []
-    for at_viewpoint in (True, False):
-        painter = WarpedPainter(headset, open_raster_backend(scene, "cpu"), at_viewpoint=at_viewpoint)
+    for place in ("viewpoint", "nearest"):
+        painter = WarpedPainter(headset, open_raster_backend(scene, "cpu"), raster_camera=place)
         drawn_from = painter.view(viewpoint, HEAD_POSE).position_in_world
         hidden.append(disoccluded(renderer.tracer, drawn_from, traced.ray_map, HEAD_POSE, traced.position).sum())
     # The plate offsets rays in proportion to their tangents, which is a shift of the eye but for its small prism.

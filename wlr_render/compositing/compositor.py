@@ -4,6 +4,7 @@ A frame is `begin_frame` (from where to draw), `submit` once per eye (what was d
 All input is checked before anything is changed: after an error the frame stands as it did before the call.
 """
 
+import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -26,7 +27,7 @@ from wlr_render.compositing.rolling_scanout import row_poses
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.raster_camera import EyePlan
+from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
 from wlr_render.rendering.stored_picture import Rows, StoredDepth
 from wlr_render.rendering.view import image_from_ray_map
 
@@ -61,6 +62,7 @@ class Compositor:
         context: Any = "auto",
         solve: str = "auto",
         resolution: float = 1.0,
+        raster_camera: RasterPlace = "nearest",
         late_margin_deg: float = 1.0,
         background: tuple[int, int, int] = (0, 0, 0),
     ) -> None:
@@ -75,6 +77,9 @@ class Compositor:
             solve: "pixels" (every display pixel, planar models only), "nodes" (a grid of measured error, read
                 bilinearly), or "auto": pixels for planar models on a GPU, nodes elsewhere.
             resolution: pixels of the intermediate image per display pixel and axis.
+            raster_camera: where `begin_frame` puts the camera: "nearest" to the rays that reach the pupil, or at the
+                "viewpoint", as in the paper, from where more is disoccluded. The warp map always comes from the depth
+                that you submit: the paper's map from the mesh is not possible here.
             late_margin_deg: how far the head may turn between drawing and scan-out before the borders go black.
             background: sRGB of pixels that see nothing of the picture.
 
@@ -91,7 +96,12 @@ class Compositor:
             )
         self._models = channels
         margin = float(np.tan(np.deg2rad(late_margin_deg)))
-        self._plans = {eye: EyePlan.of(group, self.size_px, resolution, margin) for eye, group in channels.items()}
+        places = typing.get_args(RasterPlace)
+        if raster_camera not in places:
+            raise BadInputError(f"raster_camera '{raster_camera}': choose from {', '.join(places)}.")
+        self._plans = {
+            eye: EyePlan.of(group, self.size_px, resolution, raster_camera, margin) for eye, group in channels.items()
+        }
         colour = checked_background(background)
         self._backend: Backend = open_backend(context, list(self._plans.values()), solve, colour)
         self._frame: _OpenFrame | None = None

@@ -14,8 +14,8 @@ from wlr_render.rendering.view import View
 class EyeCamera:
     """The camera of one eye's intermediate image in one frame: OpenGL's, looking along -z, x right, y up.
 
-    It does not stand at the pupil but where the rays that reach the pupil come from after the combiner has bent them
-    (`rendering/raster_camera.py`): what hides what is then nearly as the eye sees it.
+    By default it does not stand at the pupil but where the rays that reach the pupil come from after the combiner has
+    bent them (`rendering/raster_camera.py`): what hides what is then nearly as the eye sees it.
 
     Attributes:
         eye: "left" or "right".

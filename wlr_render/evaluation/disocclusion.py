@@ -2,7 +2,7 @@
 
 The intermediate image is drawn from one position; the eye sees the world along rays that do not pass through that
 position. A point that such a ray hits and that is hidden from the camera is disoccluded: the intermediate image has no
-data for it. The paper notes this error; here it is measured.
+data for it. The paper notes this error (section 4.2); here it is measured.
 """
 
 import numpy as np

@@ -37,7 +37,8 @@ class BasePlane:
     def carry(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
         """Project `point` (..., 3) onto the plane along rays with `tangents` (..., 2); returns (x, y), (..., 2).
 
-        Closed-form projection of the paper (section 3.2); the plane may lie in front of the point or behind it.
+        Closed-form projection of the paper (equations 5 and 6, section 3.3; 13 and 14, section 3.4). The paper's plane
+        lies between optics and eye (t >= 0); this one may also lie behind the point.
         """
         return np.asarray(point[..., :2] + self.depth_along(point, tangents)[..., None] * tangents)
 

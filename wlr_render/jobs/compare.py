@@ -13,12 +13,22 @@ from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.files import output_folder, write_figure
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
-from wlr_render.jobs.options import Backend, Eyes, Options, ProgressArgument, described, eyes_of, folder_of_eye
+from wlr_render.jobs.options import (
+    Backend,
+    Eyes,
+    MapFrom,
+    Options,
+    ProgressArgument,
+    RasterCamera,
+    described,
+    eyes_of,
+    folder_of_eye,
+)
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.painters import Frame, MeshWarpedPainter, Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.painters import Frame, TracedPainter, raster_painter
 from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
@@ -42,6 +52,14 @@ NOTES = (
     "not disoccluded. Disoccluded: from where the intermediate image is drawn, something hides the point that the "
     "world ray meets (found with the scene itself); share of pixels that show anything.",
 )
+METHODS: dict[str, tuple[RasterCamera, MapFrom, float]] = {
+    "raster + warp": ("nearest", "depth", 1.0),
+    "raster camera at the viewpoint": ("viewpoint", "depth", 1.0),
+    "twice the raster resolution": ("nearest", "depth", 2.0),
+    "map from the mesh": ("nearest", "mesh", 1.0),
+    "camera at the viewpoint, map from the mesh (paper)": ("viewpoint", "mesh", 1.0),
+}
+"""Rows of the table: raster camera, source of the warp map, and resolution."""
 ERROR_LIMITS_ARCMIN = (1e-3, 10.0)
 """First and last colour of the error maps."""
 
@@ -57,6 +75,8 @@ class CompareOptions(Options):
     viewpoint_offset_mm: Annotated[
         tuple[float, float, float], described("Viewpoint from the centre of the eye box, device frame: X Y Z in mm.")
     ] = (0.0, 0.0, 0.0)
+    raster_camera: RasterCamera = "nearest"
+    map_from: MapFrom = "depth"
     backend: Backend = "auto"
     out: Annotated[Path, described("Output folder; each eye has a subfolder if both are compared.")] = Path(
         "out/compare"
@@ -65,6 +85,9 @@ class CompareOptions(Options):
 
 def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Draw a frame by rasterisation and by ray tracing and compare them; writes both, and the error map as .tiff.
+
+    The table has a row for each way of rasterising (`METHODS`). Its first row, the verdict, the frame and the error map
+    are of the way that `raster_camera` and `map_from` choose.
 
     Raises:
         BadInputError: faulty headset or scene, or a viewpoint outside the eye box.
@@ -80,7 +103,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
     blocks: list[Block] = []
     files: list[Path] = []
     for eye, mappings in eyes.items():
-        compared = _compare_eye(mappings, viewpoints[eye], raster_backend, renderer, progress)
+        compared = _compare_eye(mappings, viewpoints[eye], raster_backend, renderer, options, progress)
         title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {eye} eye"
         drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
         picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
@@ -105,18 +128,18 @@ def _compare_eye(
     viewpoint: FloatArray,
     backend: RasterBackend,
     renderer: RayRenderer,
+    options: CompareOptions,
     progress: Progress,
 ) -> "_Compared":
     traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
-    methods: dict[str, Painter] = {
-        "raster + warp": WarpedPainter(mappings, backend),
-        "raster camera at the viewpoint": WarpedPainter(mappings, backend, at_viewpoint=True),
-        "twice the raster resolution": WarpedPainter(mappings, backend, resolution=2.0),
-        "map from the mesh": MeshWarpedPainter(mappings, backend, renderer),
-    }
+    chosen = (options.raster_camera, options.map_from, 1.0)
+    methods = sorted(METHODS, key=lambda method: METHODS[method] != chosen)  # the chosen one first
     rows: list[list[Cell]] = []
     first: tuple[Frame, _Error] | None = None
-    for method, painter in progress(iter(methods.items()), len(methods), f"{mappings.eye} eye, methods"):
+    for method in progress(iter(methods), len(methods), f"{mappings.eye} eye, methods"):
+        raster_camera, map_from, resolution = METHODS[method]
+        mesh = renderer if map_from == "mesh" else None
+        painter = raster_painter(mappings, backend, mesh, resolution, raster_camera)
         frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
         error = _error(frame, traced, renderer.tracer)
         rows.append(_row(method, error, frame.colour, traced.colour))
@@ -135,7 +158,7 @@ class _Error:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """Both frames of an eye, the error of plain rasterisation, and a row of figures for each method."""
+    """Both frames of an eye, the error of the chosen way to rasterise, and a row of figures for each way."""
 
     rastered: NDArray[np.uint8]
     traced: NDArray[np.uint8]
@@ -143,7 +166,7 @@ class _Compared:
     rows: list[list[Cell]]
 
     def verdict(self, eye: str) -> str:
-        """The result of plain rasterisation in one sentence."""
+        """The result of the chosen way to rasterise in one sentence."""
         _, median, p95, maximum, hidden, *_ = (cell_text(cell) for cell in self.rows[0])
         return (
             f"The rastered frame of the {eye} eye shows world points {median}' off in the median ({p95}' at 95 %, "
@@ -163,7 +186,7 @@ class _Compared:
     def plot(self, eye: str) -> Plot:
         """The error map."""
         title, angle = f"Registration error, {eye} eye", self.error.raster.registration_arcmin
-        caption = "Error of raster + warp on the panel, disoccluded pixels included; empty without content."
+        caption = f"Error on the panel ({self.rows[0][0]}), disoccluded pixels included; empty without content."
         return heat_map(title, angle, "arcmin", limits=ERROR_LIMITS_ARCMIN, log=True, caption=caption)
 
     def _draw(self, path: Path, title: str) -> Path:
@@ -172,7 +195,7 @@ class _Compared:
 
         figure = Figure(figsize=(15, 6), dpi=110, layout="constrained")
         axes = figure.subplots(1, 3)
-        for place, picture, name in ((axes[0], self.traced, "ray traced"), (axes[1], self.rastered, "raster + warp")):
+        for place, picture, name in ((axes[0], self.traced, "ray traced"), (axes[1], self.rastered, self.rows[0][0])):
             place.imshow(picture)
             place.set_title(name)
         low, high = ERROR_LIMITS_ARCMIN

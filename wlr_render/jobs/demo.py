@@ -2,7 +2,8 @@
 
     naive        the panel taken as a flat picture in space (a linear map), the combiner as not there
     static       the best map for one viewpoint, used at all of them
-    raster+warp  planar models, intermediate image from the raster camera, per-frame warp map
+    raster+warp  planar models, intermediate image from the raster camera, which is not at the viewpoint unless
+                 `raster_camera` says so (the paper's is), per-frame warp map
     ray traced   planar models, world rays as primary rays
 
 The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics.
@@ -36,9 +37,11 @@ from wlr_render.jobs.demo_picture import (
 from wlr_render.jobs.options import (
     Backend,
     Eyes,
+    MapFrom,
     Options,
     ProgressArgument,
     Range,
+    RasterCamera,
     Seed,
     described,
     eyes_of,
@@ -52,7 +55,7 @@ from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, raster_painter
 from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
@@ -83,6 +86,8 @@ class DemoOptions(Options):
         int, described("Number of viewpoints; the first is the centre of the eye box."), Range(at_least=5)
     ] = 7
     seed: Seed = 1
+    raster_camera: RasterCamera = "nearest"
+    map_from: MapFrom = "depth"
     backend: Backend = "auto"
     out: Annotated[Path, described("Output folder; each eye has a subfolder if both are judged.")] = Path("out/demo")
 
@@ -116,7 +121,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     files: list[Path] = []
     for eye, truth in eyes.items():
         progress.say(f"calibrating the {eye} eye")
-        painters = _painters(truth, renderer, raster_backend, options.seed)
+        painters = _painters(truth, renderer, raster_backend, options)
         places = judged_viewpoints(truth, options.viewpoints)
         seen = list(progress(_views(truth, painters, places), len(places), f"viewpoints, {eye} eye"))
         own = output_folder(folder_of_eye(folder, eye, options.eye))
@@ -160,17 +165,18 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
 
 
 def _painters(
-    truth: EyeMappings, renderer: RayRenderer, raster_backend: RasterBackend, seed: int
+    truth: EyeMappings, renderer: RayRenderer, raster_backend: RasterBackend, options: DemoOptions
 ) -> dict[str, Painter]:
-    captures = simulated_captures(truth, seed)
+    captures = simulated_captures(truth, options.seed)
     planar = fit_eye(captures, "planar").mappings
     static = fit_eye(captures, "static").mappings
     flat = fit_display(captures.both[0], "static", 1).mapping
+    mesh = renderer if options.map_from == "mesh" else None
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
     return {
         "naive": TracedPainter(naive, renderer),
         "static": TracedPainter(static, renderer),
-        "raster + warp": WarpedPainter(planar, raster_backend),
+        "raster + warp": raster_painter(planar, raster_backend, mesh, raster_camera=options.raster_camera),
         "ray traced": TracedPainter(planar, renderer),
     }
 

@@ -129,6 +129,14 @@ Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
     described("Rendering backend: OpenGL through EGL or OSMesa, or the CPU. auto takes the first that works."),
 ]
+RasterCamera = Annotated[
+    Literal["nearest", "viewpoint"],
+    described("Raster camera: at the point nearest to the bent rays, or at the viewpoint, as in the paper."),
+]
+MapFrom = Annotated[
+    Literal["depth", "mesh"],
+    described("Warp map of the raster: rays meet the depth image, or the mesh, as in the paper."),
+]
 Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0)]
 Workers = Annotated[
     int | None, described("Number of processes (default: one per core, fewer where memory limits)."), Range(at_least=1)

@@ -15,12 +15,23 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
-from wlr_render.jobs.options import Backend, Eyes, OnlyWith, Options, ProgressArgument, Range, described, eyes_of
+from wlr_render.jobs.options import (
+    Backend,
+    Eyes,
+    MapFrom,
+    OnlyWith,
+    Options,
+    ProgressArgument,
+    Range,
+    RasterCamera,
+    described,
+    eyes_of,
+)
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
-from wlr_render.rendering.painters import MeshWarpedPainter, Painter, TracedPainter, WarmStarts, WarpedPainter
+from wlr_render.rendering.painters import Painter, TracedPainter, WarmStarts, raster_painter
 from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
@@ -34,6 +45,8 @@ from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
 COLOURS = ("red", "green", "blue")
 RECORD = "sequence.json"
+_ABSENT_IN_OLD_RECORDS = {"raster_camera": "nearest"}
+"""Options that earlier versions did not write, with the only value that they had."""
 LONGEST_GAP_S = 1.0
 """Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
 
@@ -81,11 +94,8 @@ class RenderOptions(Options):
         Range(above=0, at_most=4),
         OnlyWith("method", ("raster",)),
     ] = 1.0
-    map_from: Annotated[
-        Literal["depth", "mesh"],
-        described("Intersect rays with the depth image or with the mesh (raster only)."),
-        OnlyWith("method", ("raster",)),
-    ] = "depth"
+    raster_camera: Annotated[RasterCamera, OnlyWith("method", ("raster",))] = "nearest"
+    map_from: Annotated[MapFrom, OnlyWith("method", ("raster",))] = "depth"
     maps: Annotated[
         Literal["tiff", "pfm"] | None,
         described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
@@ -289,7 +299,8 @@ def _same_job(path: Path, record: dict[str, Any]) -> bool:
     try:
         earlier = json.loads(path.read_text(encoding="utf-8"))
         frames = zip(earlier["frames"], record["frames"], strict=False)  # either may have been limited to fewer
-        return earlier["job"] == record["job"] and all(old == new for old, new in frames)
+        job = {**_ABSENT_IN_OLD_RECORDS, **earlier["job"]}
+        return job == record["job"] and all(old == new for old, new in frames)
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError):
         return False
 
@@ -322,10 +333,11 @@ def _painters(options: RenderOptions, channels: dict[str, EyeChannels], scene: S
             eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
         }
     raster_backend, resolution = open_raster_backend(scene, options.backend, options.materials), options.resolution
-    if options.map_from == "depth":
-        return {eye: WarpedPainter(each, raster_backend, resolution) for eye, each in channels.items()}
-    renderer = RayRenderer(scene)
-    return {eye: MeshWarpedPainter(each, raster_backend, renderer, resolution) for eye, each in channels.items()}
+    mesh = RayRenderer(scene) if options.map_from == "mesh" else None
+    return {
+        eye: raster_painter(each, raster_backend, mesh, resolution, options.raster_camera)
+        for eye, each in channels.items()
+    }
 
 
 def _drawn(

@@ -3,7 +3,11 @@
 A viewpoint elsewhere is projected onto the base plane along its ray. Where the view direction is given (display
 backward, see-through forward) the projection is `BasePlane.carry`, a closed form. Otherwise it is a 2 x 2 root-find,
 for the point on the base plane (display forward) or for the view tangents (see-through backward). It takes about four
-Newton steps from a cold start and fewer from the last frame's solution (paper: section 3.2).
+Newton steps from a cold start and fewer from the last frame's solution (paper: sections 3.3 and 3.4).
+
+The paper takes the ray, with t >= 0, that passes nearest to the viewpoint (equation 8). Here the plane may lie on
+either side of the viewpoint, and where no ray passes through it, the status is NOT_CONVERGED. `contraction.py` refuses
+models whose root may not be the only one.
 
 See-through: at the base-plane point p~ and the view tangents t, the ray in the world passes through the point
 (p~ + B(p~, t), z of the plane at p~) and has tangents t + A(p~, t); no optics is A = B = 0. B is an offset at constant

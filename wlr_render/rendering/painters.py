@@ -1,7 +1,7 @@
 """Draw panel images of one eye for a viewpoint and a head pose, by ray tracing or by raster and warp."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -12,7 +12,7 @@ from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.raster_backends import RasterBackend
-from wlr_render.rendering.raster_camera import EyePlan
+from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import remap
@@ -182,7 +182,7 @@ class WarpedPainter:
         mappings: EyeMappings | Sequence[EyeMappings],
         raster_backend: RasterBackend,
         resolution: float = 1.0,
-        at_viewpoint: bool = False,
+        raster_camera: RasterPlace = "nearest",
     ) -> None:
         """Prepare.
 
@@ -190,20 +190,19 @@ class WarpedPainter:
             mappings: any pair, or one each for red, green and blue.
             raster_backend: of the scene.
             resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
-            at_viewpoint: draw the intermediate image from the viewpoint itself, as the paper does, and not from where
-                the bent rays come (`raster_camera.py`), from where less is hidden.
+            raster_camera: position of the camera of the intermediate image: "viewpoint", as in the paper, or "nearest"
+                to the bent rays (`raster_camera.py`), from where fewer pixels are disoccluded.
         """
         self._channels = _channels(mappings)
-        self._raster_backend, self._at_viewpoint = raster_backend, at_viewpoint
+        self._raster_backend = raster_backend
         panel = self._channels[0].display.panel
-        self._plan = EyePlan.of(self._channels, (panel.width_px, panel.height_px), resolution)
+        self._plan = EyePlan.of(self._channels, (panel.width_px, panel.height_px), resolution, raster_camera)
         axes = self._plan.device_from_camera
         self._plans = [RayMapPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
-        view = self._plan.view(viewpoint, world_from_device)
-        return replace(view, position_in_device=viewpoint) if self._at_viewpoint else view
+        return self._plan.view(viewpoint, world_from_device)
 
     def paint(
         self,
@@ -226,7 +225,8 @@ class WarpedPainter:
 class MeshWarpedPainter:
     """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
 
-    The map is right everywhere; where the intermediate image hides a point, its colour is that of what hides it.
+    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour is
+    that of what hides it. Colours are interpolated bilinearly, without the filter of `WarpedPainter`.
     """
 
     def __init__(
@@ -235,9 +235,10 @@ class MeshWarpedPainter:
         raster_backend: RasterBackend,
         renderer: RayRenderer,
         resolution: float = 1.0,
+        raster_camera: RasterPlace = "nearest",
     ) -> None:
         """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
-        self._plain = WarpedPainter(mappings, raster_backend, resolution)
+        self._plain = WarpedPainter(mappings, raster_backend, resolution, raster_camera)
         self._traced = TracedPainter(mappings, renderer)
         self._raster_backend = raster_backend
         self._background = encode_srgb(renderer.scene.background)
@@ -257,6 +258,19 @@ class MeshWarpedPainter:
         colours = [remap(image.colour, source[..., :2], self._background)[0] for source in sources]
         colour = _by_colour([np.asarray(each, np.uint8) for each in colours])
         return Frame(colour, traced.ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image)
+
+
+def raster_painter(
+    mappings: EyeMappings | Sequence[EyeMappings],
+    raster_backend: RasterBackend,
+    renderer: RayRenderer | None,
+    resolution: float = 1.0,
+    raster_camera: RasterPlace = "nearest",
+) -> Painter:
+    """A `MeshWarpedPainter` with a renderer of the same scene; without, a `WarpedPainter`, which needs no mesh."""
+    if renderer is None:
+        return WarpedPainter(mappings, raster_backend, resolution, raster_camera)
+    return MeshWarpedPainter(mappings, raster_backend, renderer, resolution, raster_camera)
 
 
 def source_of_position(view: View, position: Float32Array) -> Float32Array:

@@ -1,8 +1,9 @@
 """Settings of one eye that all frames share: the camera of the intermediate image, its position, warp grid and filter.
 
-A raster camera at the viewpoint does not see along the bent rays, which pass beside it by up to millimetres; behind an
-edge it misses what they meet. Most of that offset is common to all rays: a thick see-through element makes the eye
-appear elsewhere, and a camera at that place sees almost along the rays.
+The paper (section 4.2) puts the raster camera at the viewpoint. From there it does not see along the bent rays, which
+pass beside it by up to millimetres; behind an edge it misses what they meet. Most of that offset is common to all rays:
+a thick see-through element makes the eye appear elsewhere, and a camera at that place sees almost along the rays. This
+is the default, "nearest"; the paper's is "viewpoint".
 """
 
 import functools
@@ -10,6 +11,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -22,6 +24,9 @@ from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_gr
 from wlr_render.rendering.ray_map import middle_axes, required_tangents, solve_pixels
 from wlr_render.rendering.view import View
 from wlr_render.rendering.warp_grid import WarpGrid
+
+RasterPlace = Literal["nearest", "viewpoint"]
+"""Position of the raster camera: the point nearest to the rays of all pixels, or the viewpoint, as in the paper."""
 
 
 def intermediate_camera(
@@ -180,7 +185,7 @@ class EyePlan:
         size_px: (width, height) of the display's picture, which covers the panel.
         device_from_camera: (3, 3) axes of the intermediate image and of the ray map.
         camera: of the intermediate image.
-        raster_position: where that camera stands for a viewpoint.
+        raster_position: position of that camera as a function of the viewpoint; None: the viewpoint itself.
         samples_per_axis: samples per display pixel and axis that the filter takes.
     """
 
@@ -189,7 +194,7 @@ class EyePlan:
     size_px: tuple[int, int]
     device_from_camera: FloatArray
     camera: Pinhole
-    raster_position: RasterPosition
+    raster_position: RasterPosition | None
     samples_per_axis: int
 
     @functools.cached_property
@@ -203,7 +208,12 @@ class EyePlan:
 
     @classmethod
     def of(
-        cls, channels: EyeChannels, size_px: tuple[int, int], resolution: float, late_margin: float = 0.0
+        cls,
+        channels: EyeChannels,
+        size_px: tuple[int, int],
+        resolution: float,
+        raster_camera: RasterPlace = "nearest",
+        late_margin: float = 0.0,
     ) -> "EyePlan":
         """Make the plan.
 
@@ -211,15 +221,17 @@ class EyePlan:
             channels: of one eye.
             size_px: (width, height) of the display.
             resolution: of the intermediate image, as in `intermediate_camera`.
+            raster_camera: position of the camera of the intermediate image.
             late_margin: tangents by which the head may turn between drawing and scan-out.
         """
         middle = channels[len(channels) // 2]
         axes = middle_axes(middle)
         camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
         samples_per_axis = samples_for(minification_over_eye_box(middle, axes, camera, size_px))
-        return cls(middle.eye, channels, size_px, axes, camera, RasterPosition(middle, axes), samples_per_axis)
+        position = RasterPosition(middle, axes) if raster_camera == "nearest" else None
+        return cls(middle.eye, channels, size_px, axes, camera, position, samples_per_axis)
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """The camera pose and intrinsics to draw with for a viewpoint (3,) and a head pose (4, 4)."""
-        position = self.raster_position.at(viewpoint)
+        position = self.raster_position.at(viewpoint) if self.raster_position else viewpoint
         return View(self.camera, position, world_from_device, self.device_from_camera)

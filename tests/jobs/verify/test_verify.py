@@ -15,6 +15,7 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.verify import session as verify
 from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
+from wlr_render.rendering.painters import raster_painter
 from wlr_render.simulation.photographs.take_photographs import take
 from wlr_render.toml_files import write_toml
 
@@ -53,6 +54,20 @@ def test_drawn_dots_cover_real_ones(options):
     assert {path.name for path in result.files} >= {"misalignment.png", "close_up.png", "report.html"}
     record = json.loads((options.out / "report.json").read_text(encoding="utf-8"))
     assert record["session"] == str(options.session)
+
+
+def test_the_raster_of_the_paper_covers_real_dots_too(options, monkeypatch):
+    """Nothing hides anything from either place: both draw the same dots."""
+    made = []
+
+    def spy(mappings, raster_backend, renderer, resolution, raster_camera):
+        made.append((renderer is not None, raster_camera))
+        return raster_painter(mappings, raster_backend, renderer, resolution, raster_camera)
+
+    monkeypatch.setattr(verify, "raster_painter", spy)
+    result = verify_session(replace(options, viewpoints=1, raster_camera="viewpoint", map_from="mesh"))
+    assert made == [(True, "viewpoint")]
+    assert all(0 < row[4] < 1.0 for row in result.tables[1].rows)
 
 
 def test_photographs_of_an_earlier_verification_are_taken_again(options):

@@ -24,14 +24,24 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
-from wlr_render.jobs.options import Backend, Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.options import (
+    Backend,
+    MapFrom,
+    Options,
+    ProgressArgument,
+    Range,
+    RasterCamera,
+    Seed,
+    Workers,
+    described,
+)
 from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import as_finished
 from wlr_render.progress import SILENT, Progress
-from wlr_render.rendering.painters import Painter, TracedPainter, WarpedPainter
+from wlr_render.rendering.painters import Painter, TracedPainter, raster_painter
 from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Instance, Mesh, Scene
@@ -67,6 +77,8 @@ class VerifySessionOptions(Options):
         0.8,
     )
     seed: Seed = 1
+    raster_camera: RasterCamera = "nearest"
+    map_from: MapFrom = "depth"
     backend: Backend = "auto"
     workers: Workers = None
     out: Annotated[Path, described("Output folder.")] = Path("out/verify")
@@ -98,11 +110,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     targets = _track_targets(bench, station, options.depths_m, photographs, options.seed)
     total = len(targets) * len(visits)
     drawn = progress(
-        (
-            frames
-            for pose in targets
-            for frames in _draw(models, bench, station.shape, pose, viewpoints, options.backend)
-        ),
+        (frames for pose in targets for frames in _draw(models, bench, station.shape, pose, viewpoints, options)),
         total,
         "frames",
     )
@@ -186,16 +194,18 @@ def _draw(
     shape: BoardShape | None,
     target: FloatArray,
     viewpoints: FloatArray,
-    backend: str,
+    options: VerifySessionOptions,
 ) -> Iterator[dict[str, NDArray[np.uint8]]]:
     """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method.
 
     The target has the shape that calibration found.
     """
     scene = target_scene(bench.board, shape, target)
+    raster_backend, renderer = open_raster_backend(scene, options.backend), RayRenderer(scene)
+    mesh = renderer if options.map_from == "mesh" else None
     painters: dict[str, Painter] = {
-        METHODS[0]: WarpedPainter(models, open_raster_backend(scene, backend), 2.0),
-        METHODS[1]: TracedPainter(models, RayRenderer(scene), _SUPERSAMPLE),
+        METHODS[0]: raster_painter(models, raster_backend, mesh, 2.0, options.raster_camera),
+        METHODS[1]: TracedPainter(models, renderer, _SUPERSAMPLE),
     }
     for viewpoint in viewpoints:
         yield {method: painter.paint(viewpoint, np.eye(4)).colour[..., 1] for method, painter in painters.items()}
