@@ -225,8 +225,8 @@ class WarpedPainter:
 class MeshWarpedPainter:
     """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
 
-    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour is
-    that of what hides it. Colours are interpolated bilinearly, without the filter of `WarpedPainter`.
+    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour
+    is that of what hides it. Colours are interpolated bilinearly, without the filter of `WarpedPainter`.
     """
 
     def __init__(
