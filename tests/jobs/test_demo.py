@@ -43,6 +43,7 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
     assert all(500 * 5 < row[3] <= 48 * 54 * 5 for row in found.values())
 
 
+@pytest.mark.slow
 def test_the_raster_of_the_paper_shows_other_pixels_at_the_same_points(finished, small_northstar, tmp_path):
     """Its map is that of the ray-traced frame; its colours come from an image drawn from the viewpoint."""
     options = DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=tmp_path)
