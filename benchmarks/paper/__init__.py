@@ -1,1 +1,1 @@
-"""The study of the paper."""
+"""The paper's claim and figures: planar against volumetric sampling in simulation."""
