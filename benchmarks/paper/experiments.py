@@ -121,20 +121,18 @@ def structure(study: Study) -> Findings:
     return Findings((ReportTable(title, ["eye", "query", "unit", *KINDS], rows, notes),))
 
 
-def positions(side: Side, study: Study) -> Findings:
-    """Error over the number of camera positions, the degree limited as in `calibrate`."""
+def see_through_positions(study: Study) -> Findings:
+    """Error of the see-through model over the number of camera positions; `evaluate` has the display's."""
     rows: list[list[Cell]] = []
     lines: Lines = {}
-    for eye in study.eyes:
-        errors = {
-            kind: [study.outcome_of(trial_at(side.trial, eye, kind, None, count)).rms(side.measure) for count in COUNTS]
-            for kind in KINDS
-        }
-        rows += [[str(eye), kind, *found] for kind, found in errors.items()]
-        lines |= {f"{eye}, {kind}": (COUNTS, found) for kind, found in errors.items()}
-    title = f"Camera positions, noise-free: {side.words.split(',')[0]}"
+    for eye, kind in product(study.eyes, KINDS):
+        trials = [trial_at(SeeThroughDepthTrial, eye, kind, None, count) for count in COUNTS]
+        found = [study.outcome_of(trial).rms(Measure.REAL_POINT) for trial in trials]
+        rows.append([str(eye), kind, *found])
+        lines[f"{eye}, {kind}"] = COUNTS, found
+    title = "Camera positions, noise-free, limits of the degree as in calibrate: real point rms"
     table = ReportTable(f"{title} (arcmin)", ["eye", "sampling", *(str(count) for count in COUNTS)], rows)
-    return Findings((table, _error_plot(title, "number of camera positions", side, lines)))
+    return Findings((table, _error_plot(title, "number of camera positions", SEE_THROUGH, lines)))
 
 
 def _dense(side: Side, study: Study, eye: EvaluatedEye, kind: str, degree: int) -> Outcome:

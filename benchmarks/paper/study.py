@@ -5,7 +5,16 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from benchmarks.paper.experiments import DISPLAY, SEE_THROUGH, dense, depth, eye_box, field, positions, structure
+from benchmarks.paper.experiments import (
+    DISPLAY,
+    SEE_THROUGH,
+    dense,
+    depth,
+    eye_box,
+    field,
+    see_through_positions,
+    structure,
+)
 from benchmarks.paper.failure_figures import failures
 from benchmarks.paper.figures import (
     display_bundle,
@@ -52,10 +61,9 @@ def run(options: PaperOptions = PaperOptions(), *, progress: ProgressArgument = 
     experiments: dict[str, Experiment] = {
         "display-dense": partial(dense, DISPLAY, options.degrees),
         "display-depth": partial(depth, DISPLAY, options.degrees),
-        "display-camera-positions": partial(positions, DISPLAY),
         "see-through-dense": partial(dense, SEE_THROUGH, options.degrees),
         "see-through-depth": partial(depth, SEE_THROUGH, options.degrees),
-        "see-through-camera-positions": partial(positions, SEE_THROUGH),
+        "see-through-camera-positions": see_through_positions,
         "structure": structure,
         "figures": figures,
         "eye-box": eye_box,

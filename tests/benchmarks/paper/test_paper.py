@@ -12,7 +12,15 @@ from benchmarks.paper.along_rays import (
     self_inconsistency_arcmin,
     world_ray_inconsistency,
 )
-from benchmarks.paper.experiments import DISPLAY, KINDS, SEE_THROUGH, dense
+from benchmarks.paper.experiments import (
+    COUNTS,
+    DISPLAY,
+    KINDS,
+    SEE_THROUGH,
+    dense,
+    see_through_positions,
+    structure,
+)
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import summary
 from wlr_render.jobs.evaluate.study import Study
@@ -51,6 +59,21 @@ def test_all_four_mappings_of_planar_models_answer_alike_along_a_ray_and_volumet
             assert along[side, "planar"][measure].p95 < 1e-5, measure
             assert along[side, "volumetric"][measure].p95 > 1e-3, measure
             assert along[side, "volumetric"][measure].missing == 0
+
+
+def test_structure_shows_every_query_of_both_samplings_in_its_unit():
+    size = {"planar": 1.0, "volumetric": 2.0}
+    study = Study((eye("a"),), lambda t: Outcome({measure: summary([size[t.kind]]) for measure in DepthMeasure}))
+    (table,) = structure(study).blocks
+    assert [row[2] for row in table.rows] == ["arcmin", "px", "arcmin", "mm", "arcmin"]
+    assert all(row[3:] == [1.0, 2.0] for row in table.rows)
+
+
+def test_see_through_positions_are_compared_at_equal_numbers():
+    study = Study((eye("a"),), lambda t: Outcome({Measure.REAL_POINT: summary([t.viewpoints])}))
+    table, plot = see_through_positions(study).blocks
+    assert table.rows == [["a (right)", kind, *map(float, COUNTS)] for kind in KINDS]
+    assert [trace["x"] for trace in plot.data] == [list(COUNTS)] * 2
 
 
 def test_true_optics_answer_alike_along_a_ray():
