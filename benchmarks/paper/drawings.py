@@ -18,7 +18,9 @@ from wlr_render.report.plots import axis
 
 SIDE, ABOVE = VIEWS
 WAVELENGTH_UM = 0.55
-RED, BLUE, GREEN, GREY, ORANGE, PURPLE = "#d62728", "#1f77b4", "#2ca02c", "#888888", "#ff7f0e", "#9467bd"
+RED, BLUE, GREEN, GREY = "#d62728", "#1f77b4", "#2ca02c", "#888888"
+ORANGE, PURPLE, BROWN = "#ff7f0e", "#9467bd", "#8c564b"
+"""Legible on light and dark pages."""
 _PANEL_EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
 _HEADSET_M = 0.16  # surfaces are drawn so far from the nominal viewpoint
 _GAP = 0.08, 0.22  # between diagrams across and down, as parts of the whole
@@ -84,7 +86,7 @@ class Diagram:
             self.lines(surface.name.replace("_", " "), cut[None], PURPLE, width=3)
         if panel:
             edges = optics.panel.point_of_pixel(_PANEL_EDGES * optics.panel.pixels.size_px)
-            self.lines("panel", edges[None], "#555555", width=4)
+            self.lines("panel", edges[None], BROWN, width=4)
         return self
 
     def eye_box(self, optics: EyeOptics, size_mm: Sequence[float]) -> "Diagram":

@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.paper.drawings import (
     ABOVE,
     BLUE,
+    BROWN,
     GREEN,
     GREY,
     ORANGE,
@@ -85,7 +86,7 @@ def sampling(eye: EvaluatedEye) -> Plot:
         diagram = Diagram(ABOVE, f"{kind}: {POSITIONS} camera positions").eye_box(optics, eye.eye_box_mm)
         for name, colour, lines in zip(("left", "middle", "right"), (RED, ORANGE, BLUE), ray, strict=True):
             diagram.lines(f"rays of a pixel on the {name}", lines, colour, width=1)
-        diagrams.append(diagram.points("camera position", position, "#222222"))
+        diagrams.append(diagram.points("camera position", position, GREY))
     caption = (
         "Planar sampling reaches beyond the eye box' sides, because rays through its front and back cross the base "
         "plane there."
@@ -142,7 +143,7 @@ def _bundle_drawing(
         Diagram(ABOVE, name)
         .eye_box(optics, eye.eye_box_mm)
         .lines(f"rays of {subject}", lines, RED, width=1)
-        .points("viewpoints on them", viewpoint, "#222222", size=4)
+        .points("viewpoints on them", viewpoint, GREY, size=4)
         .points("crossings of the base plane", at, GREEN, size=8)
         for name, lines in (("whole path", path), ("at the eye box", near))
     ]
@@ -176,7 +177,7 @@ def two_planes(eye: EvaluatedEye) -> Plot:
     def diagram(title: str, *target: int) -> Diagram:
         made = Diagram(SIDE, title)
         for number in target:
-            made.lines(names[number], boards[number], (ORANGE, "#8c564b")[number], width=4)
+            made.lines(names[number], boards[number], (ORANGE, BROWN)[number], width=4)
         return made
 
     def lines_from(start: FloatArray, ends: FloatArray) -> FloatArray:
@@ -186,23 +187,23 @@ def two_planes(eye: EvaluatedEye) -> Plot:
     diagrams = [
         diagram("a: target without headset", 0)
         .lines("seen directly", lines_from(centre, dots[0]), GREY)
-        .points(camera, centre, "#222222"),
+        .points(camera, centre, GREY),
         diagram("b: headset on, its camera finds the target", 0)
         .optics(optics, panel=False)
         .lines("seen by the headset's camera", lines_from(tracking, dots[0]), GREEN)
         .points(headset, tracking, GREEN, symbol="square")
-        .points(camera, centre, "#222222"),
+        .points(camera, centre, GREY),
         diagram("c: camera moved in the base plane", 0)
         .optics(optics, panel=False)
         .lines(seen, near, BLUE, width=1)
         .points("readings on P+", near[:, -1], RED, size=5)
-        .points(camera, position, "#222222"),
+        .points(camera, position, GREY),
         diagram("d: target moved, b and c again", 0, 1)
         .optics(optics, panel=False)
         .lines(seen, far, BLUE, width=1)
         .points("readings on P+", near[:, -1], RED, size=5)
         .points("readings on P-", far[:, -1], PURPLE, size=5)
-        .points(camera, position, "#222222"),
+        .points(camera, position, GREY),
     ]
     caption = (
         f"Targets stand {' and '.join(f'{1e3 * depth:g}' for depth in TARGETS_M)} mm away in this drawing. The two "
