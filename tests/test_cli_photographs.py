@@ -20,11 +20,15 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     monkeypatch.setattr(simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or (7, 3))
     chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20"]
-    sizes = ["--perfect", "--stage-error-um", "3", "--bow-mm", "0.1", "--stage", "xy"]
+    sizes = ["--perfect", "--stage-error-um", "3", "--bow-mm", "0.1", "--stage", "xyz"]
+    camera_places = ["--sampling", "volumetric", "--stated-axes-deg", "0.1"]
     depths = ["--depths-m", "0.5", "0.8", "2"]
-    assert main(["simulate", "there", *chosen, *bench_options, *sizes, *depths, "--seed", "4", "--workers", "1"]) == 0
+    given_bench = [*chosen, *bench_options, *sizes, *camera_places, *depths]
+    assert main(["simulate", "there", *given_bench, "--seed", "4", "--workers", "1"]) == 0
     imperfections = replace(BenchImperfections.none(), repeatability_um=3.0, bow_mm=0.1)
-    made_of = PhotoBenchOptions((640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections, "xy")
+    made_of = PhotoBenchOptions(
+        (640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections, "xyz", "volumetric", 0.1
+    )
     assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), 1)]
     printed = capsys.readouterr().out
     assert "7 photographs taken, 3 kept from an earlier run: there" in printed
@@ -101,6 +105,9 @@ def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
     [
         (["simulate", "--pupil-mm", "-1"], "--pupil-mm is -1.0; it must be a finite number of 0 or more."),
         (["simulate", "--bits", "9"], "Invalid value"),
+        (["simulate", "--sampling", "volumetric", "--stage", "xy"], "volumetric sampling needs the stage xyz."),
+        (["simulate", "--stated-axes-deg", "9"], "--stated-axes-deg is 9.0; it must be between 0 and 5."),
+        (["verify", "session", "--poses", "upright"], "Invalid value"),
         (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be a finite number of 1 or more."),
         (["decode", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
         (["decode", "--from", "procam-graycode", "--panel", "64x40"], "--panel is used with --from own only"),

@@ -145,6 +145,15 @@ def optics_alone(folder):
     )
 
 
+def one_bare_photograph(folder):
+    """The stage's axes are known against the camera."""
+    session = three_axes(folder)
+    axes = tuple(
+        StageAxis("linear", direction, np.radians(0.2), is_in_camera=True) for direction in (TILTED, *np.eye(3)[1:])
+    )
+    return replace(session, stage=StageDescription(axes), bare=session.bare[:1])
+
+
 def first_target(folder):
     session = three_axes(folder)
     return replace(session, gauge="target 0", display=(), tracking=(), tracking_camera=None, device_from_tracking=None)
@@ -212,6 +221,7 @@ BENCHES = (
     in_one_picture,
     fiducials,
     optics_alone,
+    one_bare_photograph,
     first_target,
     both_eyes,
     two_panels,
@@ -266,7 +276,8 @@ def test_it_is_read_the_same_in_other_axes(bench, tmp_path):
         turn(table, ["centre_mm"])
     for table in (content.get("tracking_camera", {}), *content.get("target", [])):
         turn(table, ["rotation", "translation_mm"])
-    for table in content.get("stage", {}).get("axes", []):
+    stage = content.get("stage", {})
+    for table in stage.get("axes", []) if stage.get("directions_in") != "camera" else []:
         turn(table, ["direction", "pivot_mm"])
     for name in ("bare", "beside", "see_through", "display"):
         for table in content.get(name, []):
@@ -461,6 +472,9 @@ def drop(*names):
         (three_axes, put("stage", {"axes": [{"pivot_mm": [0, 0, 0]}]}), "'pivot_mm' is for rotary axes"),
         (three_axes, put("stage", {"axes": [{"direction": [0, 0, 0]}]}), "'direction' is zero"),
         (three_axes, put("stage", {"axes": [{"direction_sigma_deg": 1}]}), "is given without 'direction'"),
+        (three_axes, put("stage", {"directions_in": "bench"}), "'directions_in' is 'bench'; it must be one of"),
+        (three_axes, put("stage", {"directions_in": "camera"}), "'directions_in' is given, but no axis"),
+        (three_axes, put("stage", {"axes": [{"direction": [1, 0, 0], "direction_sigma_deg": 0}]}), "must be above 0"),
         (three_axes, put("stage", {"place_tolerance_um": -1}), "'place_tolerance_um' must be 0 or more"),
         (three_axes, put("bare", 0, "stage", [0.0, 0.0, 0.0]), "give either 'stage' or 'stage_mm'"),
         (three_axes, each_of("bare", place="one"), "place 'one' has entries of several stage readings or orientations"),

@@ -60,16 +60,19 @@ class StageAxis:
 
     Attributes:
         kind: "linear" or "rotary".
-        direction: (3,) unit vector in the device frame: of travel, or of right-handed rotation; None if unknown.
+        direction: (3,) unit vector of travel, or of right-handed rotation; None if unknown.
         direction_sigma: standard deviation of `direction` about each perpendicular axis, radians; None if the
-            direction is unknown or stated as exact.
-        pivot: (3,) a point on a rotary axis at the stage's reference, metres, device frame; None if unknown.
+            direction is unknown, or stated without one.
+        pivot: (3,) a point on a rotary axis at the stage's reference, metres; None if unknown.
+        is_in_camera: whether direction and pivot are in the frame of the eyeball camera in its first mounting, at the
+            stage's reference; otherwise they are in the device frame.
     """
 
     kind: str = "linear"
     direction: FloatArray | None = None
     direction_sigma: float | None = None
     pivot: FloatArray | None = None
+    is_in_camera: bool = False
 
 
 @dataclass(frozen=True, eq=False)

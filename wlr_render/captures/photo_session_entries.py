@@ -56,16 +56,22 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
     tolerance = 1e-6 * table.number("place_tolerance_um", 1e6 * tolerance)
     if tolerance < 0:
         raise table.fail("'place_tolerance_um' must be 0 or more.")
+    in_camera = table.text("directions_in", "device", ("device", "camera")) == "camera"
     stage = StageDescription()
     if table.has("axes"):
-        stage = StageDescription(tuple(_axis(each, axes) for each in table.tables("axes")))
+        own = np.eye(3) if in_camera else axes  # a camera has OpenCV's axes, whatever `frame` is
+        stage = StageDescription(tuple(_axis(each, own, in_camera) for each in table.tables("axes")))
+    if in_camera and all(axis.direction is None for axis in stage.axes):
+        raise table.fail(
+            "'directions_in' is given, but no axis has a 'direction'; list them under 'axes', or remove it."
+        )
     if not stage.axes:
         raise table.fail("'axes' is empty; list an axis, or write kind = \"none\" for a camera without a stage.")
     table.finish()
     return stage, tolerance
 
 
-def _axis(table: Table, axes: FloatArray) -> StageAxis:
+def _axis(table: Table, axes: FloatArray, in_camera: bool) -> StageAxis:
     kind = table.text("kind", "linear", ("linear", "rotary"))
     direction = sigma = pivot = None
     if table.has("direction"):
@@ -82,7 +88,7 @@ def _axis(table: Table, axes: FloatArray) -> StageAxis:
             raise table.fail("'pivot_mm' is for rotary axes; remove it, or write kind = \"rotary\".")
         pivot = 1e-3 * axes @ table.vector("pivot_mm", 3)
     table.finish()
-    return StageAxis(kind, direction, sigma, pivot)
+    return StageAxis(kind, direction, sigma, pivot, in_camera)
 
 
 def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
@@ -93,7 +99,9 @@ def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
     if session.place_tolerance != PhotoSession.place_tolerance:
         keys["place_tolerance_um"] = rounded(1e6 * session.place_tolerance)
     if not _is_plain(session.stage):
-        keys["axes"] = [_written_axis(axis, axes) for axis in session.stage.axes]
+        in_camera = any(axis.is_in_camera for axis in session.stage.axes)
+        keys |= {"directions_in": "camera"} if in_camera else {}
+        keys["axes"] = [_written_axis(axis, np.eye(3) if in_camera else axes) for axis in session.stage.axes]
     return keys
 
 

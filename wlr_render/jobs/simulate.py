@@ -9,7 +9,7 @@ from wlr_render.jobs.targets import Code
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
-from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, Sampling
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
 
@@ -36,6 +36,19 @@ class SimulateOptions(Options):
         tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(at_least=0)
     ] = (0.4, 1.0)
     stage: Annotated[Literal["xyz", "xy", "x"], described("Axes of the stage that move.")] = "xyz"
+    sampling: Annotated[
+        Sampling,
+        described("Camera positions: in one plane, or three-dimensional in the eye box, as volumetric models need."),
+    ] = "planar"
+    stated_axes_deg: Annotated[
+        float,
+        described(
+            "State the stage's axes in session.toml, rotated by a random error of this standard deviation in degrees "
+            "per axis, and photograph the bare target once (default: not stated).",
+            flag=True,
+        ),
+        Range(at_least=0, at_most=5),
+    ] = 0.0
     perfect: Annotated[
         bool, described("A bench without imperfections, but for those that the options below give.", flag=True)
     ] = False
@@ -74,6 +87,8 @@ class SimulateOptions(Options):
             self.seed,
             self._imperfections,
             self.stage,
+            self.sampling,
+            self.stated_axes_deg,
         )
         return SimulationRecipe(self.device, self.eye, self.viewpoints, self.pattern, bench)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from wlr_render.calibration.calibrate_session import calibrate_session
+from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.poses import motion_between
 from wlr_render.captures.photo_session import SessionPanel, StageAxis, StageDescription
 from wlr_render.captures.session_reading import Reading
@@ -16,9 +17,12 @@ from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.calibrate.fit import FitOptions
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, report_of
 from wlr_render.models.model_file import load_eye_model, load_eye_models
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
+from wlr_render.simulation.viewpoints import random_in_eye_box
 
 pytestmark = pytest.mark.slow  # a session takes some ten seconds
 
@@ -165,3 +169,29 @@ def test_a_camera_in_the_hand(tmp_path):
     found, _ = calibrated(made.session, made.reading, tmp_path)
     assert_poses(found, made.session.display, made.truth.display)
     assert found.all_excluded == ()
+
+
+def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path):
+    """Judged off the middle plane, by the exact optics; the extrinsics alone turn every direction by some 0.4'."""
+    sizes = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg=0.005)
+    bench = PhotoBenchOptions(camera_px=(640, 512), sampling="volumetric", imperfections=sizes)
+    recipe = SimulationRecipe("birdbath28", viewpoints=12, bench=bench)
+    made = simulate_readings(recipe, ReadingOptions(most_dots=150, panel_samples=300))
+    cameras = {
+        name: replace(getattr(made.session, name), lens=sizes.lens) for name in ("eyeball_camera", "tracking_camera")
+    }
+    session = replace(made.session, **cameras)
+    found = calibrate_session(session, made.reading, tmp_path, FitOptions(kind="volumetric").fit).eyes["right"]
+    assert np.ptp(found.captures.display.viewpoint[:, 2]) > 0.9 * session.eye_box.size[2]
+    truth = traced_eye(made.truth.bench.device, "right")
+    viewpoint = random_in_eye_box(truth.eye_box, 20, np.random.default_rng(1))[:, None]
+    pixel = truth.display.panel.grid(9, 7).reshape(-1, 2)
+    true = truth.display.view_dir_of_pixel(pixel, viewpoint)
+    median = {}
+    for display in (found.fit.mappings.display, fit_display(found.captures.display, "planar").mapping):
+        seen = display.view_dir_of_pixel(pixel, viewpoint)
+        usable = true.usable & seen.usable
+        assert usable.sum() > 0.95 * true.usable.sum()
+        median[type(display).__name__] = np.median(arcmin_between(true.value, seen.value)[usable])
+    assert median["BundleDisplay"] < 1.5
+    assert median["VolumetricDisplay"] < 1.5

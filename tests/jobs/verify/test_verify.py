@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import tomllib
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from wlr_render.jobs.verify import session as verify
 from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.rendering.painters import raster_painter
+from wlr_render.report.blocks import Plot
 from wlr_render.simulation.photographs.take_photographs import take
 from wlr_render.toml_files import write_toml
 
@@ -28,7 +30,7 @@ DEPTH_M = 0.6
 def options(photo_session, tmp_path):
     return VerifySessionOptions(
         photo_session.folder,
-        calibration=photo_session.out,
+        calibration=(photo_session.out,),
         out=tmp_path / "verify",
         viewpoints=2,
         depths_m=(DEPTH_M,),
@@ -81,9 +83,9 @@ def test_photographs_of_an_earlier_verification_are_taken_again(options):
     assert all(row[-1] is None for row in result.tables[1].rows)
 
 
-def test_an_error_of_the_display_model_is_measured(options, photo_session):
-    """By the model every display pixel lies 0.005 aside, as a tangent: dots are drawn as far to the other side."""
-    path = photo_session.out / "model.json"
+def displace_display(calibration):
+    """By the model every display pixel lies 0.005 aside, as a tangent."""
+    path = calibration / "model.json"
     model = load_eye_model(path)
     forward = model.mappings.display.forward
     coefficients = np.array(forward.coefficients)
@@ -91,10 +93,40 @@ def test_an_error_of_the_display_model_is_measured(options, photo_session):
     display = replace(model.mappings.display, forward=replace(forward, coefficients=coefficients))
     os.remove(path)
     save_eye_models(path, [replace(model, mappings=replace(model.mappings, display=display))])
+
+
+def test_an_error_of_the_display_model_is_measured(options, photo_session):
+    """By the model every display pixel lies 0.005 aside, as a tangent: dots are drawn as far to the other side."""
+    displace_display(photo_session.out)
     result = verify_session(replace(options, viewpoints=1))
     medians = [row[4] for row in result.tables[1].rows]
     # The field reaches 18 degrees: a tangent there is 0.9 of an angle.
     assert medians == pytest.approx([0.005 / ARCMIN] * 2, rel=0.1)
+
+
+def test_several_calibrations_are_compared_on_the_same_dots_by_target(options, photo_session, tmp_path):
+    """The target faces the eye, is tilted and is shifted; one calibration has the error of the test before."""
+    other = tmp_path / "displaced"
+    shutil.copytree(photo_session.out, other)
+    displace_display(other)
+    result = verify_session(replace(options, calibration=(photo_session.out, other), viewpoints=1))
+    overall, by_target, each = result.tables
+    assert [row[:2] for row in overall.rows] == [[name, method] for name in ("out", "displaced") for method in METHODS]
+    assert [row[1:4] for row in by_target.rows] == [
+        [pose, name, method]
+        for pose in ("frontal", "tilted", "shifted")
+        for name in ("out", "displaced")
+        for method in METHODS
+    ]
+    assert len(each.rows) == 12
+    for row in by_target.rows:
+        dots, median = row[4:6]
+        assert dots == next(one[4] for one in by_target.rows if one[1] == row[1])
+        assert dots >= 20
+        assert median == pytest.approx(0.005 / ARCMIN, rel=0.15) if row[2] == "displaced" else median < 1.0
+    assert len({row[4] for row in by_target.rows}) > 1  # the poses do differ
+    assert any(isinstance(block, Plot) for block in result.blocks)
+    assert "out, ray traced: drawn dots lie" in result.verdict
 
 
 def test_photographs_are_taken_on_the_bench_as_it_is(options, photo_session, monkeypatch):
@@ -151,6 +183,8 @@ def of_another_device(session, options):
         (without("station-right.json"), "`calibrate photos` writes it"),
         (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),
         (lambda session, options: replace(options, depths_m=(0.05,)), "tracking_50mm.png"),
+        (lambda session, options: replace(options, calibration=(session.out,) * 2), "names .*out twice"),
+        (lambda session, options: replace(options, calibration=()), "--calibration is empty"),
     ],
 )
 def test_what_cannot_be_verified_is_refused_in_one_sentence(photo_session, options, spoil, complaint):

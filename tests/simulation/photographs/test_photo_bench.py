@@ -1,5 +1,7 @@
 """The bench that takes photographs: where things stand, and that a camera sees what it is to see."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,45 @@ def test_readings_are_what_a_stage_shows_and_lie_in_one_plane(bench):
     assert np.all(readings[:, 2] == 0)
     half_box = 0.5 * bench.optics.eye_box.size[:2]
     assert np.all(np.abs(readings[:, :2]).max(axis=0) >= half_box - 1e-6)
+
+
+def test_volumetric_readings_fill_the_eye_box(bench):
+    options = replace(OPTIONS, sampling="volumetric")
+    readings = stage_readings(replace(bench, options=options), 9)
+    half_box = 0.5 * bench.optics.eye_box.size
+    assert np.allclose(np.abs(readings).max(axis=0), half_box, atol=1e-6)
+    assert np.linalg.matrix_rank(readings - readings.mean(axis=0), tol=1e-4) == 3
+    # Along each axis that the sweep uses, five levels of the bare photographs tell a cubic error from a linear one.
+    bare = plan_photographs(replace(bench, options=options), 9).bare
+    assert [len(np.unique(each)) for each in bare.T] == [5, 5, 5]
+    assert len(plan_photographs(replace(bench, options=replace(options, stated_axes_deg=0.1)), 9).bare) == 1
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"sampling": "volumetric", "stage": "xy"}, "volumetric sampling needs the stage xyz"),
+        ({"stated_axes_deg": 0.1, "stage": "hand"}, "has no stage axes to state"),
+    ],
+)
+def test_what_a_stage_cannot_do_is_refused(wrong, complaint):
+    with pytest.raises(BadInputError, match=complaint):
+        PhotoBenchOptions(**wrong)
+
+
+def test_a_target_is_tilted_and_shifted_and_still_seen(bench):
+    frontal, tilted, shifted = target_at(bench, 0.5), target_at(bench, 0.5, 20.0), target_at(bench, 0.5, 0.0, 0.06)
+    assert np.array_equal(tilted[:3, 3], frontal[:3, 3])
+    assert np.arccos(frontal[:3, 2] @ tilted[:3, 2]) == pytest.approx(np.deg2rad(20.0), abs=0.02)
+    assert np.allclose(shifted[:3, :3], frontal[:3, :3], rtol=0, atol=1e-12)
+    assert np.linalg.norm(shifted[:3, 3] - frontal[:3, 3]) == pytest.approx(np.hypot(0.06, 0.03))
+    for target in (tilted, shifted):
+        for lens, camera in (
+            (bench.eyeball, bench.camera_at(np.zeros(3))),
+            (bench.tracking, bench.device_from_tracking),
+        ):
+            point = bench.board.point_of(bench.board.indices())
+            assert in_picture(lens, transforms.inverse(camera) @ target, point).sum() >= 20
 
 
 def test_the_camera_moves_with_the_stage_and_does_not_turn(bench):

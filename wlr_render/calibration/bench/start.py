@@ -236,7 +236,8 @@ def _start_twists(
         if number not in known and observations.travel[1][number] != 1.0:
             raise BadInputError(
                 f"the stage is read along axis {number + 1}, along which no photograph of the target without the "
-                "headset varies; photograph it without the headset at other readings of that axis too."
+                "headset varies; photograph it without the headset at other readings of that axis too, or state the "
+                "axis' 'direction' under [stage]."
             )
     twists = np.zeros((len(axes), 6))
     used = np.flatnonzero(~still)
@@ -245,6 +246,8 @@ def _start_twists(
     for number, axis in enumerate(axes):
         if axis.kind == "linear":
             twists[number, :3] = 0.0
+        if still[number] and axis.is_in_camera:
+            twists[number] = stated_twist(axis, np.eye(4))
     return twists
 
 

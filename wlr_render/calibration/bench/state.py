@@ -315,6 +315,8 @@ def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
         axis: of the stage. base: (4, 4) device_from_camera at the stage's reference.
     """
     twist = np.zeros(6)
+    if axis.is_in_camera:
+        base = np.eye(4)
     if axis.direction is not None:
         twist[AXIS_PARTS[axis.kind]] = base[:3, :3].T @ axis.direction
     if axis.direction is not None and axis.pivot is not None:

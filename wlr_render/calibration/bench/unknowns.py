@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.calibration.bench.observations import TRACKING, CameraSetup, KnownPose
-from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders
+from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders, stated_twist
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -18,6 +18,8 @@ USUAL_SIZES = {"turn": 1e-5, "shift": 3e-6, "smooth turn": 5e-5, "smooth shift":
 USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 _LEAST, _MOST = 1e-9, 1e-2
 _FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
+_DIRECTION_RAD = np.radians(0.2)  # standard deviation of a stated direction, about what dowel pins and squares give
+_SCALE = 1e-3  # of an axis' travel over its reading: half of what the checks take for ordinary
 _PIVOT_M = 1e-3  # standard deviation of a stated pivot, about what a rule measures
 _DECAY = 0.5  # of the smooth error's size by degree
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
@@ -106,7 +108,7 @@ def layout_of(state: BenchState) -> Layout:
     for number in state.base:
         add(("base", number), _pose_sizes(seen.device_from_camera if number == state.first_mounting else None))
     for number, axis in enumerate(seen.axes):
-        add(("axis", number), _axis_sizes(axis))
+        add(("axis", number), _axis_sizes(axis, stated_twist(axis, state.base[state.first_mounting])))
     for number, order in enumerate(smooth_orders(len(state.twists)) if len(state.smooth) else []):
         add(("smooth", number), _smooth_sizes(order, seen.axes), [2, 2, 2, 3, 3, 3])
     random: list[tuple[Key, list[int]]] = [(("offset", place), [0, 0, 0, 1, 1, 1]) for place in state.offsets]
@@ -132,12 +134,15 @@ def _pose_sizes(known: KnownPose | None) -> FloatArray:
     return np.full(6, FLAT) if known is None else np.repeat(known.sigma, 3)
 
 
-def _axis_sizes(axis: StageAxis) -> FloatArray:
+def _axis_sizes(axis: StageAxis, stated: FloatArray) -> FloatArray:
+    """(6,) of the twist of an axis that is `stated` (6,): its scale along it, its direction's sigma across."""
     sizes = np.full(6, FLAT)
     if axis.kind == "linear":
         sizes[:3] = EXACT
     if axis.direction is not None:
-        sizes[AXIS_PARTS[axis.kind]] = axis.direction_sigma or EXACT
+        along = stated[AXIS_PARTS[axis.kind]] ** 2
+        sigma = _DIRECTION_RAD if axis.direction_sigma is None else axis.direction_sigma
+        sizes[AXIS_PARTS[axis.kind]] = np.sqrt(_SCALE**2 * along + sigma**2 * (1.0 - along))
     if axis.direction is not None and axis.pivot is not None:
         sizes[3:] = _PIVOT_M
     return sizes

@@ -1,6 +1,6 @@
 """Tables and pictures of the misalignment in pairs of photographs, display off and on."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +15,8 @@ from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalig
 from wlr_render.files import output_folder, write_figure
 from wlr_render.geometry.lens import Lens
 from wlr_render.jobs.options import Options
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, cell_text
+from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, cell_text
+from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
 
 _CLOSE_UP_PX = 260  # side of the detail
@@ -30,11 +31,13 @@ class PairPosition:
         name: in words.
         depth_m: of the target, where it is known.
         viewpoint: number of the camera's place, where it is known.
+        pose: of the target in words; "" where all targets are frontal.
     """
 
     name: str
     depth_m: float | None = None
     viewpoint: int | None = None
+    pose: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,7 @@ class Judged:
         off, on: the photographs.
         misalignment: of their dots; None where one of them shows too little.
         complaint: why not, else empty.
+        model: name of the models that drew, where several are compared; else empty.
     """
 
     position: PairPosition
@@ -55,6 +59,16 @@ class Judged:
     on: Path
     misalignment: PairMisalignment | None
     complaint: str = ""
+    model: str = ""
+
+    @property
+    def label(self) -> str:
+        """Models and method in words."""
+        return f"{self.model}, {self.method}" if self.model else self.method
+
+
+Said = Callable[[Judged], Cell]
+"""What a column of a table says of a pair of photographs."""
 
 
 def judge_pair(
@@ -64,6 +78,7 @@ def judge_pair(
     board: Board,
     camera: Lens,
     shown: NDArray[np.bool_] | None = None,
+    model: str = "",
 ) -> Judged:
     """Match the dots of two photographs.
 
@@ -74,15 +89,16 @@ def judge_pair(
         board: the target.
         camera: that took them.
         shown: (rows, columns) which dots the panel can show whole; None for all.
+        model: name of the models that drew, where several are compared.
     """
     off, on = photographs
     try:
         real, virtual = (board.find(read_photograph(path), path.name) for path in photographs)
     except BadInputError as error:
-        return Judged(position, method, off, on, None, str(error))
+        return Judged(position, method, off, on, None, str(error), model)
     if shown is not None:
         virtual = virtual.only(shown[virtual.index[:, 1], virtual.index[:, 0]])
-    return Judged(position, method, off, on, pair_misalignment(real, virtual, camera))
+    return Judged(position, method, off, on, pair_misalignment(real, virtual, camera), model=model)
 
 
 def misalignment_report(
@@ -90,25 +106,27 @@ def misalignment_report(
 ) -> Report:
     """Write tables and pictures of judged pairs; `name` is that of the models or of the photographs."""
     into = output_folder(folder)
-    overall, each = _tables(judged, name)
+    overall, *others = _tables(judged, name)
     arrows, close_up = (
         _draw_misalignment(into / "misalignment.png", judged),
         _draw_close_up(into / "close_up.png", judged),
     )
     sentences = [
-        f"{method}: drawn dots lie {cell_text(median)} arcmin (median) from the real ones."
-        for method, _, median, *_ in overall.rows
+        f"{', '.join(map(str, row[: -len(_COLUMNS)]))}: drawn dots lie {cell_text(row[1 - len(_COLUMNS)])} arcmin "
+        "(median) from the real ones."
+        for row in overall.rows
     ]
     blocks: list[Block] = [
         overall,
-        each,
+        *([_distribution(judged)] if judged[0].model else []),
+        *others,
         Picture("Misalignment", arrows, "From each real dot to the drawn one, enlarged."),
         Picture("Close-up", close_up, "The middle of the first position's photographs."),
     ]
     report = Report(
         f"Verification of {name}",
         verdict=" ".join(sentences),
-        warnings=[f"{one.position.name}, {one.method}: {one.complaint}" for one in judged if one.complaint],
+        warnings=[f"{one.position.name}, {one.label}: {one.complaint}" for one in judged if one.complaint],
         blocks=blocks,
         inputs=inputs,
         files=[arrows, close_up],
@@ -117,31 +135,66 @@ def misalignment_report(
     return save_report(report, into)
 
 
-def _tables(judged: Sequence[Judged], models: str) -> tuple[ReportTable, ReportTable]:
-    """Over everything, by method; and one row for each place (target distance and viewpoint) and method."""
-    methods = list(dict.fromkeys(one.method for one in judged))
-    overall = [[method, *_figures([one for one in judged if one.method == method])] for method in methods]
-    known = all(one.position.depth_m is not None for one in judged)
-    head = ("target (m)", "viewpoint") if known else ("photographs",)
-    each = [[*_where(one, known), one.method, *_figures([one]), one.complaint or None] for one in judged]
+def _tables(judged: Sequence[Judged], models: str) -> list[ReportTable]:
+    """Over everything, by model and method; by target where it stood in several poses; and each pair of photographs."""
     notes = (
         "Angle at the camera between a dot of the real target and the same dot as drawn, from two photographs.",
         "Sigma per dot: standard deviation per axis that the noise of both photographs alone makes.",
+        *(["All models are judged by the same dots: those that each of them shows whole."] if judged[0].model else []),
     )
-    return (
-        ReportTable(f"Misalignment from photographs, {models}", ("method", *_COLUMNS), overall, notes),
-        ReportTable("By target distance and viewpoint", (*head, "method", *_COLUMNS, "error"), each),
-    )
+    tables = [_grouped(judged, f"Misalignment from photographs, {models}", {}, notes)]
+    posed: dict[str, Said] = {"target (m)": lambda one: one.position.depth_m, "pose": lambda one: one.position.pose}
+    if judged[0].position.pose:
+        tables.append(_grouped(judged, "By target", posed))
+    if all(one.position.depth_m is not None for one in judged):
+        place = posed if judged[0].position.pose else {"target (m)": posed["target (m)"]}
+        place = {**place, "viewpoint": lambda one: one.position.viewpoint}
+    else:
+        place = {"photographs": lambda one: one.position.name}
+    each = _grouped(judged, "By target distance and viewpoint", place)
+    rows = [[*row, one.complaint or None] for row, one in zip(each.rows, judged, strict=True)]
+    return [*tables, ReportTable(each.title, (*each.columns, "error"), rows)]
 
 
-def _where(one: Judged, known: bool) -> list[Cell]:
-    return [one.position.depth_m, one.position.viewpoint] if known else [one.position.name]
+def _grouped(
+    judged: Sequence[Judged],
+    title: str,
+    place: Mapping[str, Said],
+    notes: Sequence[str] = (),
+) -> ReportTable:
+    """A row for each combination of what `place` says, model and method."""
+    heads: dict[str, Said] = {
+        **place,
+        **({"model": lambda one: one.model} if judged[0].model else {}),
+        "method": lambda one: one.method,
+    }
+    groups: dict[tuple[Cell, ...], list[Judged]] = {}
+    for one in judged:
+        groups.setdefault(tuple(said(one) for said in heads.values()), []).append(one)
+    return ReportTable(title, (*heads, *_COLUMNS), [[*key, *_figures(own)] for key, own in groups.items()], notes)
+
+
+def _distribution(judged: Sequence[Judged]) -> Plot:
+    """Curves of all models and methods."""
+    percent = np.linspace(0, 100, 201)
+    lines = {
+        label: (np.percentile(angle, percent), percent)
+        for label in dict.fromkeys(one.label for one in judged)
+        if len(angle := _angles([one for one in judged if one.label == label]))
+    }
+    axes = ("misalignment (arcmin)", "dots with less (%)")
+    return curves("Distribution of misalignment", lines, axes, log_x=True, caption="All targets and viewpoints.")
+
+
+def _angles(judged: Sequence[Judged]) -> NDArray[np.float64]:
+    found = [one.misalignment.arcmin for one in judged if one.misalignment is not None]
+    return np.concatenate(found) if found else np.empty(0)
 
 
 def _figures(judged: Sequence[Judged]) -> list[Cell]:
-    found = [one.misalignment for one in judged if one.misalignment is not None]
-    angle = np.concatenate([one.arcmin for one in found]) if found else np.empty(0)
-    noise = np.concatenate([one.sigma_arcmin for one in found]) if found else np.empty(0)
+    angle = _angles(judged)
+    found = [one.misalignment.sigma_arcmin for one in judged if one.misalignment is not None]
+    noise = np.concatenate(found) if found else np.empty(0)
     figures = summary(angle)
     return [
         len(angle),
@@ -154,15 +207,17 @@ def _figures(judged: Sequence[Judged]) -> list[Cell]:
 
 
 def _draw_misalignment(path: Path, judged: Sequence[Judged]) -> Path:
-    """Every photograph with an arrow from each real dot towards the drawn one, much enlarged; rows are methods."""
+    """Photographs with an arrow from each real dot towards the drawn one, much enlarged; rows are methods."""
     from matplotlib.figure import Figure
 
+    if judged[0].model:  # as many pictures as can be looked at: each target from the first viewpoint
+        judged = [one for one in judged if not one.position.viewpoint]
     places = list(dict.fromkeys(one.position for one in judged))
-    methods = list(dict.fromkeys(one.method for one in judged))
+    methods = list(dict.fromkeys(one.label for one in judged))
     figure = Figure(figsize=(3.2 * len(places), 3.4 * len(methods)), layout="constrained")
     axes = figure.subplots(len(methods), len(places), squeeze=False)
     for one in judged:
-        drawn = axes[methods.index(one.method), places.index(one.position)]
+        drawn = axes[methods.index(one.label), places.index(one.position)]
         photograph = read_photograph(one.off)
         drawn.imshow(photograph, cmap="gray", vmax=2.0 * float(photograph.max()), extent=_extent(photograph))
         drawn.set_xticks([])
@@ -199,7 +254,7 @@ def _draw_close_up(path: Path, judged: Sequence[Judged]) -> Path:
             row, (real, virtual, both), ("display off", "display on", "both"), strict=True
         ):
             drawn.imshow(picture, cmap="gray", vmin=0, vmax=1)
-            drawn.set_title(f"{one.method}: {title}", fontsize=8)
+            drawn.set_title(f"{one.label}: {title}", fontsize=8)
             drawn.set_axis_off()
     figure.suptitle("Red and cyan are where only one of the two is bright: real dots beside drawn ones", fontsize=9)
     return write_figure(path, figure, 110)

@@ -7,6 +7,7 @@ import numpy as np
 
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.dot_board import DotBoard
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera
@@ -21,7 +22,7 @@ from wlr_render.simulation.photographs.printed_board import PrintedBoard
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.photographs.true_lens import true_lens
 from wlr_render.simulation.simulate_captures import CaptureSetup
-from wlr_render.simulation.viewpoints import planar
+from wlr_render.simulation.viewpoints import planar, volumetric
 
 _MARGIN = 1.08  # by how much the camera sees more than the display's field
 _BOARD_MARGIN = 1.15  # by how much the board is larger than that field at the farthest pose, where it can be
@@ -35,6 +36,7 @@ _CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents among which the edge of the opti
 _BEYOND_CLEAR = 1.25  # by how much a camera in the hand sees more than the clear field of the optics
 
 StageKind = Literal["xyz", "xy", "x", "hand"]
+Sampling = Literal["planar", "volumetric"]
 
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
 
@@ -54,6 +56,9 @@ class PhotoBenchOptions:
         imperfections: errors of stage, board, lenses, extrinsics and sensors.
         stage: its axes that move, or "hand" for a camera that is held: then the eyeball camera sees the target past the
             optics, too, by a wider lens.
+        sampling: where the camera stands: in the middle plane of the eye box, or anywhere in it.
+        stated_axes_deg: standard deviation of the rotation that session.toml states of the stage's axes against the
+            camera; the bare target is then photographed once. 0: session.toml states nothing.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -65,6 +70,17 @@ class PhotoBenchOptions:
     seed: int = 1
     imperfections: BenchImperfections = field(default_factory=BenchImperfections)
     stage: StageKind = "xyz"
+    sampling: Sampling = "planar"
+    stated_axes_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.sampling == "volumetric" and self.stage not in ("xyz", "hand"):
+            raise BadInputError(
+                f"A stage with the axes {self.stage} carries no camera through the eye box: volumetric sampling needs "
+                "the stage xyz."
+            )
+        if self.stated_axes_deg and self.stage == "hand":
+            raise BadInputError("A camera in the hand has no stage axes to state; leave 'stated_axes_deg' at 0.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,16 +266,29 @@ def _imperfect(sensor: Sensor, sizes: BenchImperfections, rng: np.random.Generat
     return replace(sensor, gamma=gamma, black_clip=sizes.black_clip)
 
 
-def target_at(bench: PhotoBench, depth_m: float) -> FloatArray:
-    """device_from_target (4, 4) of the target brought before the display's field at another depth."""
-    return _target_pose(_Aim.at(traced_eye(bench.device, bench.eye)), bench.optics.eye_box.centre, depth_m)
+def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m: float = 0.0) -> FloatArray:
+    """device_from_target (4, 4) of the target brought before the display's field at another depth.
+
+    Args:
+        bench: where.
+        depth_m: along the middle of the view.
+        tilt_deg: further rotation about the vertical axis of the view.
+        shift_m: displacement to the right; half as much down.
+    """
+    aim = _Aim.at(traced_eye(bench.device, bench.eye))
+    pose = _target_pose(aim, bench.optics.eye_box.centre, depth_m)
+    shift = aim.device_from_looking @ [shift_m, 0.5 * shift_m, 0.0]
+    turn = aim.device_from_looking @ _turned(0.0, -tilt_deg, 0.0) @ aim.device_from_looking.T
+    return transforms.rigid(turn @ pose[:3, :3], pose[:3, 3] + shift) if tilt_deg or shift_m else pose
 
 
 def stage_readings(bench: PhotoBench, count: int) -> FloatArray:
-    """Readings (count, 3) that cover the base plane, rounded to micrometres as a stage shows them."""
+    """Readings (count, 3) that cover the base plane or the eye box, rounded to micrometres as a stage shows them."""
+    box = bench.optics.eye_box
+    if bench.options.sampling == "volumetric":
+        return np.asarray(np.round(volumetric(box, count) - box.centre, 6))
     field = CaptureSetup(traced_eye(bench.device, bench.eye)).field
-    wanted = planar(bench.optics.eye_box, field.reach, count) - bench.optics.eye_box.centre
-    return np.asarray(np.round(wanted, 6))
+    return np.asarray(np.round(planar(box, field.reach, count) - box.centre, 6))
 
 
 def _camera(size_px: tuple[int, int], half_tangents: FloatArray, distortion: list[float]) -> LensCamera:

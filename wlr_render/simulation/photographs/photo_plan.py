@@ -27,7 +27,7 @@ from wlr_render.simulation.viewpoints import random_in_eye_box
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
 _FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
-_PLACES, _TURNS, _READINGS, _CREEP, _HAND = range(17, 22)  # streams of random numbers
+_PLACES, _TURNS, _READINGS, _CREEP, _HAND, _STATED = range(17, 23)  # streams of random numbers
 _CREEP_TIME = 0.3  # of the session, in which the creep falls to 1 / e
 _HAND_TURN_DEG = 1.5  # of each axis, standard deviation
 _READING_DIGITS = 8  # of metres: an encoder of 10 nm
@@ -65,8 +65,12 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
     # At three levels of an axis a cubic error of the stage looks like a linear one: five levels tell them apart.
     between = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.5, 0.0]]
+    if bench.options.sampling == "volumetric":  # the sweep travels along z, too
+        between += [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]
     steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], between])
     steps = steps[~np.any(steps[:, axes:], axis=1)]
+    if bench.options.stated_axes_deg:
+        steps = np.zeros((1, 3))
     reach = [*np.abs(sweep[:, :2]).max(axis=0), 0.5 * bench.optics.eye_box.size[2]]
     poses = len(bench.device_from_target)
     return PhotoPlan(
@@ -230,7 +234,7 @@ def planned_session(
         tracking_camera=tracking,
         device_from_tracking=bench.stated_device_from_tracking,
         tracking_sigma=sigma if all(sigma) else None,
-        stage=StageDescription((StageAxis(),) * axes) if axes else None,
+        stage=_described_stage(bench) if axes else None,
         bare=tuple(
             BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading, eye=bench.eye)
             for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
@@ -248,6 +252,20 @@ def planned_session(
         ),
     )
     return with_places(session)
+
+
+def _described_stage(bench: PhotoBench) -> StageDescription:
+    """The stage as session.toml describes it: stated axes are at right angles, and all rotated by one random error."""
+    options, axes = bench.options, stage_axis_count(bench)
+    if not options.stated_axes_deg:
+        return StageDescription((StageAxis(),) * axes)
+    rng = np.random.default_rng([options.seed, _STATED, int(bench.eye == "left")])
+    sigma = float(np.radians(options.stated_axes_deg))
+    error = transforms.rotations_of_vectors(sigma * rng.standard_normal(3))
+    true = bench.device_from_camera[:3, :3].T @ bench.stage_axes
+    left, _, right = np.linalg.svd(true)  # the nearest rotation: a stage's skew is nothing that a lab states
+    stated = error @ left @ right
+    return StageDescription(tuple(StageAxis("linear", each, sigma, is_in_camera=True) for each in stated.T[:axes]))
 
 
 def _camera(folder: Path, lens: SimulatedLens, sensor: Sensor, count: int) -> SessionCamera:

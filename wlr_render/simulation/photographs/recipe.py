@@ -9,11 +9,18 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
-from wlr_render.simulation.photographs.photo_bench import PhotoBench, PhotoBenchOptions, StageKind, design_photo_bench
+from wlr_render.simulation.photographs.photo_bench import (
+    PhotoBench,
+    PhotoBenchOptions,
+    Sampling,
+    StageKind,
+    design_photo_bench,
+)
 from wlr_render.toml_files import Table, read_toml, write_toml
 
 FILE = "simulation.toml"
 _DEVICE_COPY = "device.toml"
+_OWN_TYPES = ("imperfections", "stage", "sampling", "stated_axes_deg")  # fields that are no required number
 
 
 @dataclass(frozen=True)
@@ -61,9 +68,11 @@ def load_recipe(folder: Path) -> SimulationRecipe:
     file = read_toml(folder / FILE)
     table = file.table("bench")
     imperfections = _imperfections(table)
-    numbers = [each.name for each in fields(PhotoBenchOptions) if each.name not in ("imperfections", "stage")]
+    numbers = [each.name for each in fields(PhotoBenchOptions) if each.name not in _OWN_TYPES]
     own: dict[str, Any] = {name: _value(table, name) for name in numbers}
     own["stage"] = table.text("stage", PhotoBenchOptions.stage, get_args(StageKind))
+    own["sampling"] = table.text("sampling", PhotoBenchOptions.sampling, get_args(Sampling))
+    own["stated_axes_deg"] = table.number("stated_axes_deg", PhotoBenchOptions.stated_axes_deg)
     bench = PhotoBenchOptions(**own, imperfections=imperfections)
     table.finish()
     device = file.text("device")
