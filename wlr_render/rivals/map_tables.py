@@ -55,7 +55,9 @@ class PositionMaps:
         if degree is None:
             fewest = np.bincount(samples.position).min() * 0.8 / samples.readings.blocks
             known = [each for each in MAP_DEGREES if term_count(2, each) < fewest] or [2]
-            degree = min(known, key=lambda each: _held_out_map_error(samples, each))
+            degree = known[0]
+            if len(known) > 1:
+                degree = min(known, key=lambda each: _held_out_map_error(samples, each))
         subject = samples.readings.inputs[:, ~samples.is_place]
         box = samples.readings.box.of(np.flatnonzero(~samples.is_place).tolist())
         orders = total_degree(2, degree)
