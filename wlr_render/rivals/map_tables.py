@@ -5,9 +5,11 @@ scores that depend on the eye's position, are Guan et al., "Perceptual requireme
 correction in VR", SIGGRAPH 2022, as far as its abstract goes: there the maps are traced through a prescription.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -136,10 +138,31 @@ def thin_plate_table(samples: Samples) -> NumericRegressor:
     return maps.regressor(spline, maps.coefficients)
 
 
+FitScores = Callable[[FloatArray, FloatArray, Any], tuple[Callable[[FloatArray], FloatArray], int]]
+"""(places (k, variables), scores (k, count), setting) -> function of places, and how many numbers it stores."""
+
+
 def principal_components(samples: Samples) -> NumericRegressor:
     """Mean map and principal components, with scores that are polynomials of the place.
 
     Their numbers and degree are those with the least error at held-out positions.
+    """
+    return components_with_scores(samples, _COMPONENTS, _SCORE_DEGREES, _polynomial_scores)
+
+
+def components_with_scores(
+    samples: Samples, counts: Sequence[int], settings: Sequence[Any], fit: FitScores
+) -> NumericRegressor:
+    """Mean map and principal components, with scores that are a function of the place.
+
+    Args:
+        samples: what to fit.
+        counts: numbers of components to choose from by the error at held-out positions.
+        settings: of `fit`, to choose from likewise.
+        fit: of the scores; it refuses a setting that needs more positions by a BadInputError.
+
+    Raises:
+        BadInputError: too few camera positions.
     """
     maps = PositionMaps.of(samples)
     if maps.place.shape[1] == 0:
@@ -148,45 +171,49 @@ def principal_components(samples: Samples) -> NumericRegressor:
     by_column = np.stack([samples.by_column(each) for each in maps.coefficients])
     size = np.einsum("ij,kjo->kio", root, by_column).reshape(len(maps.place), -1)  # as seen in the readings
     fold = np.random.default_rng(0).permutation(len(size)) % FOLDS
-    choices = [
-        (count, degree)
-        for count, degree in product(_COMPONENTS, _SCORE_DEGREES)
-        if count < 0.8 * len(size) - 1 and term_count(maps.place.shape[1], degree) <= 0.8 * len(size)
-    ]
-    if not choices:
-        raise BadInputError(f"{len(size)} camera positions are too few for principal components; take 9 or more.")
 
-    def error(choice: tuple[int, int]) -> float:
+    def error(count: int, setting: Any) -> float:
         total = 0.0
         for number in range(FOLDS):
-            components = _Components.of(maps.place[fold != number], size[fold != number], *choice)
+            components = _Components.of(maps.place[fold != number], size[fold != number], count, setting, fit)
             total += float(np.sum((components.maps(maps.place[fold == number]) - size[fold == number]) ** 2))
         return total
 
-    found = _Components.of(maps.place, size, *min(choices, key=error))
+    choices = {}
+    for count, setting in product([each for each in counts if each < 0.8 * len(size) - 1], settings):
+        with suppress(BadInputError):
+            choices[count, setting] = error(count, setting)
+    if not choices:
+        raise BadInputError(f"{len(size)} camera positions are too few for principal components; take 9 or more.")
+    found = _Components.of(maps.place, size, *min(choices, key=lambda each: choices[each]), fit)
     seen = np.concatenate([found.mean[None], found.axes]).reshape(-1, *by_column.shape[1:])
     every = np.stack([samples.by_block(np.linalg.solve(root, each)) for each in seen])
     regressor = maps.regressor(found.weights, every)
-    return NumericRegressor(
-        regressor.function, regressor.box, regressor.outputs, numbers=every.size + found.scores.coefficients.size
-    )
+    return replace(regressor, numbers=every.size + found.numbers)
+
+
+def _polynomial_scores(place: FloatArray, scores: FloatArray, degree: int) -> tuple[Polynomial, int]:
+    if term_count(place.shape[1], degree) > len(place):
+        raise BadInputError(f"{len(place)} camera positions are too few for scores of degree {degree}.")
+    orders, box = total_degree(place.shape[1], degree), Box(-np.ones(place.shape[1]), np.ones(place.shape[1]))
+    fitted = Polynomial(orders, box, np.asarray(np.linalg.lstsq(basis(place, orders, box), scores, rcond=1e-10)[0]))
+    return fitted, fitted.coefficients.size
 
 
 @dataclass(frozen=True, eq=False)
 class _Components:
-    """mean (m,) + scores(place) @ axes (count, m)."""
+    """mean (m,) + scores(place) @ axes (count, m); the scores store some numbers."""
 
     mean: FloatArray
     axes: FloatArray
-    scores: Polynomial
+    scores: Callable[[FloatArray], FloatArray]
+    numbers: int
 
     @classmethod
-    def of(cls, place: FloatArray, rows: FloatArray, count: int, degree: int) -> "_Components":
+    def of(cls, place: FloatArray, rows: FloatArray, count: int, setting: Any, fit: FitScores) -> "_Components":
         mean = rows.mean(axis=0)
         left, size, axes = np.linalg.svd(rows - mean, full_matrices=False)
-        orders, box = total_degree(place.shape[1], degree), Box(-np.ones(place.shape[1]), np.ones(place.shape[1]))
-        scores = np.linalg.lstsq(basis(place, orders, box), (left * size)[:, :count], rcond=1e-10)[0]
-        return cls(mean, axes[:count], Polynomial(orders, box, np.asarray(scores)))
+        return cls(mean, axes[:count], *fit(place, (left * size)[:, :count], setting))
 
     def weights(self, place: FloatArray) -> FloatArray:
         """Of the mean and the axes, (n, 1 + count)."""
