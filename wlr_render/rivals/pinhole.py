@@ -1,9 +1,5 @@
 """Headsets as a projector with a flat virtual image: SPAAM, Display Relative Calibration, and INDICA.
 
-All of them map the homogeneous pixel to a direction by one 3 x 3 matrix, which is linear in the viewpoint:
-direction ~ (matrix - (viewpoint - position) inverse_depth^T) (u, v, 1). Without an inverse depth the image lies at
-infinity.
-
 - SPAAM: M. Tuceryan and N. Navab, "Single point active alignment method (SPAAM) for optical see-through HMD
   calibration for AR", ISAR 2000; M. Tuceryan, Y. Genc and N. Navab, Presence 11(3), 2002.
 - Display Relative Calibration (DRC): C. B. Owen, J. Zhou, A. Tang and F. Xiao, "Display-relative calibration for
@@ -13,120 +9,26 @@ infinity.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import ClassVar, NoReturn
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.optimize import least_squares
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from wlr_render.calibration.readings import fitted_box
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, normalised
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedModel, FittedSeeThrough, Forms, joined
-from wlr_render.models.spread import Covariance
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.mappings import EYE_BOX_MARGIN
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
+from wlr_render.rivals.pinhole_models import FixedEyeSeeThrough, PinholeDisplay, homogeneous
 
 _FEWEST_ALIGNMENTS = 6
 _FLAT = 1e-3  # of the widest extent: what points on a line, or in a plane, may have across it
 _UNDETERMINED = 1e-7  # least singular value of a fit's scaled derivatives, of the largest
 _SPAAM_NUMBERS = 11
-
-
-class _WithoutCovariance(FittedModel):
-    """Base of models of published methods that state no covariance."""
-
-    def _sensitivity(self, *_: FloatArray) -> NoReturn:
-        raise BadInputError("this published method states no covariance, so its standard errors are unknown.")
-
-    def _sigma(self, *_: FloatArray) -> NoReturn:
-        self._sensitivity()
-
-
-@dataclass(frozen=True, eq=False)
-class PinholeDisplay(_WithoutCovariance, FittedDisplay):
-    """`DisplayMapping` by one 3 x 3 matrix for each camera position; a viewpoint uses the nearest position.
-
-    Both queries are in closed form.
-
-    Attributes:
-        panel: the panel.
-        eye_box: box of valid viewpoints; it affects the status only.
-        box: of the pixels (u px, v px) that it was fitted to.
-        position: (k, 3) metres.
-        matrix: (k, 3, 3) (u, v, 1) -> direction from there.
-        inverse_depth: (k, 3) (u, v, 1) -> homogeneous coordinate of the image point, 1/m; zero for an image at
-            infinity.
-        numbers: that have to be stored.
-    """
-
-    panel: Panel
-    eye_box: EyeBox
-    box: Box
-    position: FloatArray
-    matrix: FloatArray
-    inverse_depth: FloatArray
-    numbers: int
-    spread: Covariance | None = None
-
-    FORMS: ClassVar[Forms] = {}
-
-    def tangents(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """View tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3); NaN where a pixel lies behind the viewpoint."""
-        direction = np.einsum("nij,nj->ni", self._matrices(viewpoint), _homogeneous(pixel))
-        return np.asarray(direction[:, :2] / np.where(direction[:, 2:] < 0.0, -direction[:, 2:], np.nan))
-
-    def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        return Answer(self.tangents(pixel, viewpoint), self.box.contains(pixel))
-
-    def _backward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        first, second, third = np.moveaxis(self._matrices(viewpoint), -1, 0)
-        # The inverse but for its determinant, which is zero where the viewpoint lies in the image.
-        adjugate = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1)
-        determinant = np.sum(first * adjugate[:, 0], axis=1, keepdims=True)
-        seen = np.einsum("nij,nj->ni", adjugate, joined(tangents, -np.ones((len(tangents), 1))))
-        pixel = seen[:, :2] / np.where(seen[:, 2:] * determinant > 0.0, seen[:, 2:], np.nan)
-        return Answer(pixel, self.box.contains(pixel))
-
-    def _matrices(self, viewpoint: FloatArray) -> FloatArray:
-        """(m, 3, 3) at viewpoints (m, 3)."""
-        index = _nearest(self.position, viewpoint)
-        shift = viewpoint - self.position[index]
-        return np.asarray(self.matrix[index] - shift[:, :, None] * self.inverse_depth[index][:, None, :])
-
-
-@dataclass(frozen=True, eq=False)
-class FixedEyeSeeThrough(_WithoutCovariance, FittedSeeThrough):
-    """`SeeThroughMapping` of straight rays to one eye for each camera position, wherever the viewpoint is near it.
-
-    With the display of SPAAM, which lumps both sides of the headset, it gives the projection that SPAAM fits.
-
-    Attributes:
-        eye_box: box of valid viewpoints; it affects the status only.
-        position: (k, 3) metres; a viewpoint uses the nearest.
-        eye: (k, 3) metres, where the eye is taken to be.
-    """
-
-    eye_box: EyeBox
-    position: FloatArray
-    eye: FloatArray
-    spread: Covariance | None = None
-
-    FORMS: ClassVar[Forms] = {}
-
-    def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        eye = self.eye[_nearest(self.position, viewpoint)]
-        return Answer(joined(eye, tangents), np.ones(len(tangents), bool))
-
-    def _backward(self, point: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
-        to_point = point - self.eye[_nearest(self.position, viewpoint)]
-        tangents = to_point[:, :2] / np.where(to_point[:, 2:] < 0.0, -to_point[:, 2:], np.nan)
-        return Answer(tangents, np.ones(len(tangents), bool))
 
 
 def spaam(captures: EyeCaptures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
@@ -225,10 +127,9 @@ def indica_recycle(captures: EyeCaptures) -> PinholeDisplay:
     _require_positions(display)
     first, see_through = spaam(captures)
     eye, matrix = see_through.eye[0], first.matrix[0]
-    matrix = matrix * np.linalg.norm(np.linalg.inv(matrix)[2])  # of depth 1 along the optical axis
-    axis = np.array([0.0, 0.0, 1.0])
+    axis = np.array([0.0, 0.0, 1.0])  # all pixels of SPAAM's matrix have the same depth along its optical axis
     found = _fit_image(
-        display, _homogeneous(display.pixel), lambda parameter: (matrix, axis * parameter[0]), np.zeros(1), origin=eye
+        display, homogeneous(display.pixel), lambda parameter: (matrix, axis * parameter[0]), np.zeros(1), origin=eye
     )
     return _image_display(display, _pixel_box(display), *found, eye, numbers=_SPAAM_NUMBERS + 1)
 
@@ -278,7 +179,7 @@ def _projection(pixel: FloatArray, point: FloatArray, where: str) -> FloatArray:
             "more that do not lie in one plane: take see-through captures of two target depths from the same position."
         )
     to_pixel, to_point = _normalisation(pixel), _normalisation(point)
-    seen, world = _homogeneous(pixel) @ to_pixel.T, _homogeneous(point) @ to_point.T
+    seen, world = homogeneous(pixel) @ to_pixel.T, homogeneous(point) @ to_point.T
     none = np.zeros_like(world)
     rows = np.concatenate(
         [np.hstack([world, none, -seen[:, :1] * world]), np.hstack([none, world, -seen[:, 1:2] * world])]
@@ -321,7 +222,7 @@ def _start(captures: DisplayCaptures) -> tuple[Box, FloatArray, FloatArray]:
             f"the decoded pixels of {captures.device} lie on one line; decode pixels all over the panel."
         )
     box = _pixel_box(captures)
-    scaled = _homogeneous(box.scaled(captures.pixel))
+    scaled = homogeneous(box.scaled(captures.pixel))
     return box, scaled, np.asarray(np.linalg.lstsq(scaled, captures.tangents, rcond=None)[0].T)
 
 
@@ -391,16 +292,6 @@ def _image_display(
 
 def _pixel_box(captures: DisplayCaptures) -> Box:
     return fitted_box(captures.pixel, np.zeros(2, bool))
-
-
-def _nearest(position: FloatArray, viewpoint: FloatArray) -> IntArray:
-    """Index (m,) of the position (k, 3) nearest to viewpoints (m, 3); 0 for viewpoints that are not finite."""
-    finite = np.where(np.isfinite(viewpoint), viewpoint, 0.0)
-    return np.asarray(cKDTree(position).query(finite)[1], np.int64)
-
-
-def _homogeneous(points: FloatArray) -> FloatArray:
-    return joined(points, np.ones((len(points), 1)))
 
 
 def _spans(points: FloatArray, dimensions: int) -> bool:

@@ -1,0 +1,121 @@
+"""Models of a headset as a projector with a flat virtual image; see `pinhole` for the methods that fit them.
+
+The display maps the homogeneous pixel to a direction by one 3 x 3 matrix, which is linear in the viewpoint:
+direction ~ (matrix - (viewpoint - position) inverse_depth^T) (u, v, 1). Without an inverse depth the image lies at
+infinity.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, NoReturn
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedModel, FittedSeeThrough, Forms, joined
+from wlr_render.models.spread import Covariance
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box
+
+
+class _WithoutCovariance(FittedModel):
+    """Base of models of published methods that state no covariance."""
+
+    def _sensitivity(self, *_: FloatArray) -> NoReturn:
+        raise BadInputError("this published method states no covariance, so its standard errors are unknown.")
+
+    def _sigma(self, *_: FloatArray) -> NoReturn:
+        self._sensitivity()
+
+
+@dataclass(frozen=True, eq=False)
+class PinholeDisplay(_WithoutCovariance, FittedDisplay):
+    """`DisplayMapping` by one 3 x 3 matrix for each camera position; a viewpoint uses the nearest position.
+
+    Both queries are in closed form.
+
+    Attributes:
+        panel: the panel.
+        eye_box: box of valid viewpoints; it affects the status only.
+        box: of the pixels (u px, v px) that it was fitted to.
+        position: (k, 3) metres.
+        matrix: (k, 3, 3) (u, v, 1) -> direction from there.
+        inverse_depth: (k, 3) (u, v, 1) -> homogeneous coordinate of the image point, 1/m in the unit of `matrix`; zero
+            for an image at infinity.
+        numbers: that have to be stored.
+    """
+
+    panel: Panel
+    eye_box: EyeBox
+    box: Box
+    position: FloatArray
+    matrix: FloatArray
+    inverse_depth: FloatArray
+    numbers: int
+    spread: Covariance | None = None
+
+    FORMS: ClassVar[Forms] = {}
+
+    def tangents(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """View tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3); NaN where a pixel lies behind the viewpoint."""
+        direction = np.einsum("nij,nj->ni", self._matrices(viewpoint), homogeneous(pixel))
+        return np.asarray(direction[:, :2] / np.where(direction[:, 2:] < 0.0, -direction[:, 2:], np.nan))
+
+    def _forward(self, pixel: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        return Answer(self.tangents(pixel, viewpoint), self.box.contains(pixel))
+
+    def _backward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        first, second, third = np.moveaxis(self._matrices(viewpoint), -1, 0)
+        # The inverse but for its determinant, which is zero where the viewpoint lies in the image.
+        adjugate = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1)
+        determinant = np.sum(first * adjugate[:, 0], axis=1, keepdims=True)
+        seen = np.einsum("nij,nj->ni", adjugate, joined(tangents, -np.ones((len(tangents), 1))))
+        pixel = seen[:, :2] / np.where(seen[:, 2:] * determinant > 0.0, seen[:, 2:], np.nan)
+        return Answer(pixel, self.box.contains(pixel))
+
+    def _matrices(self, viewpoint: FloatArray) -> FloatArray:
+        """(m, 3, 3) at viewpoints (m, 3)."""
+        index = _nearest(self.position, viewpoint)
+        shift = viewpoint - self.position[index]
+        return np.asarray(self.matrix[index] - shift[:, :, None] * self.inverse_depth[index][:, None, :])
+
+
+@dataclass(frozen=True, eq=False)
+class FixedEyeSeeThrough(_WithoutCovariance, FittedSeeThrough):
+    """`SeeThroughMapping` of straight rays to one eye for each camera position, wherever the viewpoint is near it.
+
+    With the display of SPAAM, which lumps both sides of the headset, it gives the projection that SPAAM fits.
+
+    Attributes:
+        eye_box: box of valid viewpoints; it affects the status only.
+        position: (k, 3) metres; a viewpoint uses the nearest.
+        eye: (k, 3) metres, where the eye is taken to be.
+    """
+
+    eye_box: EyeBox
+    position: FloatArray
+    eye: FloatArray
+    spread: Covariance | None = None
+
+    FORMS: ClassVar[Forms] = {}
+
+    def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        eye = self.eye[_nearest(self.position, viewpoint)]
+        return Answer(joined(eye, tangents), np.ones(len(tangents), bool))
+
+    def _backward(self, point: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
+        to_point = point - self.eye[_nearest(self.position, viewpoint)]
+        tangents = to_point[:, :2] / np.where(to_point[:, 2:] < 0.0, -to_point[:, 2:], np.nan)
+        return Answer(tangents, np.ones(len(tangents), bool))
+
+
+def _nearest(position: FloatArray, viewpoint: FloatArray) -> IntArray:
+    """Index (m,) of the position (k, 3) nearest to viewpoints (m, 3); 0 for viewpoints that are not finite."""
+    finite = np.where(np.isfinite(viewpoint), viewpoint, 0.0)
+    return np.asarray(cKDTree(position).query(finite)[1], np.int64)
+
+
+def homogeneous(points: FloatArray) -> FloatArray:
+    """Points (n, d) with a last column of ones, (n, d + 1)."""
+    return joined(points, np.ones((len(points), 1)))
