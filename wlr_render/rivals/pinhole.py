@@ -141,7 +141,7 @@ def _by_position(
     positions, matrices, eyes = [], [], []
     for name in names:
         here = select(display, display.capture == name)
-        projection = _projection(*_alignments(here, see_through), f"camera position {name} of {display.device}")
+        projection = fit_projection(*_alignments(here, see_through), f"camera position {name} of {display.device}")
         inverse = np.linalg.inv(projection[:, :3])
         positions.append(here.viewpoint[0])
         matrices.append(inverse)
@@ -171,8 +171,20 @@ def _alignments(display: DisplayCaptures, see_through: SeeThroughCaptures) -> tu
     return np.concatenate(pixels), np.concatenate(points)
 
 
-def _projection(pixel: FloatArray, point: FloatArray, where: str) -> FloatArray:
-    """The 3 x 4 matrix that projects points (n, 3) to pixels (n, 2), positive in front of it."""
+def fit_projection(pixel: FloatArray, point: FloatArray, where: str) -> FloatArray:
+    """Fit SPAAM's projection to alignments: a direct linear transform, refined by least squares of the reprojection.
+
+    Args:
+        pixel: (n, 2).
+        point: (n, 3) real points, any frame.
+        where: what the alignments are of, for the refusal.
+
+    Returns:
+        (3, 4) matrix; the third coordinate of its products is positive in front of the eye.
+
+    Raises:
+        BadInputError: there are fewer than six alignments, or their points lie in one plane.
+    """
     if len(pixel) < _FEWEST_ALIGNMENTS or not _spans(pixel, 2) or not _spans(point, 3):
         raise BadInputError(
             f"{where} gives {len(pixel)} alignments of pixels and real points; SPAAM needs {_FEWEST_ALIGNMENTS} or "
