@@ -143,7 +143,7 @@ def _bundle_drawing(
         Diagram(ABOVE, name)
         .eye_box(optics, eye.eye_box_mm)
         .lines(f"rays of {subject}", lines, RED, width=1)
-        .points("viewpoints on them", viewpoint, GREY, size=4)
+        .points("viewpoints on them", viewpoint, ORANGE, size=6)
         .points("crossings of the base plane", at, GREEN, size=8)
         for name, lines in (("whole path", path), ("at the eye box", near))
     ]
@@ -188,7 +188,7 @@ def two_planes(eye: EvaluatedEye) -> Plot:
         diagram("a: target without headset", 0)
         .lines("seen directly", lines_from(centre, dots[0]), GREY)
         .points(camera, centre, GREY),
-        diagram("b: headset on, its camera finds the target", 0)
+        diagram("b: headset on; its camera", 0)
         .optics(optics, panel=False)
         .lines("seen by the headset's camera", lines_from(tracking, dots[0]), GREEN)
         .points(headset, tracking, GREEN, symbol="square")
