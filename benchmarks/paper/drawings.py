@@ -22,6 +22,7 @@ RED, BLUE, GREEN, GREY = "#d62728", "#1f77b4", "#2ca02c", "#888888"
 ORANGE, PURPLE, BROWN = "#ff7f0e", "#9467bd", "#8c564b"
 """Legible on light and dark pages."""
 _PANEL_EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+_EVERY = 5  # points of a cut, half a degree apart: what a page can show
 _HEADSET_M = 0.16  # surfaces are drawn so far from the nominal viewpoint
 _GAP = 0.08, 0.22  # between diagrams across and down, as parts of the whole
 
@@ -79,7 +80,7 @@ class Diagram:
     def optics(self, optics: EyeOptics, *, panel: bool = True) -> "Diagram":
         """Add surfaces, cut through the nominal viewpoint as far as their apertures go, and the panel."""
         for surface in optics.surfaces():
-            cut = cut_surface(surface, optics.eye_box.centre, self.view)
+            cut = cut_surface(surface, optics.eye_box.centre, self.view)[::_EVERY]
             # A surface without an aperture has no end: it is shown near the headset only.
             far = np.linalg.norm(cut - optics.eye_box.centre, axis=-1) > _HEADSET_M
             cut = np.where(far[:, None], np.nan, cut)
