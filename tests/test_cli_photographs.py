@@ -21,13 +21,13 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20"]
     sizes = ["--perfect", "--stage-error-um", "3", "--bow-mm", "0.1", "--stage", "xyz"]
-    camera_places = ["--sampling", "volumetric", "--stated-axes-deg", "0.1"]
+    camera_places = ["--sampling", "volumetric", "--stated-axes-deg", "0.1", "--tracking-camera", "800x600"]
     depths = ["--depths-m", "0.5", "0.8", "2"]
     given_bench = [*chosen, *bench_options, *sizes, *camera_places, *depths]
     assert main(["simulate", "there", *given_bench, "--seed", "4", "--workers", "1"]) == 0
     imperfections = replace(BenchImperfections.none(), repeatability_um=3.0, bow_mm=0.1)
     made_of = PhotoBenchOptions(
-        (640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections, "xyz", "volumetric", 0.1
+        (640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections, "xyz", "volumetric", 0.1, (800, 600)
     )
     assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), 1)]
     printed = capsys.readouterr().out

@@ -28,6 +28,10 @@ class SimulateOptions(Options):
         1280,
         1024,
     )
+    tracking_camera: Annotated[tuple[int, int], described_size("Pixels of the tracking camera."), Range(at_least=1)] = (
+        1600,
+        1200,
+    )
     bits: Annotated[Literal[8, 10, 12], described("Bits of the eyeball camera.")] = 8
     pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm."), Range(at_least=0)] = 0.5
     focus_m: Annotated[float, described("Distance at which it is focused, in m."), Range(at_least=0)] = 1.0
@@ -89,6 +93,7 @@ class SimulateOptions(Options):
             self.stage,
             self.sampling,
             self.stated_axes_deg,
+            self.tracking_camera,
         )
         return SimulationRecipe(self.device, self.eye, self.viewpoints, self.pattern, bench)
 

@@ -14,6 +14,7 @@ from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.verify import session as verify
+from wlr_render.jobs.verify import session_photographs
 from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.rendering.painters import raster_painter
@@ -132,7 +133,7 @@ def test_several_calibrations_are_compared_on_the_same_dots_by_target(options, p
 def test_photographs_are_taken_on_the_bench_as_it_is(options, photo_session, monkeypatch):
     """The camera misses its reading by the stage's errors at each visit; photographs are blurred and hazy."""
     taken = []
-    monkeypatch.setattr(verify, "take", lambda pose: taken.append(pose) or take(pose))
+    monkeypatch.setattr(session_photographs, "take", lambda pose: taken.append(pose) or take(pose))
     verify_session(options)
     tracking, *eyeball = taken
     sizes = photo_session.bench.options.imperfections

@@ -19,7 +19,6 @@ from wlr_render.calibration.bench.bench_file import SavedStation, load_station
 from wlr_render.calibration.bench.observations import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import (
@@ -34,12 +33,19 @@ from wlr_render.jobs.options import (
     described,
 )
 from wlr_render.jobs.verify.drawn_target import target_scene, wholly_shown
-from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report
+from wlr_render.jobs.verify.misalignment import Judged, judge_pair, misalignment_report
+from wlr_render.jobs.verify.session_photographs import (
+    Frames,
+    TargetPlace,
+    off_path,
+    on_folder,
+    photograph,
+    photograph_tracking,
+)
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.processes import as_finished
-from wlr_render.progress import SILENT, Progress
+from wlr_render.progress import SILENT
 from wlr_render.rendering.painters import Painter, TracedPainter, raster_painter
 from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.ray_tracing import RayRenderer
@@ -47,8 +53,7 @@ from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
 from wlr_render.simulation.photographs.photo_plan import Visit, later_visits
 from wlr_render.simulation.photographs.recipe import load_recipe
-from wlr_render.simulation.photographs.simulate_photo_session import poses_on
-from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
+from wlr_render.simulation.photographs.take_photographs import PanelShots
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 METHODS = ("raster + warp", "ray traced")
@@ -103,31 +108,6 @@ class VerifySessionOptions(Options):
 
 
 @dataclass(frozen=True, eq=False)
-class _Target:
-    """A place of the target.
-
-    Attributes:
-        depth_m: its distance.
-        pose: its pose in words; "" where all targets are frontal.
-        device_from_target: (4, 4) true.
-    """
-
-    depth_m: float
-    pose: str
-    device_from_target: FloatArray
-
-    @property
-    def stem(self) -> str:
-        """Part of the names of photographs."""
-        return f"{1e3 * self.depth_m:.0f}mm" + (f"_{self.pose}" if self.pose else "")
-
-    def position(self, viewpoint: int) -> PairPosition:
-        """Position of the photographs from a viewpoint."""
-        words = [f"{self.depth_m:g} m", *([self.pose] if self.pose else []), f"viewpoint {viewpoint}"]
-        return PairPosition(", ".join(words), self.depth_m, viewpoint, self.pose)
-
-
-@dataclass(frozen=True, eq=False)
 class _Calibration:
     """A calibration that is verified.
 
@@ -169,7 +149,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     others = random_in_eye_box(box, options.viewpoints, rng)[1:] - box.centre
     visits = later_visits(bench, np.round(np.concatenate([np.zeros((1, 3)), others]), 6), rng)
     targets = _targets(bench, options)
-    tracked = _photograph_tracking(bench, targets, photographs, options.seed)
+    tracked = photograph_tracking(bench, targets, photographs, options.seed)
     found = [[_tracked_pose(each.station, bench, seen) for seen in tracked] for each in calibrations]
     viewpoints = [each.viewpoints(visits) for each in calibrations]
     frames: list[dict[str, NDArray[np.uint8]]] = [{} for _ in range(len(targets) * len(visits))]
@@ -181,7 +161,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     )
     for number, images in enumerate(progress(drawn, len(calibrations) * len(frames), "frames")):
         frames[number % len(frames)] |= images
-    _photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.workers)
+    photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.workers)
     judged = [
         one
         for k, target in enumerate(targets)
@@ -250,38 +230,14 @@ def _refuse_another(
         )
 
 
-def _targets(bench: PhotoBench, options: VerifySessionOptions) -> list[_Target]:
+def _targets(bench: PhotoBench, options: VerifySessionOptions) -> list[TargetPlace]:
     poses = options.poses or (_FRONTAL if len(options.calibration) == 1 else _ALL_POSES)
     changes = {"frontal": (0.0, 0.0), "tilted": (options.tilt_deg, 0.0), "shifted": (0.0, 1e-3 * options.shift_mm)}
     return [
-        _Target(depth, "" if poses == _FRONTAL else pose, target_at(bench, depth, *changes[pose]))
+        TargetPlace(depth, "" if poses == _FRONTAL else pose, target_at(bench, depth, *changes[pose]))
         for depth in dict.fromkeys(options.depths_m)
         for pose in dict.fromkeys(poses)
     ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Frames:
-    """What the panel shows, as `take_photographs.Pictures`."""
-
-    shown: tuple[str, ...]
-    images: tuple[NDArray[np.uint8], ...]
-
-    def names(self) -> tuple[str, ...]:
-        return self.shown
-
-    def image(self, index: int) -> NDArray[np.uint8]:
-        return self.images[index]
-
-
-def _photograph_tracking(
-    bench: PhotoBench, targets: Sequence[_Target], folder: Path, seed: int
-) -> list[BoardObservation]:
-    """The target as the tracking camera sees it at each place; BadInputError where it does not."""
-    shots = tuple(BoardShot(folder / f"tracking_{each.stem}.png", each.device_from_target) for each in targets)
-    pose = poses_on(bench, seed)
-    _retake(pose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, boards=shots))
-    return [bench.board.find(read_photograph(shot.path), shot.path.name) for shot in shots]
 
 
 def _tracked_pose(station: SavedStation, bench: PhotoBench, seen: BoardObservation) -> FloatArray:
@@ -320,41 +276,10 @@ def _draw(
         }
 
 
-def _photograph(
-    bench: PhotoBench,
-    visits: Sequence[Visit],
-    targets: Sequence[_Target],
-    frames: Sequence[dict[str, NDArray[np.uint8]]],
-    folder: Path,
-    seed: int,
-    progress: Progress,
-    workers: int | None,
-) -> None:
-    """Take the photographs of each visit with the display off, and with each of its frames, by target and visit."""
-    pose, places = poses_on(bench, seed), []
-    for number, visit in enumerate(visits):
-        boards = [BoardShot(_off_path(folder, target, number), target.device_from_target) for target in targets]
-        panels = []
-        for k, target in enumerate(targets):
-            drawn = frames[len(visits) * k + number]
-            panels.append(PanelShots(_on_folder(folder, target, number), _Frames(tuple(drawn), tuple(drawn.values()))))
-        camera = visit.device_from_camera
-        places.append(pose(bench.eyeball, bench.eyeball_sensor, camera, bench.optics, boards=boards, panels=panels))
-    for _ in progress(as_finished(_retake, places, workers), len(places), "viewpoints"):
-        pass
-
-
-def _retake(pose: CameraPose) -> int:
-    """Take all photographs, also those that are there: they may be of other models."""
-    for path in pose.paths():
-        path.unlink(missing_ok=True)
-    return take(pose)
-
-
 def _judge(
     bench: PhotoBench,
     calibrations: Sequence[_Calibration],
-    target: _Target,
+    target: TargetPlace,
     viewpoint: int,
     poses: Sequence[FloatArray],
     places: Sequence[FloatArray],
@@ -371,20 +296,10 @@ def _judge(
         ],
         axis=0,
     )
-    position, off = target.position(viewpoint), _off_path(folder, target, viewpoint)
+    position, off = target.position(viewpoint), off_path(folder, target, viewpoint)
     names = tuple(name for each in calibrations for name in each.shown())
-    paths = iter(PanelShots(_on_folder(folder, target, viewpoint), _Frames(names, ())).paths())
+    paths = iter(PanelShots(on_folder(folder, target, viewpoint), Frames(names, ())).paths())
     for each in calibrations:
         camera = each.station.eyeball_camera
         for method in METHODS:
             yield judge_pair(position, method, (off, next(paths)), bench.board, camera, shown, each.label)
-
-
-def _off_path(folder: Path, target: _Target, viewpoint: int) -> Path:
-    """Of the photograph with the display off."""
-    return folder / f"{target.stem}_view{viewpoint:02d}_off.png"
-
-
-def _on_folder(folder: Path, target: _Target, viewpoint: int) -> Path:
-    """Of the photographs with the display on."""
-    return folder / f"{target.stem}_view{viewpoint:02d}_on"

@@ -59,6 +59,7 @@ class PhotoBenchOptions:
         sampling: where the camera stands: in the middle plane of the eye box, or anywhere in it.
         stated_axes_deg: standard deviation of the rotation that session.toml states of the stage's axes against the
             camera; the bare target is then photographed once. 0: session.toml states nothing.
+        tracking_px: width and height of the tracking camera's photographs.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -72,6 +73,7 @@ class PhotoBenchOptions:
     stage: StageKind = "xyz"
     sampling: Sampling = "planar"
     stated_axes_deg: float = 0.0
+    tracking_px: tuple[int, int] = (1600, 1200)
 
     def __post_init__(self) -> None:
         if self.sampling == "volumetric" and self.stage not in ("xyz", "hand"):
@@ -202,7 +204,7 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
     pose = transforms.rigid(aim.device_from_looking @ _turned(0.4, -0.3, 0.5), box.centre)
     view = _past_optics(aim, device.eyes[eye]) if options.stage == "hand" else aim
     eyeball = _camera(options.camera_px, view.half_tangents * _MARGIN, [-0.06, 0.02, 4e-4, -3e-4, 0.0])
-    tracking = _camera((1600, 1200), np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
+    tracking = _camera(options.tracking_px, np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
     board = _board(view, max(options.target_depths_m), eyeball)
     device_from_tracking = _tracking_pose(aim, box.centre)
     return PhotoBench(

@@ -20,7 +20,13 @@ from wlr_render.toml_files import Table, read_toml, write_toml
 
 FILE = "simulation.toml"
 _DEVICE_COPY = "device.toml"
-_OWN_TYPES = ("imperfections", "stage", "sampling", "stated_axes_deg")  # fields that are no required number
+_OWN_TYPES = (
+    "imperfections",
+    "stage",
+    "sampling",
+    "stated_axes_deg",
+    "tracking_px",
+)  # fields that are no required number
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,8 @@ def load_recipe(folder: Path) -> SimulationRecipe:
     own["stage"] = table.text("stage", PhotoBenchOptions.stage, get_args(StageKind))
     own["sampling"] = table.text("sampling", PhotoBenchOptions.sampling, get_args(Sampling))
     own["stated_axes_deg"] = table.number("stated_axes_deg", PhotoBenchOptions.stated_axes_deg)
+    if table.has("tracking_px"):
+        own["tracking_px"] = _value(table, "tracking_px")
     bench = PhotoBenchOptions(**own, imperfections=imperfections)
     table.finish()
     device = file.text("device")
