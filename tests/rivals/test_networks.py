@@ -1,5 +1,6 @@
 """Small networks: gradient, injected truth, stage errors and noise that they must not follow, budget."""
 
+import itertools
 import time
 
 import numpy as np
@@ -23,6 +24,13 @@ from wlr_render.rivals.samples import Fit, Samples
 PLACES = 25
 READINGS = 150
 """Of each place."""
+
+
+@pytest.fixture(autouse=True)
+def _clock_of_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A budget of one second is a hundred looks at the clock, on machines of any speed."""
+    ticks = itertools.count()
+    monkeypatch.setattr(time, "process_time", lambda: 0.01 * next(ticks))
 
 
 def truth(inputs: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -29,7 +30,9 @@ SECONDS = 3.0
 _ROUNDING = 1e-10  # the units of the last layer cancel: its weights reach 100 times the values
 _RIDGE = 1e-9  # on the last layer, of the mean square of its multipliers
 _TREND_RIDGE = 1e-13  # so that terms which the readings do not determine stay small
-_FIRST_ROWS, _MORE_ROWS = 3_000, 4  # readings that are trained on first; times so many when they are learnt
+FIRST_ROWS = 3_000
+"""Readings that are trained on first."""
+_MORE_ROWS = 4  # times so many when they are learnt
 _PLACE_SIZES = (0.1, 0.1, 0.3)  # of first weights, against those of the pixel: maps change slowly with the place
 _TRIAL = 0.12  # of the budget, for each of them; the best at held-out positions goes on
 _CHECK_EVERY, _PATIENCE = 8, 5  # iterations between checks; checks without a better one
@@ -37,6 +40,25 @@ _STATIC_DEGREE = 6
 _DECAYS = (1e-6, 1e-4, 1e-2)  # on the decoder's weights; held-out positions choose
 _COUNTS = (3, 6, 10, 14)
 _DECODER_ITERATIONS = 60
+
+
+class Layers(Protocol):
+    """Hidden layers whose weights are one flat array: `TanhLayers`, or `distortion_field.RayLayers`."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of units; the last is that of the values that the linear layer takes."""
+
+    def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
+        """Random weights; `size` (variables,) multiplies those of each input."""
+
+    def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
+        """The values (n, sizes[-1]) for inputs (n, variables) are the last; `gradient` needs the others."""
+
+    def gradient(
+        self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivative of a loss by the weights, and by the inputs of the first layer."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +131,7 @@ class ProjectedLoss:
         decay: factor of the mean square of the hidden weights in the loss.
     """
 
-    layers: TanhLayers
+    layers: Layers
     inputs: FloatArray
     trend: FloatArray
     multiplier: FloatArray
@@ -118,7 +140,7 @@ class ProjectedLoss:
 
     @classmethod
     def of(
-        cls, samples: Samples, rows: IntArray, layers: TanhLayers, degree: int, known: Polynomial | None
+        cls, samples: Samples, rows: IntArray, layers: Layers, degree: int, known: Polynomial | None
     ) -> "ProjectedLoss":
         """Of some rows of samples, with a polynomial trend; `known` is taken off the observed values first."""
         readings = samples.readings
@@ -244,12 +266,31 @@ def network(
         trend_degree: of the polynomial that is fitted together with the last layer.
         known: of the same inputs; the network is fitted to what it leaves.
     """
+    return trained(samples, TanhLayers((len(samples.is_place), *layers)), seconds, trend_degree, known)
+
+
+def trained(
+    samples: Samples,
+    hidden: Layers,
+    seconds: float,
+    trend_degree: int,
+    known: Polynomial | None = None,
+    first_rows: int = FIRST_ROWS,
+    rounding: float = _ROUNDING,
+) -> NumericRegressor:
+    """Train hidden layers as `network` says.
+
+    Args:
+        samples, seconds, trend_degree, known: see `network`.
+        hidden: layers that take the samples' inputs, scaled to -1..1.
+        first_rows: readings that are trained on first.
+        rounding: of the values, see `NumericRegressor`.
+    """
     deadline = time.process_time() + seconds
-    hidden = TanhLayers((len(samples.is_place), *layers))
     rng = np.random.default_rng(0)
     seen = rng.permutation(np.flatnonzero(samples.fold != 0))
     held_out = ProjectedLoss.of(samples, np.flatnonzero(samples.fold == 0), hidden, trend_degree, known)
-    loss = ProjectedLoss.of(samples, seen[:_FIRST_ROWS], hidden, trend_degree, known)
+    loss = ProjectedLoss.of(samples, seen[:first_rows], hidden, trend_degree, known)
 
     def check(weights: FloatArray) -> float:
         return held_out.error(weights, loss.solved(weights))
@@ -260,7 +301,7 @@ def network(
         searches.append(Search(time.process_time() + _TRIAL * seconds, start))
         searches[-1].run(loss, check)
     search = replace(min(searches, key=lambda each: each.error), deadline=deadline)
-    rows = _FIRST_ROWS
+    rows = first_rows
     while not search.is_over:
         search.run(loss, check)
         if rows >= len(seen):
@@ -277,7 +318,7 @@ def network(
         return found if known is None else found + known(inputs)
 
     numbers = weights.size + solution.size + (0 if known is None else known.numbers)
-    return NumericRegressor(value, box, samples.outputs, numbers, _ROUNDING)
+    return NumericRegressor(value, box, samples.outputs, numbers, rounding)
 
 
 def offset_network(samples: Samples, seconds: float = SECONDS, layers: tuple[int, ...] = (32, 32)) -> NumericRegressor:
