@@ -97,17 +97,17 @@ def test_points_of_a_ray_are_told_from_the_centre() -> None:
 
 
 def test_recovers_a_virtual_image() -> None:
-    """To a twelfth of what the affine trend leaves, within the 300 steps that the test can wait for."""
+    """To a twelfth of what the affine trend leaves, in some 300 evaluations."""
     seen = captures()
     viewpoint, tangents = seen.viewpoint, tangents_of_dir(seen.view_dir)
     affine = np.hstack([np.ones((len(viewpoint), 1)), viewpoint, tangents])
     rest = seen.pixel - affine @ np.linalg.lstsq(affine, seen.pixel, rcond=None)[0]
-    found = error_arcmin(distortion_field(seen, seconds=3.0, units=(16, 16)))
+    found = error_arcmin(distortion_field(seen, seconds=5.0, units=(16, 16)))
     assert found < np.sqrt(np.mean(rest**2)) / PER_TANGENT / ARCMIN / 12.0
 
 
 def test_does_not_follow_noise_nor_stage_errors() -> None:
-    """1' and 50 um; both are below what the training leaves."""
+    """1' of noise, and places off by 50 um."""
     assert error_arcmin(distortion_field(captures(noise=1.0, stage_m=50e-6), seconds=3.0, units=(16, 16))) < 1.5
 
 
