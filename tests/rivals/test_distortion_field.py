@@ -13,7 +13,7 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.rivals.distortion_field import DistortionFieldDisplay, RayLayers, distortion_field
-from wlr_render.rivals.networks import ProjectedLoss
+from wlr_render.rivals.network_training import ProjectedLoss
 
 EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
 PANEL = Panel(1200, 1000)

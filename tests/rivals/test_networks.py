@@ -11,14 +11,8 @@ from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.regressor import Regressor
-from wlr_render.rivals.networks import (
-    ProjectedLoss,
-    Search,
-    TanhLayers,
-    decoded_components,
-    network,
-    offset_network,
-)
+from wlr_render.rivals.network_training import ProjectedLoss, Search, TanhLayers
+from wlr_render.rivals.networks import decoded_components, network, offset_network
 from wlr_render.rivals.samples import Fit, Samples
 
 PLACES = 25
@@ -118,8 +112,8 @@ def test_takes_pixels_alone_and_places_in_a_volume() -> None:
 
 
 def test_does_not_follow_noise_nor_stage_errors() -> None:
-    """1' of noise on 3,750 readings, and places off by 50 um; without held-out places the error is 0.34'."""
-    assert error_arcmin(network(samples(noise=1.0, stage_m=50e-6))) < 0.22
+    """1' of noise on 3,750 readings, and places off by 50 um; without held-out places the error is 0.24'."""
+    assert error_arcmin(network(samples(noise=1.0, stage_m=50e-6))) < 0.19
 
 
 def test_two_blocks_are_told_apart_by_their_multipliers() -> None:

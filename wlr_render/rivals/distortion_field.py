@@ -30,7 +30,7 @@ from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.regressor import Regressor
-from wlr_render.rivals.networks import TanhLayers, trained
+from wlr_render.rivals.network_training import TanhLayers, trained
 from wlr_render.rivals.samples import Samples
 
 SECONDS = 6.0
@@ -44,9 +44,9 @@ _START_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class RayLayers:
-    """Hidden layers whose last values (n, units) are the weighted sum of those of points along rays; see `networks`.
+    """Hidden layers whose last values (n, units) are the weighted sum of those of points along rays.
 
-    The flat weights are those of `hidden`, then of the occupancy (units,).
+    See `network_training`. The flat weights are those of `hidden`, then of the occupancy (units,).
 
     Attributes:
         units: of each layer. box: of (x, y, z, tx, ty), metres. centre: (3,) where points are told from.
