@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from wrong_headset import wrong_headset
 
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
@@ -24,6 +23,7 @@ from wlr_render.jobs.evaluate.trials import (
 from wlr_render.mappings import EyeBox
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,

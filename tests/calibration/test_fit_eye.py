@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from prescribed_eyes import captured, prescription
 from toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
-from wrong_headset import wrong_headset
 
 from wlr_render.calibration.fit_eye import eye_trends, fit_eye, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
@@ -18,6 +17,7 @@ from wlr_render.models.static import StaticSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay
+from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 
 CAPTURES = EyeCaptures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from prescribed_eyes import captured, prescription
-from wrong_headset import wrong_headset
 
 from wlr_render.calibration.fit_prescription import display_trend, fit_assembly, see_through_trend
 from wlr_render.captures.correspondences import EyeCaptures
@@ -14,6 +13,7 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.numerics.polynomial import Box
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.traced_mappings import TracedDisplay
+from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 
 DEVICES = ("northstar", "freeform40", "birdbath28")

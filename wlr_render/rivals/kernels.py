@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import minimize
 
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.numerics.regressor import NumericRegressor
 from wlr_render.rivals.samples import FOLDS, Samples
@@ -35,7 +35,7 @@ def kernel_ridge(samples: Samples) -> NumericRegressor:
 
 
 def free_kernel_ridge(samples: Samples) -> NumericRegressor:
-    """Freed of what limits the published form: 1,000 centres (300 for see-through), a trend of degree 3, and ridges down to 1e-13."""
+    """Freed of what limits the published form: 1,000 centres (see-through 300), a trend, and ridges down to 1e-13."""
     return _ridge(samples, 1_000 if samples.readings.blocks == 1 else 300, SMALL_RIDGES, _trend(samples))
 
 
@@ -81,13 +81,15 @@ def _ridge(samples: Samples, centres: int, ridges: FloatArray, trend: Polynomial
     return NumericRegressor(value, box, samples.outputs, numbers, rounding)
 
 
-def _held_out_errors(design: FloatArray, target: FloatArray, fold: np.ndarray, ridges: FloatArray) -> FloatArray:
+def _held_out_errors(design: FloatArray, target: FloatArray, fold: IntArray, ridges: FloatArray) -> FloatArray:
     """Sum of squares at held-out folds for each ridge."""
     columns = design.shape[1]
-    parts = [np.linalg.qr(np.hstack([design, target])[fold == number], mode="r") for number in range(FOLDS)]
+    joint = np.hstack([design, target])
+    parts = [np.asarray(np.linalg.qr(joint[fold == number], mode="r")) for number in range(FOLDS)]
     error = np.zeros(len(ridges))
     for number, out in enumerate(parts):
-        kept = np.linalg.qr(np.vstack([part for other, part in enumerate(parts) if other != number]), mode="r")
+        others = np.vstack([part for other, part in enumerate(parts) if other != number])
+        kept = np.asarray(np.linalg.qr(others, mode="r"))
         left, size, axes = np.linalg.svd(kept[:columns, :columns])
         seen = left.T @ kept[:columns, columns:]
         for index, ridge in enumerate(ridges):
@@ -168,9 +170,7 @@ def _most_likely(samples: Samples, trend: Polynomial) -> _Process:
         seen = inverse @ target
         value = 2.0 * float(np.sum(np.log(np.diag(root)))) + 0.5 * float(np.sum(target * seen))
         slope = inverse - 0.5 * (seen @ seen.T)  # by the covariance: both axes share it
-        by_lengths = [
-            np.sum(slope * function * each) / length**2 for each, length in zip(apart, lengths, strict=True)
-        ]
+        by_lengths = [np.sum(slope * function * each) / length**2 for each, length in zip(apart, lengths, strict=True)]
         gradient = [*by_lengths, 2.0 * np.sum(slope * function), 2.0 * noise**2 * np.trace(slope)]
         return value, np.array(gradient)
 

@@ -16,7 +16,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import Delaunay
 
 from wlr_render.errors import BadInputError
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
 from wlr_render.numerics.regressor import NumericRegressor
 from wlr_render.rivals.samples import FOLDS, Samples
@@ -42,7 +42,7 @@ class PositionMaps:
     """
 
     samples: Samples
-    orders: np.ndarray
+    orders: IntArray
     box: Box
     coefficients: FloatArray
     place: FloatArray

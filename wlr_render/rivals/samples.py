@@ -16,7 +16,7 @@ from wlr_render.calibration.fit_report import AnyModel
 from wlr_render.calibration.model_kinds import Side
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.captures.correspondences import AnyCaptures
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
 from wlr_render.numerics.regressor import Regressor
 
@@ -45,7 +45,7 @@ class Samples:
         return 2 * self.readings.blocks
 
     @property
-    def is_place(self) -> np.ndarray:
+    def is_place(self) -> BoolArray:
         """(variables,) whether an input is of the place."""
         return self.readings.is_place
 

@@ -18,7 +18,6 @@ from wlr_render.jobs.evaluate.trials import (
     FoundBench,
     Measure,
     Outcome,
-    SeeThroughTrial,
     Trial,
     run_trials,
     truth,
@@ -82,7 +81,7 @@ class Study:
         """The outcome of an error-free trial of the display model."""
         return self.outcome_of(trial_at(DisplayTrial, eye, kind, degree, count))
 
-    def repeated(self, trial: DisplayTrial | SeeThroughTrial) -> list[Outcome]:
+    def repeated(self, trial: Trial) -> list[Outcome]:
         """Outcomes of a trial's repetitions; a trial without random errors runs once."""
         times = self.repeats if trial.has_random_errors else 1
         return [self.outcome_of(replace(trial, repeat=k)) for k in range(times)]

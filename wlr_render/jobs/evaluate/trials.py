@@ -87,7 +87,7 @@ def capture_setup(at: EvaluatedEye) -> CaptureSetup:
 
 
 @lru_cache(maxsize=32)
-def _exact(simulate: Simulate[AnyCaptures], at: EvaluatedEye, kind: str, count: int) -> AnyCaptures:
+def exact_captures(simulate: Simulate[AnyCaptures], at: EvaluatedEye, kind: str, count: int) -> AnyCaptures:
     """Noise-free captures."""
     setup = capture_setup(at)
     return simulate(setup, setup.camera_positions(kind, count), np.random.default_rng(0))
@@ -159,12 +159,14 @@ class Outcome:
         found: of the bench; None without a fit.
         readings: number of measured directions.
         seconds: process time of the fit.
+        refused: why there is no model; empty if there is one.
     """
 
     errors: Mapping[str, Summary]
     found: FoundBench | None = None
     readings: int = 0
     seconds: float = field(default=0.0, compare=False)
+    refused: str = ""
 
     def rms(self, measure: str) -> float:
         """Root mean square error; NaN if it was not measured."""
@@ -199,6 +201,10 @@ class Trial:
     whole_panel: bool = False
     eye: str = field(default="right", repr=False)
 
+    def run(self, seed: int) -> Outcome:
+        """Fit and evaluate."""
+        raise NotImplementedError
+
     @property
     def at(self) -> EvaluatedEye:
         """The eye that the trial evaluates."""
@@ -208,6 +214,11 @@ class Trial:
     def has_random_errors(self) -> bool:
         """Whether repetitions differ."""
         return bool(self.camera_noise_arcmin or self.stage_error_mm or self.stage_turn_urad)
+
+    @property
+    def shared(self) -> object:
+        """Equal for trials that share captures, and should run in one process."""
+        return type(self), self.at, self.kind, self.viewpoints
 
     def rng(self, seed: int) -> np.random.Generator:
         """Random numbers that depend on the seed, the eye and the trial alone."""
@@ -292,7 +303,7 @@ class NoModelTrial:
         return Outcome({Measure.REAL_POINT: summary(mapping_error.straight_error(observations))})
 
 
-AnyTrial = DisplayTrial | SeeThroughTrial | NoModelTrial
+AnyTrial = Trial | NoModelTrial
 
 
 def run_trials(
@@ -308,8 +319,7 @@ def tasks_of(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
     """Different trials, grouped by the exact captures that they share; the longest groups first."""
     groups: dict[object, list[AnyTrial]] = defaultdict(list)
     for trial in dict.fromkeys(trials):
-        shared = trial if isinstance(trial, NoModelTrial) else (type(trial), trial.at, trial.kind, trial.viewpoints)
-        groups[shared].append(trial)
+        groups[trial if isinstance(trial, NoModelTrial) else trial.shared].append(trial)
 
     def cost(group: list[AnyTrial]) -> int:
         return sum(1 if isinstance(trial, NoModelTrial) else trial.viewpoints for trial in group)
@@ -333,7 +343,7 @@ def _timed(
 def _measured(trial: Trial, simulate: Simulate[AnyCaptures], rng: np.random.Generator) -> AnyCaptures:
     """The trial's captures; camera noise needs no new tracing, a displaced camera does."""
     if trial.stage_error_mm == trial.stage_turn_urad == 0.0:
-        captures: AnyCaptures = _exact(simulate, trial.at, trial.kind, trial.viewpoints)
+        captures: AnyCaptures = exact_captures(simulate, trial.at, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)
     setup = replace(
         capture_setup(trial.at),

@@ -1,0 +1,175 @@
+"""All methods by name: what each fits to the same captures of one eye, and who published it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from wlr_render.calibration.fit_display import DISPLAY, fit_display
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_prescription import FittedAssembly, Prescription, fit_assembly
+from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.optics.assembly import ASSEMBLY_NAMES
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kernel_ridge
+from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
+from wlr_render.rivals.samples import Fit, fit_structure
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+
+STRUCTURES = ("static", "volumetric", "planar")
+_WAVELENGTH_UM = 0.55
+
+
+@dataclass(frozen=True, eq=False)
+class MethodData:
+    """What the methods are given.
+
+    Attributes:
+        planar: captures from camera positions in a plane.
+        volumetric: from as many positions in the eye box.
+        prescription: of the headset as drawn; the parts of the real one stand elsewhere.
+        misshapen: likewise, of a headset whose surfaces also have another shape than drawn.
+        field_of: prescription -> how rays are traced through it, for methods that fit traced rays.
+    """
+
+    planar: EyeCaptures
+    volumetric: EyeCaptures
+    prescription: Prescription
+    misshapen: Prescription
+    field_of: Callable[[Prescription], CaptureSetup]
+
+    def of(self, structure: str) -> EyeCaptures:
+        """The captures that a structure is fitted to."""
+        return self.volumetric if structure == "volumetric" else self.planar
+
+    @cached_property
+    def _assemblies(self) -> dict[int, FittedAssembly]:
+        return {}
+
+    def assembly(self, prescription: Prescription) -> FittedAssembly:
+        """The prescription with assembly errors fitted to the planar captures; each is fitted once."""
+        if id(prescription) not in self._assemblies:
+            self._assemblies[id(prescription)] = fit_assembly(self.planar, prescription)
+        return self._assemblies[id(prescription)]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A fitted method.
+
+    Attributes:
+        display, see_through: its mappings.
+        numbers: that have to be stored, of both.
+    """
+
+    display: DisplayMapping
+    see_through: SeeThroughMapping
+    numbers: int
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method.
+
+    Attributes:
+        source: who published it, or "ours".
+        structure: "static", "volumetric", "planar", or what else it takes from the eye's position.
+        fit: captures -> both mappings.
+        lumps: it maps the world to pixels in one; its mappings mean something only together.
+    """
+
+    source: str
+    structure: str
+    fit: Callable[[MethodData], Rival]
+    lumps: bool = False
+
+
+def _numbers(*mappings: Any) -> int:
+    """Numbers stored by fitted models."""
+    return sum(getattr(mapping, next(iter(mapping.FORMS))).numbers for mapping in mappings)
+
+
+def _kind(kind: str, data: MethodData) -> Rival:
+    """A kind of model of this package, by maximum evidence."""
+    captures = data.of(kind)
+    shown = fit_display(captures.both[0], kind).mapping
+    seen = fit_see_through(captures.both[1], "static" if kind == "point-per-pixel" else kind).mapping
+    return Rival(shown, seen, _numbers(shown, seen))
+
+
+def _structured(fit: Fit, structure: str, data: MethodData) -> Rival:
+    display, see_through = data.of(structure).both
+    shown, pixels = fit_structure(DISPLAY, display, structure, fit)
+    seen, directions = fit_structure(SEE_THROUGH, see_through, structure, fit)
+    return Rival(shown, seen, pixels.numbers + directions.numbers)
+
+
+def _as_drawn(data: MethodData) -> Rival:
+    return _traced(data.prescription)
+
+
+def _traced(optics: Prescription) -> Rival:
+    eye = TracedDisplay(optics, _WAVELENGTH_UM), TracedSeeThrough(optics, _WAVELENGTH_UM)
+    return Rival(*eye, numbers=len(ASSEMBLY_NAMES))
+
+
+def _fitted_prescription(shape: str, data: MethodData) -> Rival:
+    return _traced(data.assembly(getattr(data, shape)).optics)
+
+
+def _grey_box(shape: str, data: MethodData) -> Rival:
+    mappings = fit_eye(data.planar, "grey-box", prescription=getattr(data, shape)).mappings
+    return Rival(mappings.display, mappings.see_through, _numbers(mappings.display, mappings.see_through))
+
+
+def _traced_components(fitted: bool, structure: str, data: MethodData) -> Rival:
+    """Principal components of rays that are traced through a prescription, as drawn or with fitted assembly errors."""
+    optics = data.assembly(data.misshapen).optics if fitted else data.prescription
+    setup, rng = data.field_of(optics), np.random.default_rng(0)
+    positions = setup.camera_positions(structure, 100)
+    traced = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return _structured(principal_components, structure, replace(data, planar=traced, volumetric=traced))
+
+
+_REGRESSORS: dict[str, tuple[str, Fit]] = {
+    "linear-table": ("industry: US 10,373,297, US 10,241,545", linear_table),
+    "thin-plate-table": ("industry, smoother", thin_plate_table),
+    "components": ("Guan et al. 2022, black box", principal_components),
+    "kernel-ridge": ("Itoh and Klinker 2015", kernel_ridge),
+    "gaussian-process": ("Rasmussen and Williams 2006", gaussian_process),
+}
+
+
+def _methods() -> dict[str, Method]:
+    found = {name: Method("this package", name, partial(_kind, name)) for name in ("planar", "volumetric", "static")}
+    for shape, end in (("prescription", ""), ("misshapen", "-misshapen")):
+        found[f"grey-box{end}"] = Method("this package", "planar", partial(_grey_box, shape))
+        source = "Guo et al. 2020"
+        found[f"prescription-fitted{end}"] = Method(source, "ray tracing", partial(_fitted_prescription, shape))
+    found["prescription-as-drawn"] = Method("Geng et al. 2018", "ray tracing", _as_drawn)
+    found["point-per-pixel"] = Method("Klemm et al. 2017, smooth", "a point", partial(_kind, "point-per-pixel"))
+    for name, (source, fit) in _REGRESSORS.items():
+        for structure in STRUCTURES:
+            found[f"{name}-{structure}"] = Method(source, structure, partial(_structured, fit, structure))
+    free = partial(_structured, free_kernel_ridge, "planar")
+    found["free-kernel-ridge-planar"] = Method("Itoh and Klinker 2015, freed", "planar", free)
+    for structure in ("volumetric", "planar"):
+        for fitted in (False, True):
+            end = "fitted" if fitted else "drawn"
+            source = f"Guan et al. 2022, rays of the {end} prescription"
+            fit_rays = partial(_traced_components, fitted, structure)
+            found[f"traced-components-{end}-{structure}"] = Method(source, structure, fit_rays)
+    return found
+
+
+METHODS: Mapping[str, Method] = _methods()
+"""By name."""
+
+
+def mappings_of(rival: Rival, truth: EyeMappings, name: str) -> EyeMappings:
+    """A rival as an eye of the headset."""
+    return replace(truth, name=name, display=rival.display, see_through=rival.see_through)
