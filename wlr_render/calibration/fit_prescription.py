@@ -66,11 +66,19 @@ class FittedAssembly:
         return assembled(self.prescription, self.values)
 
 
-def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
+def fit_assembly(
+    captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55, *, plausible: bool = True
+) -> FittedAssembly:
     """Fit the twelve assembly errors of a prescription to display and see-through captures together.
 
     Robust nonlinear least squares of angles; each error has a Gaussian prior of its plausible size. The size of the
     residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
+
+    Args:
+        captures: of the display, and of see-through if there are any.
+        optics: the prescription.
+        wavelength_um: of the light, vacuum.
+        plausible: whether implausible errors are refused; a wrong shape can look like large ones.
 
     Raises:
         BadInputError: many readings have no ray through the prescription, or an assembly error is implausibly large.
@@ -98,7 +106,8 @@ def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float 
             break
     for part in parts:
         _check_reached(part.residual(fitted), captures.source.device)
-    _check_plausible(scaled, captures.source.device)
+    if plausible:
+        _check_plausible(scaled, captures.source.device)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
     display_arcmin, *see_through_arcmin = (size / ARCMIN for size in sizes)
     return FittedAssembly(

@@ -8,15 +8,20 @@ from typing import Any
 import numpy as np
 
 from wlr_render.calibration.fit_display import DISPLAY, fit_display
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import eye_trends, fit_with_trends
 from wlr_render.calibration.fit_prescription import FittedAssembly, Prescription, fit_assembly
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
 from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.models.static import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kernel_ridge
 from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
+from wlr_render.rivals.pinhole import direct_plane, indica_full, indica_recycle, spaam, spaam_redone
+from wlr_render.rivals.pinhole_models import FixedEyeSeeThrough, PinholeDisplay
+from wlr_render.rivals.plane_and_polynomial import wientapper_display, wientapper_see_through
+from wlr_render.rivals.point_table import klemm_grid
 from wlr_render.rivals.samples import Fit, fit_structure
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
@@ -53,7 +58,7 @@ class MethodData:
     def assembly(self, prescription: Prescription) -> FittedAssembly:
         """The prescription with assembly errors fitted to the planar captures; each is fitted once."""
         if id(prescription) not in self._assemblies:
-            self._assemblies[id(prescription)] = fit_assembly(self.planar, prescription)
+            self._assemblies[id(prescription)] = fit_assembly(self.planar, prescription, plausible=False)
         return self._assemblies[id(prescription)]
 
 
@@ -108,6 +113,35 @@ def _structured(fit: Fit, structure: str, data: MethodData) -> Rival:
     return Rival(shown, seen, pixels.numbers + directions.numbers)
 
 
+def _pinhole(fit: Callable[[EyeCaptures], tuple[PinholeDisplay, FixedEyeSeeThrough]], data: MethodData) -> Rival:
+    shown, seen = fit(data.planar)
+    return Rival(shown, seen, shown.numbers)
+
+
+def _screen(fit: Callable[[DisplayCaptures], PinholeDisplay], data: MethodData) -> Rival:
+    """A flat virtual screen, and the world as if there were no combiner."""
+    shown = fit(data.planar.both[0])
+    return Rival(shown, undeviated(shown.eye_box), shown.numbers)
+
+
+def _recycled(data: MethodData) -> Rival:
+    shown = indica_recycle(data.planar)
+    return Rival(shown, undeviated(shown.eye_box), shown.numbers)
+
+
+def _point_table(data: MethodData) -> Rival:
+    shown = klemm_grid(data.planar.both[0])
+    seen = fit_see_through(data.planar.both[1], "static").mapping
+    return Rival(shown, seen, _numbers(shown, seen))
+
+
+def _plane_and_polynomial(bundled: bool, data: MethodData) -> Rival:
+    display, see_through = data.of("planar" if bundled else "volumetric").both
+    shown, pixels = wientapper_display(display, bundled=bundled)
+    seen, directions = wientapper_see_through(see_through, bundled=bundled)
+    return Rival(shown, seen, pixels.numbers + directions.numbers)
+
+
 def _as_drawn(data: MethodData) -> Rival:
     return _traced(data.prescription)
 
@@ -122,7 +156,8 @@ def _fitted_prescription(shape: str, data: MethodData) -> Rival:
 
 
 def _grey_box(shape: str, data: MethodData) -> Rival:
-    mappings = fit_eye(data.planar, "grey-box", prescription=getattr(data, shape)).mappings
+    trends = eye_trends(data.planar, data.assembly(getattr(data, shape)))
+    mappings = fit_with_trends(data.planar, "grey-box", trends).mappings
     return Rival(mappings.display, mappings.see_through, _numbers(mappings.display, mappings.see_through))
 
 
@@ -163,6 +198,17 @@ def _methods() -> dict[str, Method]:
             source = f"Guan et al. 2022, rays of the {end} prescription"
             fit_rays = partial(_traced_components, fitted, structure)
             found[f"traced-components-{end}-{structure}"] = Method(source, structure, fit_rays)
+    found["spaam"] = Method("Tuceryan and Navab 2000", "none", partial(_pinhole, spaam), lumps=True)
+    found["spaam-redone"] = Method(
+        "the same, redone at every position", "nearest", partial(_pinhole, spaam_redone), True
+    )
+    found["plane"] = Method("DRC: Owen et al. 2004", "a flat screen", partial(_screen, direct_plane))
+    found["indica-full"] = Method("Itoh and Klinker 2014", "a flat screen", partial(_screen, indica_full))
+    found["indica-recycle"] = Method("Itoh and Klinker 2014", "a flat screen", _recycled)
+    found["point-table"] = Method("Klemm et al. 2016", "a point", _point_table)
+    for bundled, structure in ((False, "volumetric"), (True, "planar")):
+        fit_plane = partial(_plane_and_polynomial, bundled)
+        found[f"plane-and-polynomial-{structure}"] = Method("Wientapper et al. 2013", structure, fit_plane)
     return found
 
 
