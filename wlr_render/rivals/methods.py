@@ -12,12 +12,13 @@ from wlr_render.calibration.fit_eye import eye_trends, fit_with_trends
 from wlr_render.calibration.fit_prescription import FittedAssembly, Prescription, fit_assembly
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
-from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.static import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kernel_ridge
 from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
+from wlr_render.rivals.networks import decoded_components, network, offset_network
 from wlr_render.rivals.pinhole import direct_plane, indica_full, indica_recycle, spaam, spaam_redone
 from wlr_render.rivals.pinhole_models import FixedEyeSeeThrough, PinholeDisplay
 from wlr_render.rivals.plane_and_polynomial import wientapper_display, wientapper_see_through
@@ -27,6 +28,7 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 
 STRUCTURES = ("static", "volumetric", "planar")
 _WAVELENGTH_UM = 0.55
+_NETWORK_S = 1.5  # of process time, for each side
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +178,7 @@ _REGRESSORS: dict[str, tuple[str, Fit]] = {
     "components": ("Guan et al. 2022, black box", principal_components),
     "kernel-ridge": ("Itoh and Klinker 2015", kernel_ridge),
     "gaussian-process": ("Rasmussen and Williams 2006", gaussian_process),
+    "network": ("Hiroi et al. 2022 without the sum along a ray", partial(network, seconds=_NETWORK_S)),
 }
 
 
@@ -192,12 +195,16 @@ def _methods() -> dict[str, Method]:
             found[f"{name}-{structure}"] = Method(source, structure, partial(_structured, fit, structure))
     free = partial(_structured, free_kernel_ridge, "planar")
     found["free-kernel-ridge-planar"] = Method("Itoh and Klinker 2015, freed", "planar", free)
+    for fitted, structure in ((False, "volumetric"), (True, "planar")):
+        end = "fitted" if fitted else "drawn"
+        source = f"Guan et al. 2022, rays of the {end} prescription"
+        fit_rays = partial(_traced_components, fitted, structure)
+        found[f"traced-components-{end}"] = Method(source, structure, fit_rays)
     for structure in ("volumetric", "planar"):
-        for fitted in (False, True):
-            end = "fitted" if fitted else "drawn"
-            source = f"Guan et al. 2022, rays of the {end} prescription"
-            fit_rays = partial(_traced_components, fitted, structure)
-            found[f"traced-components-{end}-{structure}"] = Method(source, structure, fit_rays)
+        decode = partial(_structured, decoded_components, structure)
+        found[f"decoded-components-{structure}"] = Method("OSTNet: Someya et al. 2019", structure, decode)
+    offsets = partial(_structured, partial(offset_network, seconds=_NETWORK_S), "volumetric")
+    found["offset-network"] = Method("HUDNet 2023; Yu et al. 2023", "volumetric", offsets)
     found["spaam"] = Method("Tuceryan and Navab 2000", "none", partial(_pinhole, spaam), lumps=True)
     found["spaam-redone"] = Method(
         "the same, redone at every position", "nearest", partial(_pinhole, spaam_redone), True
@@ -212,10 +219,7 @@ def _methods() -> dict[str, Method]:
     return found
 
 
+REGRESSORS = tuple(_REGRESSORS)
+"""Names of regressors that stand in each structure: "NAME-STRUCTURE" is a method."""
 METHODS: Mapping[str, Method] = _methods()
 """By name."""
-
-
-def mappings_of(rival: Rival, truth: EyeMappings, name: str) -> EyeMappings:
-    """A rival as an eye of the headset."""
-    return replace(truth, name=name, display=rival.display, see_through=rival.see_through)

@@ -1,11 +1,13 @@
 """Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Annotated, Literal, TypeVar, get_args
+from typing import Annotated, Literal, TypeVar
 
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.evaluate.methods import DEFAULT_METHODS, methods
 from wlr_render.jobs.evaluate.study import (
     FOUND_COLUMNS,
     Findings,
@@ -32,9 +34,11 @@ from wlr_render.jobs.evaluate.trials import (
 from wlr_render.jobs.options import Degree, OnlyWith, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
+from wlr_render.rivals.methods import METHODS
 
 AnyCell = TypeVar("AnyCell")
-ExperimentName = Literal["camera-positions", "noise", "position-errors", "see-through"]
+ExperimentName = Literal["camera-positions", "noise", "position-errors", "see-through", "methods"]
+_OWN_MODELS: tuple[ExperimentName, ...] = ("camera-positions", "noise", "position-errors", "see-through")
 VIEWPOINTS = 25
 """Camera positions where an experiment varies something else."""
 NOISES_ARCMIN = (0.0, 0.25, 1.0)
@@ -47,6 +51,7 @@ SAMPLINGS = ("planar", "volumetric")
 NOISE_MODELS = ("planar", "volumetric", "point-per-pixel", "static")
 SEE_THROUGH_MODELS = ("static", "volumetric", "planar")
 _NOT_NEGATIVE = Range(at_least=0)
+_REPEATS, _FULL_REPEATS = 3, 10
 
 
 @dataclass(frozen=True)
@@ -55,8 +60,18 @@ class EvaluateOptions(StudyOptions):
 
     _: KW_ONLY
     experiment: Annotated[
-        tuple[ExperimentName, ...], described("Experiments to run, one or more (default: all).", flag=True, many=True)
-    ] = get_args(ExperimentName)
+        tuple[ExperimentName, ...],
+        described("Experiments to run, one or more (default: all but methods).", flag=True, many=True),
+    ] = _OWN_MODELS
+    methods: Annotated[
+        tuple[str, ...] | None,
+        described(
+            f"Methods of the experiment methods, which is then run alone unless --experiment is given: all, or some of "
+            f"{', '.join(METHODS)} (default: one of each kind).",
+            flag=True,
+            many=True,
+        ),
+    ] = None
     degrees: Annotated[
         tuple[int, ...] | None,
         described(
@@ -107,11 +122,12 @@ class EvaluateOptions(StudyOptions):
         float,
         described("Error of eye tracking in mm per axis."),
         _NOT_NEGATIVE,
-        OnlyWith("experiment", ("position-errors",)),
     ] = 0.05
     repeats: Annotated[
-        int, described("Repetitions of each trial with random errors."), Range(at_least=1, at_most=1000)
-    ] = 3
+        int | None,
+        described("Repetitions of each trial with random errors (default: 3; 10 with --methods all)."),
+        Range(at_least=1, at_most=1000),
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -341,6 +357,7 @@ EXPERIMENTS: dict[ExperimentName, Callable[[EvaluateOptions, Study], Findings]] 
     "noise": noise,
     "position-errors": position_errors,
     "see-through": see_through,
+    "methods": lambda options, study: methods(_chosen(options), options.tracking_error_mm, study),
 }
 _DEFAULTS = EvaluateOptions()
 
@@ -351,5 +368,25 @@ def evaluate(options: EvaluateOptions = _DEFAULTS, *, progress: ProgressArgument
     Raises:
         BadInputError: see `run_study`.
     """
-    chosen = {str(name): partial(EXPERIMENTS[name], options) for name in options.experiment}
-    return run_study("Evaluation", options, chosen, "report", progress, options.repeats)
+    names = options.experiment
+    if options.methods is not None:
+        names = ("methods",) if names == _OWN_MODELS else tuple(dict.fromkeys((*names, "methods")))
+    chosen = {str(name): partial(EXPERIMENTS[name], options) for name in names}
+    repeats = options.repeats or (_FULL_REPEATS if options.methods == ("all",) else _REPEATS)
+    return run_study("Evaluation", options, chosen, "report", progress, repeats)
+
+
+def _chosen(options: EvaluateOptions) -> Sequence[str]:
+    """The methods to compare.
+
+    Raises:
+        BadInputError: one is unknown.
+    """
+    if options.methods is None:
+        return DEFAULT_METHODS
+    if options.methods == ("all",):
+        return tuple(METHODS)
+    for name in options.methods:
+        if name not in METHODS:
+            raise BadInputError(f"--methods is {name}; choose all, or from {', '.join(METHODS)}.")
+    return tuple(dict.fromkeys(options.methods))

@@ -1,0 +1,302 @@
+"""The experiment `methods`: ours and published ones on the same captures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wlr_render.jobs.evaluate.method_trials import DEPTHS_M, FRAME_NODES, MethodMeasure, MethodTrial, at_depth
+from wlr_render.jobs.evaluate.study import Findings, Study, trial_at
+from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
+from wlr_render.report.blocks import Block, Cell, Plot, ReportTable, Text
+from wlr_render.report.plots import curves
+from wlr_render.rivals.methods import METHODS, REGRESSORS, STRUCTURES
+
+DEFAULT_METHODS = (
+    "planar",
+    "volumetric",
+    "static",
+    "grey-box",
+    "prescription-fitted",
+    "point-per-pixel",
+    "plane",
+    "spaam",
+    "linear-table-volumetric",
+    "linear-table-planar",
+    "components-planar",
+    "kernel-ridge-planar",
+)
+"""Cheap ones, and one of each kind."""
+POSITIONS = 25
+COUNTS = (9, 16, 25, 49, 84)
+GOALS_ARCMIN = (1.0, 0.3, 0.1)
+CONDITIONS: Mapping[str, Mapping[str, Any]] = {
+    "exact": {},
+    "0.25 px": {"camera_noise_arcmin": 0.25},
+    "1 px": {"camera_noise_arcmin": 1.0},
+    "stage 50 um": {"camera_noise_arcmin": 0.25, "stage_error_mm": 0.05},
+    "1 % outliers": {"camera_noise_arcmin": 0.25, "outliers": 0.01},
+}
+"""Errors of the bench by column; a camera's pixel is an arcminute wide in its middle."""
+_NOISY, _USUAL = "1 px", "0.25 px"
+_LEADERS = 12  # curves in the plot of camera positions
+_TIES = 2.0  # standard errors within which two methods are as good
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Outcomes of the methods for one eye.
+
+    Attributes:
+        outcomes: of the repetitions, by condition, then method.
+        by_count: at `_USUAL` noise, by number of camera positions, then method.
+    """
+
+    outcomes: Mapping[str, Mapping[str, Sequence[Outcome]]]
+    by_count: Mapping[int, Mapping[str, Outcome]]
+
+    def rms(self, condition: str, method: str, measure: str) -> float:
+        """Mean over repetitions of the rms of an error; NaN where there is none."""
+        values = [outcome.rms(measure) for outcome in self.outcomes[condition][method]]
+        return float(np.mean(values)) if values else float("nan")
+
+    def standard_error(self, condition: str, method: str, measure: str) -> float | None:
+        """Of `rms`; None for a single repetition."""
+        values = [outcome.rms(measure) for outcome in self.outcomes[condition][method]]
+        return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
+
+    def refusals(self) -> dict[str, str]:
+        """Why methods gave no model, by method and condition."""
+        return {
+            f"{method}, {condition}": next(outcome.refused for outcome in outcomes if outcome.refused)
+            for condition, by_method in self.outcomes.items()
+            for method, outcomes in by_method.items()
+            if any(outcome.refused for outcome in outcomes)
+        }
+
+    def ranked(self, condition: str, measure: str = MethodMeasure.COMPOSITE) -> list[str]:
+        """Methods with the error, the best first."""
+        error = {method: self.rms(condition, method, measure) for method in self.outcomes[condition]}
+        known = [method for method in error if np.isfinite(error[method])]
+        return sorted(known, key=error.__getitem__)
+
+
+def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Findings:
+    """All chosen methods on the same captures, by error of the bench, structure, number of positions and cost."""
+    blocks: list[Block] = [_sources(chosen)]
+    verdict: list[str] = []
+    record = {}
+    for eye in study.eyes:
+        found = _outcomes(chosen, tracking_error_mm, study, eye)
+        blocks += [
+            _conditions_table(eye, found),
+            _conditions_plot(eye, found),
+            _separate_table(eye, found),
+            _beyond_table(eye, found, tracking_error_mm),
+            _structures_table(eye, found),
+            _cost_table(eye, found),
+            _positions_plot(eye, found),
+        ]
+        if refused := found.refusals():
+            blocks.append(Text(f"{eye}: methods that could not use the captures.", _sentences(refused)))
+        verdict += _what_wins(eye, found)
+        record[str(eye)] = {name: found.ranked(name) for name in CONDITIONS}
+    return Findings(blocks, verdict, record={"ranked": record})
+
+
+def _outcomes(chosen: Sequence[str], tracking_error_mm: float, study: Study, eye: EvaluatedEye) -> _Table:
+    def trial(method: str, count: int, **errors: Any) -> MethodTrial:
+        return trial_at(MethodTrial, eye, method, None, count, tracking_error_mm=tracking_error_mm, **errors)
+
+    outcomes = {
+        condition: {
+            method: study.repeated(trial(method, POSITIONS, in_depth=not errors, **errors)) for method in chosen
+        }
+        for condition, errors in CONDITIONS.items()
+    }
+    by_count = {
+        count: {method: study.outcome_of(trial(method, count, **CONDITIONS[_USUAL])) for method in chosen}
+        for count in COUNTS
+    }
+    return _Table(outcomes, by_count)
+
+
+def _sources(chosen: Sequence[str]) -> ReportTable:
+    rows: list[list[Cell]] = [[name, METHODS[name].source, METHODS[name].structure] for name in chosen]
+    notes = (
+        "Structure: what the method takes from the eye's position. planar: where the ray crosses the base plane.",
+        "Methods of the structure volumetric are fitted to camera positions in the eye box, all others to as many in a "
+        "plane.",
+    )
+    return ReportTable("Methods", ["method", "source", "structure"], rows, notes)
+
+
+def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for method in found.ranked(_NOISY):
+        row: list[Cell] = [method]
+        for condition in CONDITIONS:
+            row.append(found.rms(condition, method, MethodMeasure.COMPOSITE))
+            if condition != "exact":
+                row.append(found.standard_error(condition, method, MethodMeasure.COMPOSITE))
+        rows.append(row)
+    columns = ["method"]
+    for condition in CONDITIONS:
+        columns += [f"{condition} (arcmin)", "+-"] if condition != "exact" else [f"{condition} (arcmin)"]
+    notes = (
+        f"Angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions. Noise is of "
+        "a camera's pixels; stage and outliers come with 0.25 px. +- is the standard error over repetitions.",
+    )
+    return ReportTable(f"{eye}: composite error", columns, rows, notes)
+
+
+def _conditions_plot(eye: EvaluatedEye, found: _Table) -> Plot:
+    names = found.ranked(_NOISY)[::-1]
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": condition,
+            "x": [_rounded(found.rms(condition, name, MethodMeasure.COMPOSITE)) for name in names],
+            "y": names,
+        }
+        for condition in CONDITIONS
+    ]
+    layout = {
+        "xaxis": {"type": "log", "title": {"text": "composite rms (arcmin)"}},
+        "yaxis": {"automargin": True, "dtick": 1},
+    }
+    return Plot(f"{eye}: composite error by method", data, layout, height_px=160 + 20 * len(names))
+
+
+def _separate_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for method in found.ranked(_NOISY, Measure.FORWARD):
+        row: list[Cell] = [method]
+        for condition in ("exact", _NOISY):
+            first = found.outcomes[condition][method][0].errors.get(Measure.FORWARD)
+            row += [
+                found.rms(condition, method, Measure.FORWARD),
+                None if first is None else first.p95,
+                None if first is None else first.maximum,
+            ]
+            row += [found.rms(condition, method, each) for each in (Measure.BACKWARD, Measure.REAL_POINT)]
+        rows.append(row)
+    names = ["forward (arcmin)", "p95 (arcmin)", "max (arcmin)", "backward (px)", "real point (arcmin)"]
+    columns = ["method", *(f"{condition}: {name}" for condition in ("exact", _NOISY) for name in names)]
+    notes = ("p95 and max are of the first repetition. Methods that map the world to pixels in one are left out.",)
+    return ReportTable(f"{eye}: display and see-through apart", columns, rows, notes)
+
+
+def _beyond_table(eye: EvaluatedEye, found: _Table, tracking_error_mm: float) -> ReportTable:
+    measures = [MethodMeasure.TRACKED, MethodMeasure.MOVED_BACK, MethodMeasure.ALONG_RAY, *map(at_depth, DEPTHS_M)]
+    rows: list[list[Cell]] = [
+        [method, *(_or_none(found.rms("exact", method, measure)) for measure in measures)]
+        for method in found.ranked("exact")
+    ]
+    columns = ["method", f"eye tracking {1e3 * tracking_error_mm:g} um (arcmin)", "moved back 10 mm (arcmin)"]
+    columns += ["self-contradiction (arcmin)", *(f"point at {depth:g} m (arcmin)" for depth in DEPTHS_M)]
+    notes = (
+        "Exact captures, of targets at 0.4 and 3 m. Moved back and self-contradiction are of the display: the "
+        "direction of a pixel 10 mm farther back on its ray, and at two points of one of the model's own rays.",
+    )
+    return ReportTable(f"{eye}: beyond the captures", columns, rows, notes)
+
+
+def _structures_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
+    own = {"polynomials by evidence": dict(zip(STRUCTURES, STRUCTURES, strict=True))}
+    regressors = own | {name: {each: f"{name}-{each}" for each in STRUCTURES} for name in REGRESSORS}
+    rows: list[list[Cell]] = []
+    for name, by_structure in regressors.items():
+        if not all(method in found.outcomes[_NOISY] for method in by_structure.values()):
+            continue
+        row: list[Cell] = [name]
+        for condition in ("exact", _NOISY):
+            error = {
+                each: found.rms(condition, method, MethodMeasure.COMPOSITE) for each, method in by_structure.items()
+            }
+            row += [*error.values(), error["volumetric"] / error["planar"]]
+        rows.append(row)
+    columns = ["regressor"]
+    columns += [
+        f"{condition}: {name}"
+        for condition in ("exact", _NOISY)
+        for name in (*(f"{each} (arcmin)" for each in STRUCTURES), "volumetric / planar")
+    ]
+    notes = ("Composite error of each regressor in each structure: the paper's claim, on more than polynomials.",)
+    return ReportTable(f"{eye}: structure and regressor", columns, rows, notes)
+
+
+def _cost_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for method in found.ranked(_USUAL):
+        outcome = found.outcomes["exact"][method][0]
+        needed = [_positions_needed(found, method, goal) for goal in GOALS_ARCMIN]
+        seconds = float(np.median([each.seconds for each in found.outcomes[_USUAL][method]]))
+        numbers = outcome.rms(MethodMeasure.NUMBERS)
+        stored = int(numbers) if np.isfinite(numbers) else None
+        rows.append([method, *needed, stored, seconds, _or_none(outcome.rms(MethodMeasure.FRAME_MS))])
+    columns = ["method", *(f"positions for {goal:g}'" for goal in GOALS_ARCMIN), "numbers stored", "fit (s)"]
+    notes = (
+        f"Camera positions: the fewest of {', '.join(map(str, COUNTS))} from which on the composite error is that "
+        "small, at 0.25 px; empty: none. Numbers and fit: display and see-through; process time.",
+        f"A frame: {FRAME_NODES} x {FRAME_NODES} rays of the panel from the last frame's solution, in NumPy.",
+    )
+    return ReportTable(f"{eye}: cost", [*columns, "a frame's rays (ms)"], rows, notes)
+
+
+def _positions_needed(found: _Table, method: str, goal_arcmin: float) -> int | None:
+    needed = None
+    for count in reversed(COUNTS):
+        if not found.by_count[count][method].rms(MethodMeasure.COMPOSITE) <= goal_arcmin:
+            break
+        needed = count
+    return needed
+
+
+def _positions_plot(eye: EvaluatedEye, found: _Table) -> Plot:
+    lines = {
+        method: (COUNTS, [found.by_count[count][method].rms(MethodMeasure.COMPOSITE) for count in COUNTS])
+        for method in found.ranked(_USUAL)[:_LEADERS]
+    }
+    title = f"{eye}: composite error over the number of camera positions, 0.25 px"
+    return curves(title, lines, ("number of camera positions", "composite rms (arcmin)"), log_y=True)
+
+
+def _what_wins(eye: EvaluatedEye, found: _Table) -> list[str]:
+    """For each condition, the best method, and where our planar model stands."""
+    sentences = []
+    for condition in CONDITIONS:
+        ranked = found.ranked(condition)
+        if not ranked:
+            continue
+        best = ranked[0]
+        rms = {name: found.rms(condition, name, MethodMeasure.COMPOSITE) for name in ranked}
+        text = f"{eye}, {condition}: {best} is best with {rms[best]:.2g}'"
+        if "planar" in rms and best != "planar":
+            better = [name for name in ranked[: ranked.index("planar")] if _clearly(found, condition, name)]
+            place = f"better: {', '.join(better)}" if better else "none is clearly better"
+            text += f"; planar gives {rms['planar']:.2g}' ({place})"
+        sentences.append(text + ".")
+    return sentences
+
+
+def _clearly(found: _Table, condition: str, method: str) -> bool:
+    """Whether a method is better than planar by more than the repetitions scatter."""
+    measure = MethodMeasure.COMPOSITE
+    gain = found.rms(condition, "planar", measure) - found.rms(condition, method, measure)
+    own, other = (found.standard_error(condition, name, measure) or 0.0 for name in ("planar", method))
+    return gain > _TIES * float(np.hypot(own, other))
+
+
+def _sentences(refused: Mapping[str, str]) -> list[str]:
+    return [f"{where}: {why}" for where, why in refused.items()]
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _rounded(value: float) -> float | None:
+    return float(f"{value:.4g}") if np.isfinite(value) else None
