@@ -16,6 +16,7 @@ from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.static import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
+from wlr_render.rivals.distortion_field import distortion_field
 from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kernel_ridge
 from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
 from wlr_render.rivals.networks import decoded_components, network, offset_network
@@ -137,6 +138,14 @@ def _point_table(data: MethodData) -> Rival:
     return Rival(shown, seen, _numbers(shown, seen))
 
 
+def _distortion_field(data: MethodData) -> Rival:
+    """A display's alone; the world is that of one static map."""
+    display, see_through = data.volumetric.both
+    shown = distortion_field(display, seconds=2.0 * _NETWORK_S)
+    seen = fit_see_through(see_through, "static").mapping
+    return Rival(shown, seen, shown.field.numbers + _numbers(seen))
+
+
 def _plane_and_polynomial(bundled: bool, data: MethodData) -> Rival:
     display, see_through = data.of("planar" if bundled else "volumetric").both
     shown, pixels = wientapper_display(display, bundled=bundled)
@@ -203,6 +212,7 @@ def _methods() -> dict[str, Method]:
     for structure in ("volumetric", "planar"):
         decode = partial(_structured, decoded_components, structure)
         found[f"decoded-components-{structure}"] = Method("OSTNet: Someya et al. 2019", structure, decode)
+    found["distortion-field"] = Method("NDF: Hiroi et al. 2022", "volumetric", _distortion_field)
     offsets = partial(_structured, partial(offset_network, seconds=_NETWORK_S), "volumetric")
     found["offset-network"] = Method("HUDNet 2023; Yu et al. 2023", "volumetric", offsets)
     found["spaam"] = Method("Tuceryan and Navab 2000", "none", partial(_pinhole, spaam), lumps=True)
