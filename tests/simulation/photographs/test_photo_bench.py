@@ -17,6 +17,7 @@ from wlr_render.simulation.photographs.photo_bench import (
     target_at,
 )
 from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe
 
 OPTIONS = PhotoBenchOptions(camera_px=(640, 512), imperfections=BenchImperfections.none())
 
@@ -154,3 +155,16 @@ def test_the_plan_moves_the_bare_camera_along_every_axis_and_fills_the_lenses(be
 def test_benches_that_cannot_be_are_refused(eye, options, complaint):
     with pytest.raises(BadInputError, match=complaint):
         design_photo_bench(load_device("plane_plate"), eye, options)
+
+
+def test_a_recipe_from_before_volumetric_sessions_is_read(tmp_path):
+    path = save_recipe(tmp_path, SimulationRecipe("birdbath28"))
+    later = ("sampling", "stated_axes_deg", "tracking_px")
+    kept = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith(later)]
+    path.unlink()
+    path.write_text("\n".join(kept), encoding="utf-8")
+    assert load_recipe(tmp_path) == SimulationRecipe("birdbath28")
+    path.unlink()
+    other = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(sampling="volumetric", tracking_px=(800, 600)))
+    save_recipe(tmp_path, other)
+    assert load_recipe(tmp_path) == other
