@@ -51,8 +51,10 @@ class OnlyWith:
     values: tuple[object, ...]
 
 
-def described(text: str, *, name: str | None = None, flag: bool = False, many: bool = False) -> Parameter:
-    """Help text of an option; `name` replaces the one made from the field's name, `many` takes several values."""
+def described(
+    text: str, *, name: str | tuple[str, ...] | None = None, flag: bool = False, many: bool = False
+) -> Parameter:
+    """Help text of an option; `name` (or several) replaces that of the field, `many` takes several values."""
     listed = (lambda values: " ".join(map(str, values))) if many else None
     return Parameter(help=text, name=name, show_default=False if flag else listed, consume_multiple=many or None)
 

@@ -15,17 +15,14 @@ from wlr_render.rivals.methods import METHODS, REGRESSORS, STRUCTURES
 
 DEFAULT_METHODS = (
     "planar",
-    "volumetric",
     "static",
-    "grey-box",
     "prescription-fitted",
-    "point-per-pixel",
-    "plane",
-    "spaam",
     "linear-table-volumetric",
     "linear-table-planar",
     "components-planar",
-    "kernel-ridge-planar",
+    "point-table",
+    "plane",
+    "spaam",
 )
 """Cheap ones, and one of each kind."""
 POSITIONS = 25
@@ -90,6 +87,7 @@ def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Fi
     for eye in study.eyes:
         found = _outcomes(chosen, tracking_error_mm, study, eye)
         blocks += [
+            Text(f"{eye}: what wins.", [_what_wins(eye, found, condition) for condition in CONDITIONS]),
             _conditions_table(eye, found),
             _conditions_plot(eye, found),
             _separate_table(eye, found),
@@ -100,7 +98,7 @@ def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Fi
         ]
         if refused := found.refusals():
             blocks.append(Text(f"{eye}: methods that could not use the captures.", _sentences(refused)))
-        verdict += _what_wins(eye, found)
+        verdict.append(_what_wins(eye, found, _USUAL))
         record[str(eye)] = {name: found.ranked(name) for name in CONDITIONS}
     return Findings(blocks, verdict, record={"ranked": record})
 
@@ -264,22 +262,18 @@ def _positions_plot(eye: EvaluatedEye, found: _Table) -> Plot:
     return curves(title, lines, ("number of camera positions", "composite rms (arcmin)"), log_y=True)
 
 
-def _what_wins(eye: EvaluatedEye, found: _Table) -> list[str]:
-    """For each condition, the best method, and where our planar model stands."""
-    sentences = []
-    for condition in CONDITIONS:
-        ranked = found.ranked(condition)
-        if not ranked:
-            continue
-        best = ranked[0]
-        rms = {name: found.rms(condition, name, MethodMeasure.COMPOSITE) for name in ranked}
-        text = f"{eye}, {condition}: {best} is best with {rms[best]:.2g}'"
-        if "planar" in rms and best != "planar":
-            better = [name for name in ranked[: ranked.index("planar")] if _clearly(found, condition, name)]
-            place = f"better: {', '.join(better)}" if better else "none is clearly better"
-            text += f"; planar gives {rms['planar']:.2g}' ({place})"
-        sentences.append(text + ".")
-    return sentences
+def _what_wins(eye: EvaluatedEye, found: _Table, condition: str) -> str:
+    """The best method in a condition, and where our planar model stands."""
+    ranked = found.ranked(condition)
+    if not ranked:
+        return f"{eye}, {condition}: no method could use the captures."
+    rms = {name: found.rms(condition, name, MethodMeasure.COMPOSITE) for name in ranked}
+    text = f"{eye}, {condition}: {ranked[0]} is best with {rms[ranked[0]]:.2g}'"
+    if "planar" in ranked[1:]:
+        better = [name for name in ranked[: ranked.index("planar")] if _clearly(found, condition, name)]
+        place = f"clearly better: {', '.join(better)}" if better else "none is clearly better"
+        text += f"; planar gives {rms['planar']:.2g}' ({place})"
+    return text + "."
 
 
 def _clearly(found: _Table, condition: str, method: str) -> bool:

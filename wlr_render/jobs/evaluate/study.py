@@ -39,7 +39,10 @@ Lines = dict[str, tuple[Sequence[float], Sequence[float]]]
 class StudyOptions(Options):
     """Options of every study."""
 
-    device: Annotated[tuple[str, ...], described("Shipped devices or device files (.toml).", many=True)] = (
+    device: Annotated[
+        tuple[str, ...],
+        described("Shipped devices or device files (.toml).", name=("--devices", "--device"), many=True),
+    ] = (
         "northstar",
         "freeform40",
         "birdbath28",
