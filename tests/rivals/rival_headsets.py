@@ -44,7 +44,7 @@ def traced():
     at = trials.EvaluatedEye("northstar", "right", (10.0, 8.0, 6.0))
     rng = np.random.default_rng(3)
     captures = [
-        trials.with_camera_noise(trials._exact(simulate, at, "planar", 25), 1.0, rng)
+        trials.with_camera_noise(trials.exact_captures(simulate, at, "planar", 25), 1.0, rng)
         for simulate in (trials.simulate_display, trials.simulate_see_through)
     ]
     return trials.truth(at), *captures, trials.display_observations(at, 0), trials.see_through_observations(at, 0)
