@@ -5,11 +5,11 @@ import time
 
 import numpy as np
 import pytest
+from rival_samples import readings_of
 from scipy.optimize import check_grad, rosen, rosen_der
 
-from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 from wlr_render.rivals.network_training import ProjectedLoss, Search, TanhLayers
 from wlr_render.rivals.networks import decoded_components, network, offset_network
@@ -33,25 +33,6 @@ def truth(inputs: FloatArray) -> FloatArray:
     x, y = (inputs[:, 2:4] / 0.005).T if inputs.shape[1] > 2 else np.zeros((2, len(u)))
     bump = 0.01 * np.exp(-((u - 0.6) ** 2) / 0.2 - (v - 0.2 + 0.1 * x) ** 2 / 0.3)
     return np.column_stack([0.6 * u - 0.3 + bump + 2e-3 * x * np.sin(2 * u), 0.5 * v - 0.2 + bump * y - 1e-3 * x * y])
-
-
-def readings_of(
-    inputs: FloatArray, position: IntArray, observed: FloatArray, multiplier: FloatArray, sigma: float = 0.0
-) -> Samples:
-    """Samples whose first two inputs are the pixel."""
-    readings = FitReadings(
-        inputs=inputs,
-        is_place=np.arange(inputs.shape[1]) >= 2,
-        observed=observed,
-        multiplier=multiplier,
-        metric=np.full(len(inputs), 1.0 / ARCMIN),
-        sigma=np.full(len(inputs), sigma),
-        capture=position,
-        motion=None,
-        orders=np.zeros((0, inputs.shape[1]), np.int64),
-        limits=TREND_ALONE,
-    )
-    return Samples(readings, position)
 
 
 def samples(variables: int = 4, noise: float = 0.0, stage_m: float = 0.0) -> Samples:
