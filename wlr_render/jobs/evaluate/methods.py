@@ -25,6 +25,17 @@ DEFAULT_METHODS = (
     "spaam",
 )
 """Cheap ones, and one of each kind."""
+EVERYWHERE = frozenset(DEFAULT_METHODS) | {
+    "grey-box",
+    "thin-plate-table-planar",
+    "kernel-ridge-planar",
+    "gaussian-process-planar",
+    "network-planar",
+    "decoded-components-planar",
+    "indica-recycle",
+    "plane-and-polynomial-planar",
+}
+"""Of all methods, those that are run in every condition; the others with exact captures and at `_NOISY` only."""
 POSITIONS = 25
 COUNTS = (9, 16, 25, 49, 84)
 GOALS_ARCMIN = (1.0, 0.3, 0.1)
@@ -55,12 +66,12 @@ class _Table:
 
     def rms(self, condition: str, method: str, measure: str) -> float:
         """Mean over repetitions of the rms of an error; NaN where there is none."""
-        values = [outcome.rms(measure) for outcome in self.outcomes[condition][method]]
+        values = [outcome.rms(measure) for outcome in self.outcomes[condition].get(method, ())]
         return float(np.mean(values)) if values else float("nan")
 
     def standard_error(self, condition: str, method: str, measure: str) -> float | None:
         """Of `rms`; None for a single repetition."""
-        values = [outcome.rms(measure) for outcome in self.outcomes[condition][method]]
+        values = [outcome.rms(measure) for outcome in self.outcomes[condition].get(method, ())]
         return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
     def refusals(self) -> dict[str, str]:
@@ -80,7 +91,10 @@ class _Table:
 
 
 def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Findings:
-    """All chosen methods on the same captures, by error of the bench, structure, number of positions and cost."""
+    """All chosen methods on the same captures, by error of the bench, structure, number of positions and cost.
+
+    If all are chosen, some are run in some conditions only: see `EVERYWHERE`.
+    """
     blocks: list[Block] = [_sources(chosen)]
     verdict: list[str] = []
     record = {}
@@ -107,14 +121,16 @@ def _outcomes(chosen: Sequence[str], tracking_error_mm: float, study: Study, eye
     def trial(method: str, count: int, **errors: Any) -> MethodTrial:
         return trial_at(MethodTrial, eye, method, None, count, tracking_error_mm=tracking_error_mm, **errors)
 
+    everywhere = [method for method in chosen if len(chosen) < len(METHODS) or method in EVERYWHERE]
     outcomes = {
         condition: {
-            method: study.repeated(trial(method, POSITIONS, in_depth=not errors, **errors)) for method in chosen
+            method: study.repeated(trial(method, POSITIONS, in_depth=not errors, **errors))
+            for method in (chosen if condition in ("exact", _NOISY) else everywhere)
         }
         for condition, errors in CONDITIONS.items()
     }
     by_count = {
-        count: {method: study.outcome_of(trial(method, count, **CONDITIONS[_USUAL])) for method in chosen}
+        count: {method: study.outcome_of(trial(method, count, **CONDITIONS[_USUAL])) for method in everywhere}
         for count in COUNTS
     }
     return _Table(outcomes, by_count)
@@ -135,7 +151,7 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
     for method in found.ranked(_NOISY):
         row: list[Cell] = [method]
         for condition in CONDITIONS:
-            row.append(found.rms(condition, method, MethodMeasure.COMPOSITE))
+            row.append(_or_none(found.rms(condition, method, MethodMeasure.COMPOSITE)))
             if condition != "exact":
                 row.append(found.standard_error(condition, method, MethodMeasure.COMPOSITE))
         rows.append(row)
@@ -228,17 +244,17 @@ def _structures_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
 
 def _cost_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
     rows: list[list[Cell]] = []
-    for method in found.ranked(_USUAL):
+    for method in found.ranked(_NOISY):
         outcome = found.outcomes["exact"][method][0]
         needed = [_positions_needed(found, method, goal) for goal in GOALS_ARCMIN]
-        seconds = float(np.median([each.seconds for each in found.outcomes[_USUAL][method]]))
+        seconds = float(np.median([each.seconds for each in found.outcomes[_NOISY][method]]))
         numbers = outcome.rms(MethodMeasure.NUMBERS)
         stored = int(numbers) if np.isfinite(numbers) else None
         rows.append([method, *needed, stored, seconds, _or_none(outcome.rms(MethodMeasure.FRAME_MS))])
     columns = ["method", *(f"positions for {goal:g}'" for goal in GOALS_ARCMIN), "numbers stored", "fit (s)"]
     notes = (
         f"Camera positions: the fewest of {', '.join(map(str, COUNTS))} from which on the composite error is that "
-        "small, at 0.25 px; empty: none. Numbers and fit: display and see-through; process time.",
+        "small, at 0.25 px; empty: none, or not tried. Numbers and fit: display and see-through; process time.",
         f"A frame: {FRAME_NODES} x {FRAME_NODES} rays of the panel from the last frame's solution, in NumPy.",
     )
     return ReportTable(f"{eye}: cost", [*columns, "a frame's rays (ms)"], rows, notes)
@@ -247,7 +263,8 @@ def _cost_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
 def _positions_needed(found: _Table, method: str, goal_arcmin: float) -> int | None:
     needed = None
     for count in reversed(COUNTS):
-        if not found.by_count[count][method].rms(MethodMeasure.COMPOSITE) <= goal_arcmin:
+        outcome = found.by_count[count].get(method)
+        if outcome is None or not outcome.rms(MethodMeasure.COMPOSITE) <= goal_arcmin:
             break
         needed = count
     return needed
