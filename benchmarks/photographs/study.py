@@ -5,7 +5,6 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from benchmarks.kept_trials import finished_trials
 from benchmarks.photographs.bench_tables import bench_tables
 from benchmarks.photographs.bench_trial import (
     FAULTY,
@@ -19,6 +18,7 @@ from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
+from wlr_render.jobs.kept_trials import finished_trials
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, Workers, described
 from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT, Progress

@@ -197,7 +197,27 @@ def test_trials_that_share_captures_make_one_task_and_none_runs_twice():
     noisy = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
     other = display("northstar", "planar", 5, 121)
     tasks = tasks_of([quiet, noisy, other, quiet])
-    assert tasks == [[other], [quiet, noisy]]
+    assert [task.trials for task in tasks] == [(other,), (quiet, noisy)]
+    assert tasks[0].file != tasks[1].file
+
+
+def test_a_resumed_run_takes_the_outcomes_that_are_kept(tmp_path):
+    options = EvaluateOptions(
+        ("birdbath28",), experiment=("camera-positions",), counts=(5,), degrees=(3,), workers=1, out=tmp_path
+    )
+    evaluate(options)
+    files = list((tmp_path / "trials").rglob("*.json"))
+    for path in files:
+        kept = json.loads(path.read_text())
+        for outcome in kept["outcomes"]:
+            outcome["errors"]["forward (arcmin)"]["rms"] = 77.0
+        path.write_text(json.dumps(kept))
+    resumed = evaluate(replace(options, resume=True))
+    (row,) = next(table for table in resumed.tables if table.title.startswith("Camera positions")).rows
+    assert row[3] == 77.0
+    again = evaluate(options)
+    (row,) = next(table for table in again.tables if table.title.startswith("Camera positions")).rows
+    assert row[3] != 77.0
 
 
 ERRORS = {(3, 16): 0.9, (3, 25): 0.8, (3, 49): 0.8, (4, 16): 0.95, (4, 25): 0.25, (4, 49): 0.24}

@@ -52,6 +52,9 @@ class StudyOptions(Options):
     box: BoxSize = None
     seed: Seed = 1
     workers: Workers = None
+    resume: Annotated[
+        bool, described("Continue a run that was cut off: trials whose outcomes are in the output folder are kept.")
+    ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/evaluate")
 
 
@@ -121,7 +124,7 @@ def run_study(
 
     for experiment in experiments.values():
         experiment(Study(eyes, record, repeats))
-    outcomes = run_trials(needed, options.seed, options.workers, progress)
+    outcomes = run_trials(needed, options.seed, options.workers, progress, folder / "trials", options.resume)
     study = Study(eyes, outcomes.__getitem__, repeats)
     found = {name: experiment(study) for name, experiment in experiments.items()}
     blocks: list[Block] = [_conditions(eyes)]

@@ -1,13 +1,16 @@
 """Trials: simulate captures of a traced device, fit a model to them, and measure its errors at random viewpoints."""
 
+import hashlib
 import time
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import lru_cache, partial
-from typing import ClassVar
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +21,12 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, SeeThroughCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
+from wlr_render.jobs.kept_trials import finished_trials
 from wlr_render.mappings import EyeBox, EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.processes import as_finished
 from wlr_render.progress import Progress
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
@@ -306,16 +309,45 @@ class NoModelTrial:
 AnyTrial = Trial | NoModelTrial
 
 
+@dataclass(frozen=True)
+class TrialGroup:
+    """Trials that share captures, and run in one process."""
+
+    trials: tuple[AnyTrial, ...]
+
+    @property
+    def file(self) -> str:
+        """Name of the file that keeps their outcomes: it depends on the trials and the content of the device file."""
+        devices = sorted({trial.at.device for trial in self.trials})
+        content = repr((metadata.version("wlr_render"), self.trials)).encode()
+        digest = hashlib.sha256(content + b"".join(device_path(device).read_bytes() for device in devices))
+        return f"{digest.hexdigest()[:32]}.json"
+
+
+@dataclass(frozen=True)
+class GroupOutcomes:
+    """Outcomes of a group, one of each trial."""
+
+    trials: tuple[AnyTrial, ...]
+    outcomes: tuple[Outcome, ...]
+
+
 def run_trials(
-    trials: Iterable[AnyTrial], seed: int, workers: int | None, progress: Progress
+    trials: Iterable[AnyTrial], seed: int, workers: int | None, progress: Progress, folder: Path, resume: bool
 ) -> dict[AnyTrial, Outcome]:
-    """Run each different trial once, on several processes; outcomes depend on the seed and the trial alone."""
-    tasks = tasks_of(trials)
-    finished = (pair for result in as_finished(partial(_run, seed=seed), tasks, workers) for pair in result)
-    return dict(progress(finished, sum(map(len, tasks)), "trials"))
+    """Run each different trial once, on several processes; outcomes depend on the seed and the trial alone.
+
+    Outcomes are kept in the folder; with `resume` those that are there are not repeated.
+    """
+    groups = tasks_of(trials)
+    finished = finished_trials(
+        _run_group, _load_group, groups, seed=seed, folder=folder, resume=resume, workers=workers
+    )
+    pairs = (pair for found in finished for pair in zip(found.trials, found.outcomes, strict=True))
+    return dict(progress(pairs, sum(len(group.trials) for group in groups), "trials"))
 
 
-def tasks_of(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
+def tasks_of(trials: Iterable[AnyTrial]) -> list[TrialGroup]:
     """Different trials, grouped by the exact captures that they share; the longest groups first."""
     groups: dict[object, list[AnyTrial]] = defaultdict(list)
     for trial in dict.fromkeys(trials):
@@ -324,11 +356,20 @@ def tasks_of(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
     def cost(group: list[AnyTrial]) -> int:
         return sum(1 if isinstance(trial, NoModelTrial) else trial.viewpoints for trial in group)
 
-    return sorted(groups.values(), key=cost, reverse=True)
+    return [TrialGroup(tuple(group)) for group in sorted(groups.values(), key=cost, reverse=True)]
 
 
-def _run(task: list[AnyTrial], seed: int) -> list[tuple[AnyTrial, Outcome]]:
-    return [(trial, trial.run(seed)) for trial in task]
+def _run_group(group: TrialGroup, seed: int) -> GroupOutcomes:
+    return GroupOutcomes(group.trials, tuple(trial.run(seed) for trial in group.trials))
+
+
+def _load_group(group: TrialGroup, content: dict[str, Any]) -> GroupOutcomes:
+    outcomes = []
+    for kept in content["outcomes"]:
+        errors = {name: Summary(**each) for name, each in kept.pop("errors").items()}
+        found = kept.pop("found")
+        outcomes.append(Outcome(errors, FoundBench(**found) if found else None, **kept))
+    return GroupOutcomes(group.trials, tuple(outcomes))
 
 
 def _timed(

@@ -1,4 +1,4 @@
-"""Outcomes of trials, each kept in a file as soon as it is finished, so that a benchmark can be resumed."""
+"""Outcomes of trials, each kept in a file as soon as it is finished, so that a long run can be resumed."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,7 +42,7 @@ def finished_trials(
     Args:
         run, load: of one trial; functions of a module, because they go between processes.
         tasks: the trials.
-        seed: of the benchmark.
+        seed: of all trials.
         folder: where outcomes are kept.
         resume: whether the outcomes that are there already are used instead of being deleted.
         workers: processes, or None for one per usable core.

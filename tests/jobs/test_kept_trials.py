@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from benchmarks import kept_trials
-from benchmarks.kept_trials import finished_trials
+from wlr_render.jobs import kept_trials
+from wlr_render.jobs.kept_trials import finished_trials
 
 
 @dataclass(frozen=True)
