@@ -16,6 +16,7 @@ BENCHMARKS = {
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",
     "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
+    "rivals": "Published methods and ours on measurements of others.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }
 """Help texts; each benchmark is the function `run` of `study.py` in its folder."""

@@ -114,13 +114,13 @@ def viewpoint_evidence(eyes: Sequence[DisplayCaptures]) -> ViewpointEvidence:
     """
     if not eyes or len({captures.eye for captures in eyes}) != len(eyes):
         raise BadInputError("viewpoint evidence: give the captures of one eye, or of the left and the right eye.")
-    found = tuple(_Survey.of(captures).evidence() for captures in eyes)
+    found = tuple(Survey.of(captures).evidence() for captures in eyes)
     return ViewpointEvidence(found, _mirror_split(*found) if len(found) == 2 else None)
 
 
 @dataclass(frozen=True)
-class _Survey:
-    """Captures of the pixels that both viewpoints see.
+class Survey:
+    """Captures of one eye: the pixels that both viewpoints see.
 
     Attributes:
         captures: those rows.
@@ -136,7 +136,8 @@ class _Survey:
     viewpoint: FloatArray
 
     @classmethod
-    def of(cls, captures: DisplayCaptures) -> "_Survey":
+    def of(cls, captures: DisplayCaptures) -> "Survey":
+        """Raises BadInputError where there are not two viewpoints, or too few pixels are seen from both."""
         names, first_row = np.unique(captures.capture, return_index=True)
         if len(names) != 2:
             raise BadInputError(
@@ -158,7 +159,15 @@ class _Survey:
 
     @property
     def tangents(self) -> FloatArray:
+        """(n, 2) of the measured directions."""
         return self.captures.tangents
+
+    @property
+    def fold(self) -> IntArray:
+        """(n,) which of eight parts a row is held out with; cells stay together."""
+        # Scattered cells: a whole column at the panel's edge would be extrapolated.
+        scattered = np.random.default_rng(0).permutation(len(self.kept)) % _FOLDS
+        return np.asarray(scattered[np.searchsorted(self.kept, self.cell)])
 
     @property
     def centres(self) -> FloatArray:
@@ -178,6 +187,7 @@ class _Survey:
         return np.concatenate([direction, -crossing[:, :, None]], axis=2)
 
     def fit(self, name: str, rows: NDArray[np.bool_]) -> SmoothFit:
+        """Fit an account to some rows."""
         tangents = self.tangents[rows]
         return fit(
             FitReadings(
@@ -195,6 +205,7 @@ class _Survey:
         )
 
     def evidence(self) -> EyeEvidence:
+        """All accounts, judged."""
         everything = np.ones(len(self.cell), dtype=bool)
         fits = {name: self.fit(name, everything) for name in (IGNORED, POINT, BUNDLE)}
         models = tuple(self.judged(name, fitted) for name, fitted in fits.items())
@@ -213,6 +224,7 @@ class _Survey:
         )
 
     def noise_arcmin(self) -> float:
+        """Rms angle about a local quadratic in each cell and viewpoint."""
         metric, sum_of_squares, freedom = angular_metric(self.tangents), 0.0, 0
         for cell in self.kept:
             for which in (False, True):
@@ -226,14 +238,14 @@ class _Survey:
         return float(np.sqrt(sum_of_squares / freedom))
 
     def misclosure_sigma_arcmin(self) -> float:
+        """Rms uncertainty of the misclosure, from two halves of the cells."""
         odd = (self.cell % _CELLS + self.cell // _CELLS) % 2 == 1
         first, second = (_crossing(self.fit(BUNDLE, half), self.centres, self.viewpoint)[0] for half in (odd, ~odd))
         return 0.5 * rms(first - second)
 
     def judged(self, name: str, fitted: SmoothFit) -> ModelEvidence:
-        # Scattered cells: a whole column at the panel's edge would be extrapolated.
-        scattered = np.random.default_rng(0).permutation(len(self.kept)) % _FOLDS
-        fold = scattered[np.searchsorted(self.kept, self.cell)]
+        """An account by its evidence and by held-out cells."""
+        fold = self.fold
         squares = np.array([fitted.left_out(fold == number)[0] ** 2 for number in range(_FOLDS)])
         rms = float(np.sqrt(np.average(squares, weights=np.bincount(fold))))
         error = float(np.std(squares, ddof=1) / np.sqrt(_FOLDS) / (2.0 * rms))

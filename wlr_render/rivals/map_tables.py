@@ -24,6 +24,7 @@ from wlr_render.rivals.samples import FOLDS, Samples
 MAP_DEGREES = (4, 6, 8)
 """Of the polynomial of one position's map; held-out readings choose."""
 _CONSTANT = 1e-6  # of the extent of the places: what a place of one position may vary by
+_DEPTHS_APART = 0.3  # of the nearest point's inverse depth: a tilted target reaches 0.2
 _COMPONENTS = (2, 3, 4, 6, 8, 10, 14, 18)
 _SCORE_DEGREES = (2, 3, 4, 5, 6)
 _STEPS_INWARD = 60
@@ -68,6 +69,7 @@ class PositionMaps:
         for position in range(int(samples.position.max()) + 1):
             rows = np.flatnonzero(samples.position == position)
             design = samples.design(phi[rows], rows)
+            _require_two_depths(samples, rows, position)
             if len(rows) < design.shape[1]:
                 raise BadInputError(
                     f"camera position {position} has {len(rows)} readings, too few for a map of its own; "
@@ -222,6 +224,19 @@ class _Components:
     def maps(self, place: FloatArray) -> FloatArray:
         """(n, m)."""
         return self.mean + self.scores(place) @ self.axes
+
+
+def _require_two_depths(samples: Samples, rows: IntArray, position: int) -> None:
+    """Refuse see-through readings of one position whose real points are all about as far away."""
+    if samples.readings.blocks == 1:
+        return
+    inverse = samples.readings.multiplier[rows, 1]
+    if np.ptp(inverse) < _DEPTHS_APART * np.abs(inverse).max():
+        near, far = np.sort(1.0 / inverse[[np.argmax(inverse), np.argmin(inverse)]])
+        raise BadInputError(
+            f"camera position {position} saw real points from {near:.2f} to {far:.2f} m only, so a map of its own for "
+            "near and far points is not determined; a table needs a nearer and a farther target at each position."
+        )
 
 
 def _require_places(place: FloatArray, fewest: int) -> None:

@@ -1,0 +1,97 @@
+"""Errors on data that was not fitted, with intervals by bootstrap over whole captures."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.report.blocks import Cell
+
+_DRAWS = 4_000
+_LEVEL = (2.5, 97.5)  # percent
+COLUMNS = ("rms (arcmin)", "95 % interval", "median (arcmin)", "over {}", "95 % interval of that")
+"""Heads of `cells`."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How a method predicts what it was not fitted to.
+
+    Attributes:
+        method: words.
+        error: (n,) angles in arcminutes; empty if it refused.
+        group: (n,) what is drawn as a whole: the capture, view or sitting.
+        refusal: why the method cannot use the captures; None if it can.
+    """
+
+    method: str
+    error: FloatArray
+    group: IntArray
+    refusal: str | None = None
+
+
+def held_out(method: str, group: IntArray, error_without: Callable[[int], FloatArray]) -> HeldOut:
+    """Fit without each group in turn and judge that group.
+
+    Args:
+        method: words.
+        group: (n,) of the rows.
+        error_without: group -> errors in arcminutes of its rows, of a fit to all others; NaN where there is no answer.
+    """
+    error = np.full(len(group), np.nan)
+    try:
+        for each in np.unique(group).tolist():
+            error[group == each] = error_without(each)
+    except BadInputError as refused:
+        return HeldOut(method, np.empty(0), np.empty(0, np.int64), str(refused))
+    return HeldOut(method, error, group)
+
+
+def cells(found: HeldOut, reference: HeldOut) -> list[Cell]:
+    """Of `COLUMNS`: rms, its interval, median, and the ratio of the rms to a reference's, drawn together with it."""
+    if (failed := remark(found)) is not None:
+        return [None, failed, None, None, None]
+    groups = np.unique(np.concatenate([found.group, reference.group]))
+    square, count = _sums(found, groups)
+    by, by_count = _sums(reference, groups)
+    drawn = np.random.default_rng(0).integers(len(groups), size=(_DRAWS, len(groups)))
+    rms = np.sqrt(square[drawn].sum(axis=1) / np.maximum(count[drawn].sum(axis=1), 1.0))
+    ratio = rms / np.sqrt(by[drawn].sum(axis=1) / np.maximum(by_count[drawn].sum(axis=1), 1.0))
+    whole = float(np.sqrt(square.sum() / count.sum()))
+    over = whole / float(np.sqrt(by.sum() / by_count.sum()))
+    own = found is reference
+    return [
+        whole,
+        _interval(rms),
+        float(np.median(found.error)),
+        None if own else over,
+        None if own else _interval(ratio),
+    ]
+
+
+def remark(found: HeldOut) -> str | None:
+    """Why there is no rms: what the method refused, or how many readings it has no answer for; None if there is."""
+    if found.refusal is not None:
+        return f"refused: {found.refusal}"
+    missing = ~np.isfinite(found.error)
+    return f"no answer for {100.0 * np.mean(missing):.2g} % of the readings" if missing.any() else None
+
+
+def rms_of(found: HeldOut) -> float:
+    """Root mean square in arcminutes; infinite where `remark` says why there is none."""
+    return float(np.sqrt(np.mean(found.error**2))) if remark(found) is None else np.inf
+
+
+def _sums(found: HeldOut, groups: IntArray) -> tuple[FloatArray, FloatArray]:
+    index = np.searchsorted(groups, found.group)
+    return (
+        np.bincount(index, weights=found.error**2, minlength=len(groups)),
+        np.bincount(index, minlength=len(groups)).astype(np.float64),
+    )
+
+
+def _interval(values: FloatArray) -> str:
+    low, high = np.percentile(values, _LEVEL)
+    return f"{low:.3g} to {high:.3g}"

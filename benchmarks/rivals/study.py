@@ -1,0 +1,87 @@
+"""Published methods and ours on measurements of others, each judged by data that it was not fitted to."""
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from benchmarks.published_data.itoh_alignments import read_itoh_alignments
+from benchmarks.rivals.alignments import alignment_tables
+from benchmarks.rivals.reliefs import relief_table
+from benchmarks.rivals.viewpoints import viewpoint_table
+from benchmarks.rivals.views import view_table
+from wlr_render.captures.importers.itoh_seethrough import read_itoh_seethrough
+from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
+from wlr_render.captures.importers.osvr_hdk13 import read_osvr_captures
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
+from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Report, ReportTable, Text
+from wlr_render.report.save import save_report
+
+DataSet = Literal["alignments", "views", "viewpoints", "reliefs"]
+
+
+@dataclass(frozen=True)
+class RivalsOptions(Options):
+    """Options of `rivals`."""
+
+    folder: Annotated[Path, described("Folder that holds the sets (docs/measured-data.md); missing ones are left out.")]
+    _: KW_ONLY
+    sets: Annotated[
+        tuple[DataSet, ...], described("Data sets to judge by (default: all that are there).", many=True)
+    ] = ()
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/rivals")
+
+
+def run(options: RivalsOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Fit every method to each set and judge it by what was left out; writes rivals.html, .md and .json.
+
+    Raises:
+        BadInputError: the folder has none of the sets, a set is faulty, or an output folder that cannot be written.
+    """
+    out = output_folder(options.out)
+    wanted = options.sets or tuple(SETS)
+    present = [each for each in wanted if (options.folder / SETS[each][0]).is_dir()]
+    if not present:
+        missing = ", ".join(SETS[each][0] for each in wanted)
+        raise BadInputError(f"{options.folder}: holds none of {missing}; docs/measured-data.md says where to get them.")
+    blocks: list[Text | ReportTable] = []
+    for each in present:
+        progress.say(f"fitting all methods to {SETS[each][0]}")
+        blocks += SETS[each][1](options.folder / SETS[each][0])
+    left_out = [SETS[each][0] for each in wanted if each not in present]
+    if left_out:
+        blocks.append(Text(f"Not there, and left out: {', '.join(left_out)}."))
+    verdict = (
+        f"Every method on {len(present)} measured sets; the tables say what each leaves on data that was not fitted."
+    )
+    report = Report("Published methods on measured data", verdict, blocks=blocks, inputs=[options.folder])
+    return save_report(report, out, "rivals")
+
+
+def _alignments(folder: Path) -> list[ReportTable]:
+    return alignment_tables(read_itoh_alignments(folder))
+
+
+def _views(folder: Path) -> list[ReportTable]:
+    return [view_table(read_itoh_seethrough(folder))]
+
+
+def _viewpoints(folder: Path) -> list[ReportTable]:
+    captures = read_northstar_vcam(folder)
+    return [viewpoint_table([captures.left, captures.right])]
+
+
+def _reliefs(folder: Path) -> list[ReportTable]:
+    return [relief_table(read_osvr_captures(folder))]
+
+
+SETS: dict[DataSet, tuple[str, Callable[[Path], list[ReportTable]]]] = {
+    "alignments": ("itoh_hmd_calibration/dataset", _alignments),
+    "views": ("itoh_seethrough/data", _views),
+    "viewpoints": ("northstar_vcam_graycode/session2_head", _viewpoints),
+    "reliefs": ("osvr_hdk13", _reliefs),
+}
+"""Folder below that of the sets, and its tables."""
