@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rotation_of_quaternion
@@ -119,7 +120,7 @@ def _screen(path: Path) -> Screen:
         width, height, density = (float(stored[key].item()) for key in ("w", "h", "alpha"))
         rotation, translation = np.asarray(stored["R_WS"], np.float64), np.asarray(stored["t_WS"], np.float64)
         turned = rotation.reshape(3, 3) * _UPSIDE_DOWN[:, None], translation.reshape(3) * _UPSIDE_DOWN
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, MatReadError) as error:
         raise BadInputError(f"{path}: holds no calibrated display ({error}); download it again.") from error
     return Screen(Panel(int(width), int(height)), density, *turned)
 

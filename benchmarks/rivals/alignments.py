@@ -54,11 +54,14 @@ def full_setup(screen: Screen, eye_box: EyeBox) -> PinholeDisplay:
     """INDICA's full setup: the display of a screen of known pose and pitch, for any eye."""
     size = np.array([screen.panel.width_px, screen.panel.height_px], np.float64)
     across, down, _ = screen.rotation / screen.px_per_m  # rows: the screen's axes in the world, metres a pixel
-    corner = -screen.rotation.T @ screen.translation - (across * (size[0] - 1) + down * (size[1] - 1)) / 2
+    middle = -screen.rotation.T @ screen.translation
+    corner = np.asarray(middle - (across * (size[0] - 1) + down * (size[1] - 1)) / 2, np.float64)
     matrix, depth = np.column_stack([across, down, corner]), np.array([0.0, 0.0, 1.0])
     box = Box(np.zeros(2), size)
     none = np.zeros((1, 3))
-    return PinholeDisplay(screen.panel, eye_box, box, none, matrix[None], depth[None], numbers=8)
+    return PinholeDisplay(
+        screen.panel, eye_box, box, none, np.asarray(matrix, np.float64)[None], depth[None], numbers=8
+    )
 
 
 def recycled(sitting: Sitting, screen: Screen, eye_box: EyeBox, eye: FloatArray | None = None) -> PinholeDisplay:
@@ -71,7 +74,7 @@ def recycled(sitting: Sitting, screen: Screen, eye_box: EyeBox, eye: FloatArray 
         eye: (3,) where the eye was then; None for the place that SPAAM gives, as published.
     """
     projection = fit_projection(sitting.pixel, sitting.point, f"sitting {sitting.name}")
-    inverse = np.linalg.inv(projection[:, :3])
+    inverse = np.asarray(np.linalg.inv(projection[:, :3]), np.float64)
     own = -inverse @ projection[:, 3]
     scale = np.linalg.norm(projection[2, :3])
     axis = projection[2, :3] / scale  # unit, towards what is seen
@@ -79,7 +82,7 @@ def recycled(sitting: Sitting, screen: Screen, eye_box: EyeBox, eye: FloatArray 
     distance = screen.translation[2] - own @ axis
     depth = np.array([0.0, 0.0, 1.0 / (distance * scale)])
     box = Box(np.zeros(2), np.array([screen.panel.width_px, screen.panel.height_px], np.float64))
-    place = own if eye is None else eye
+    place = np.asarray(own if eye is None else eye, np.float64)
     return PinholeDisplay(screen.panel, eye_box, box, place[None], inverse[None], depth[None], numbers=_FREE + 1)
 
 
@@ -177,8 +180,8 @@ def _noise_table(sittings: Sequence[Sitting], px: float) -> ReportTable:
     rows.append(["all", sum(len(each.pixel) for each in sittings), both, both * px, None])
     columns = ["sitting", "alignments", "scatter (px)", "scatter (arcmin)", "scatter of the tracked eye (mm)"]
     notes = (
-        "Scatter of the alignments: both axes together, about SPAAM of the same sitting, less the numbers that it fits. "
-        "It holds the wearer's aim, the marker's tracking and what a pinhole cannot follow: an upper bound of the noise.",
+        "Scatter of the alignments: both axes, about SPAAM of the same sitting, less the numbers that it fits. "
+        "It holds the wearer's aim, the marker's tracking and what a pinhole cannot follow: at most this is noise.",
     )
     return ReportTable("How well the wearer repeats alignments", columns, rows, notes)
 

@@ -87,7 +87,7 @@ def rms_of(found: HeldOut) -> float:
 def _sums(found: HeldOut, groups: IntArray) -> tuple[FloatArray, FloatArray]:
     index = np.searchsorted(groups, found.group)
     return (
-        np.bincount(index, weights=found.error**2, minlength=len(groups)),
+        np.asarray(np.bincount(index, weights=found.error**2, minlength=len(groups)), np.float64),
         np.bincount(index, minlength=len(groups)).astype(np.float64),
     )
 

@@ -39,7 +39,7 @@ def relief_table(captures: DisplayCaptures) -> ReportTable:
     notes = (
         f"{tested.sum()} field angles up to {FIELD_DEG:g} degrees at {len(reliefs)} eye reliefs, from the nearest on; "
         f"fitted up to {_FITTED_DEG:g} degrees. The middle one is interpolated, the outer ones are extrapolated.",
-        f"The lens's designer traced the tables and printed three digits: {rounding:.1f}' of rounding, both axes together. "
+        f"The lens's designer traced the tables and printed three digits: {rounding:.1f}' of rounding, both axes. "
         "There is no other noise, so there is no interval.",
     )
     return ReportTable("Eye reliefs that were not fitted", columns, rows, notes)

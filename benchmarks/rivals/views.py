@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -9,12 +10,13 @@ from benchmarks.rivals.held_out import COLUMNS, HeldOut, cells, held_out, rms_of
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs
+from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.held_out import held_out_residual
 from wlr_render.diagnosis.observations import SEE_THROUGH as SEE_THROUGH_PART
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import ARCMIN, normalised
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised
 from wlr_render.jobs.import_session import see_through_session
 from wlr_render.mappings import EyeBox, SeeThroughMapping
 from wlr_render.numerics.arrays import BoolArray, FloatArray
@@ -23,6 +25,7 @@ from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kerne
 from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
 from wlr_render.rivals.plane_and_polynomial import wientapper_see_through
 from wlr_render.rivals.samples import Fit, fit_structure
+from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.session_captures import see_through_captures
 
 REFERENCE = "plate and wedge"
@@ -52,52 +55,69 @@ def view_table(pairs: SeeThroughPairs) -> ReportTable:
 
 
 def judged_views(pairs: SeeThroughPairs) -> list[HeldOut]:
-    """Every method, with the view left out as the group."""
+    """Every method, with the view left out as the group.
+
+    Raises:
+        BadInputError: the photographs show no plate, so that there is nothing to compare with.
+    """
     bench, session = see_through_session(pairs)
     found = diagnose(bench, session, causes=causes_for(bench, only=(_CAUSE,)))
     if not found.causes:
-        raise BadInputError(
-            "see-through views: the diagnosis finds no plate in front of the camera, so none is compared."
-        )
+        raise BadInputError("see-through views: the diagnosis finds no plate in front of the camera.")
+    captures = _captures(bench, session, found.used)
     observations = found.readings.observations
-    residual = observations.arcminutes(held_out_residual(found.fit, observations), SEE_THROUGH_PART)
-    captures = _captures(pairs, found.used)
-    straight = np.linalg.norm(normalised(captures.point - captures.viewpoint) - captures.view_dir, axis=1) / ARCMIN
+    measured_px = observations.session.readings.dot_pixel
+    assert measured_px is not None
+    rest_px = held_out_residual(found.fit, observations) * observations.sigma_of(SEE_THROUGH_PART)
+    seen, predicted = (
+        dir_of_tangents(bench.camera.tangents_of_pixel(each)) for each in (measured_px, measured_px - rest_px)
+    )
+    straight = normalised(captures.point - captures.viewpoint)
     judged = [
-        HeldOut("no model", straight, captures.capture),
-        HeldOut(REFERENCE, np.linalg.norm(residual, axis=1), captures.capture),
+        HeldOut("no model", _angle(straight, captures.view_dir), captures.capture),
+        HeldOut(REFERENCE, _angle(predicted, seen), captures.capture),
     ]
 
-    def add(method: str, fit: FitView) -> None:
-        def error(view: int) -> FloatArray:
-            out = captures.capture == view
-            tested = select(captures, out)
-            seen = fit(select(captures, ~out)).view_dir_of_real_point(tested.point, tested.viewpoint).value
-            return np.asarray(np.linalg.norm(seen - tested.view_dir, axis=1) / ARCMIN)
+    def error(fit: FitView, view: int) -> FloatArray:
+        out = captures.capture == view
+        tested = select(captures, out)
+        seen = fit(select(captures, ~out)).view_dir_of_real_point(tested.point, tested.viewpoint).value
+        return _angle(seen, tested.view_dir)
 
-        judged.append(held_out(method, captures.capture, error))
+    return judged + [held_out(name, captures.capture, partial(error, fit)) for name, fit in _methods().items()]
 
+
+def _angle(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Arcminutes between unit vectors (n, 3) that are close to each other."""
+    return np.asarray(np.linalg.norm(first - second, axis=1) / ARCMIN)
+
+
+def _methods() -> dict[str, FitView]:
+    found: dict[str, FitView] = {}
     for structure in STRUCTURES:
         for degree in _DEGREES:
-            add(
-                f"polynomial of degree {degree}, least squares, {structure}",
-                _structured(structure, _polynomial(degree)),
+            found[f"polynomial of degree {degree} by least squares, {structure}"] = _structured(
+                structure, _polynomial(degree)
             )
     for name, regressor in _REGRESSORS.items():
         for structure in STRUCTURES:
-            add(f"{name}, {structure}", _structured(structure, regressor))
-    add("Wientapper's polynomial", lambda captures: wientapper_see_through(captures)[0])
+            found[f"{name}, {structure}"] = _structured(structure, regressor)
+    for name, regressor in _TABLES.items():
+        found[f"{name}, planar"] = _structured("planar", regressor)
+    found["polynomial of chosen degree (Wientapper)"] = lambda captures: wientapper_see_through(captures)[0]
     for structure in STRUCTURES:
-        for degree in (*_DEGREES, None):
-            order = "chosen degree" if degree is None else f"degree {degree}"
-            add(f"ours: {structure}, {order}", _ours(structure, degree))
-    return judged
+        for each in (*_DEGREES, None):
+            order = "chosen degree" if each is None else f"degree {each}"
+            found[f"ours: {structure}, {order}"] = _ours(structure, each)
+    return found
 
 
 _REGRESSORS: dict[str, Fit] = {
     "kernel ridge as published": kernel_ridge,
     "kernel ridge freed": free_kernel_ridge,
     "Gaussian process": gaussian_process,
+}
+_TABLES: dict[str, Fit] = {
     "linear table": linear_table,
     "thin-plate table": thin_plate_table,
     "principal components": principal_components,
@@ -116,8 +136,8 @@ def _ours(structure: str, degree: int | None) -> FitView:
     return lambda captures: fit_see_through(captures, structure, degree).mapping
 
 
-def _captures(pairs: SeeThroughPairs, used: BoolArray) -> SeeThroughCaptures:
-    bench, session = see_through_session(pairs)
+def _captures(bench: Bench, session: Session, used: BoolArray) -> SeeThroughCaptures:
+    """Some rows, meant for an eye box around all camera positions."""
     assert session.plan.see_through is not None
     assert session.readings.dot_pixel is not None
     every = see_through_captures(bench, session.plan.see_through, session.readings.dot_pixel)

@@ -90,7 +90,7 @@ def _held_out_errors(design: FloatArray, target: FloatArray, fold: IntArray, rid
     for number, out in enumerate(parts):
         others = np.vstack([part for other, part in enumerate(parts) if other != number])
         kept = np.asarray(np.linalg.qr(others, mode="r"))
-        left, size, axes = np.linalg.svd(kept[:columns, :columns])
+        left, size, axes = np.linalg.svd(kept[:columns, :columns], full_matrices=False)
         seen = left.T @ kept[:columns, columns:]
         for index, ridge in enumerate(ridges):
             solution = axes.T @ ((size / (size**2 + ridge))[:, None] * seen)

@@ -1,0 +1,139 @@
+"""Held-out errors and their intervals, tables along a line, and the benchmark on the published sets."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.rivals import alignments, reliefs, viewpoints, views
+from benchmarks.rivals.displays import DISPLAYS, line_table
+from benchmarks.rivals.held_out import HeldOut, cells, held_out, remark, rms_of
+from wlr_render.calibration.fit_display import DISPLAY
+from wlr_render.captures.correspondences import DisplayCaptures
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.rivals.kernels import kernel_ridge
+from wlr_render.rivals.samples import fit_structure
+
+PANEL = Panel(400, 300)
+
+
+def test_intervals_hold_the_scatter_of_whole_captures():
+    rng = np.random.default_rng(2)
+    group = np.repeat(np.arange(12), 50)
+    # Each capture is off by its own amount: rows of one capture are no independent draws.
+    offset = rng.normal(0, 1, 12)[group]
+    found = HeldOut("one", np.abs(offset + rng.normal(0, 0.1, 600)), group)
+    half = HeldOut("other", 0.5 * found.error, group)
+    rms, interval, _, own, _ = cells(found, found)
+    low, high = (float(word) for word in interval.split(" to "))
+    assert rms == pytest.approx(rms_of(found))
+    assert own is None
+    assert low < 0.8 * rms < 1.2 * rms < high  # a bootstrap over rows has a tenth of this width
+    over, over_interval = cells(half, found)[3:]
+    assert over == pytest.approx(0.5)
+    assert over_interval == "0.5 to 0.5"  # drawn together: what captures share cancels
+
+
+def test_a_method_that_refuses_or_lacks_answers_says_so():
+    group = np.repeat([0, 1], 5)
+
+    def refuse(each):
+        raise BadInputError("two positions are too few.")
+
+    reference = HeldOut("reference", np.ones(10), group)
+    refused = held_out("a", group, refuse)
+    assert cells(refused, reference)[:2] == [None, "refused: two positions are too few."]
+    silent = held_out("b", group, lambda each: np.where(np.arange(5) < each, np.nan, 1.0))
+    assert remark(silent) == "no answer for 10 % of the readings"
+    assert rms_of(silent) == np.inf
+
+
+def swimming(positions, curved=0.0):
+    """A display whose directions change linearly along a line of viewpoints, or are curved there."""
+    pixel = np.tile(PANEL.grid(12, 10).reshape(-1, 2), (len(positions), 1))
+    viewpoint = np.repeat(positions, 120, axis=0)
+    unit = pixel / [200, 150] - 1
+    depth = viewpoint[:, 2:] * 20
+    tangents = 0.4 * unit * (1 + 0.1 * depth + curved * depth**2) * [1, -1]
+    box = EyeBox(np.zeros(3), np.full(3, 0.01))
+    capture = np.repeat(np.arange(len(positions)), 120)
+    view_dir = dir_of_tangents(tangents)
+    return DisplayCaptures("toy", "left", box, PANEL, viewpoint, view_dir, pixel, capture, np.array(0.0))
+
+
+def test_a_table_along_a_line_is_linear_also_beyond_its_ends():
+    direction = np.array([0.1, 0.2, 1.0])
+    place = np.array([-0.004, 0.0, 0.003])[:, None] * direction
+    model, _ = fit_structure(DISPLAY, swimming(place), "volumetric", line_table)
+    tested = swimming(np.array([-0.006, -0.001, 0.002, 0.005])[:, None] * direction)
+    found = model.view_dir_of_pixel(tested.pixel, tested.viewpoint).value
+    np.testing.assert_allclose(found, tested.view_dir, atol=1e-6)
+    bent = swimming(np.array([[-0.006, -0.0012, -0.06]]) * 0.1, curved=3.0)
+    model, _ = fit_structure(DISPLAY, swimming(place, curved=3.0), "volumetric", line_table)
+    missed = model.view_dir_of_pixel(bent.pixel, bent.viewpoint).value - bent.view_dir
+    assert np.abs(missed).max() > 1e-4
+
+
+def test_positions_off_a_line_have_no_table_along_it():
+    corner = np.array([[0, 0, 0], [0.004, 0, 0], [0, 0.004, 0.001]])
+    with pytest.raises(BadInputError, match="3 camera positions do not lie on one line"):
+        fit_structure(DISPLAY, swimming(corner), "volumetric", line_table)
+
+
+def test_kernel_ridge_takes_fewer_readings_than_it_has_bells():
+    few = swimming(np.array([[0, 0, -0.002], [0.001, 0, 0.002]]))
+    model, _ = fit_structure(DISPLAY, few, "static", kernel_ridge)  # of one position: 120 readings, 200 bells at most
+    seen = model.view_dir_of_pixel(few.pixel[:120], few.viewpoint[:120]).value
+    assert np.isfinite(seen).all()
+
+
+def test_a_folder_without_any_set_is_refused(tmp_path, capsys):
+    assert main(["rivals", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert "holds none of itoh_hmd_calibration/dataset" in capsys.readouterr().err
+
+
+def tables(folder, name, tmp_path):
+    assert main(["rivals", str(folder.parent), "--sets", name, "--out", str(tmp_path)]) == 0
+    return json.loads((tmp_path / "rivals.json").read_text())["tables"]
+
+
+def test_a_plane_fitted_to_other_sittings_beats_an_old_calibration(measured_data, tmp_path, monkeypatch):
+    monkeypatch.setattr(alignments, "DISPLAYS", {"plane (DRC)": DISPLAYS["plane (DRC)"]})
+    errors, noise = tables(measured_data("itoh_hmd_calibration"), "alignments", tmp_path)
+    rms = {row["method"]: row["rms (arcmin)"] for row in errors["rows"]}
+    scatter = noise["rows"][-1]["scatter (arcmin)"]
+    assert scatter < rms["plane (DRC), fitted to the other sittings"] < 0.6 * rms["SPAAM of another sitting"]
+
+
+def test_few_numbers_suffice_for_the_see_through_views(measured_data, tmp_path, monkeypatch):
+    names = ("polynomial of degree 1 by least squares, static", "linear table, planar", "ours: planar, degree 2")
+    every = views._methods()
+    monkeypatch.setattr(views, "_methods", lambda: {name: every[name] for name in names})
+    (table,) = tables(measured_data("itoh_seethrough"), "views", tmp_path)
+    straight, plate, static, refused, planar = table["rows"]
+    for row in (plate, static, planar):
+        assert row["rms (arcmin)"] < 0.1 * straight["rms (arcmin)"]
+    assert "a table needs a nearer and a farther target" in refused["95 % interval"]
+
+
+@pytest.mark.slow
+def test_a_table_along_the_line_is_as_good_as_the_bundle_at_its_own_viewpoints(measured_data, tmp_path, monkeypatch):
+    monkeypatch.setattr(viewpoints, "_METHODS", ("plane (DRC)", "table along a line"))
+    (table,) = tables(measured_data("northstar_vcam_graycode"), "viewpoints", tmp_path)
+    for eye in ("left", "right"):
+        rms = {row["method"]: row["rms (arcmin)"] for row in table["rows"] if row["eye"] == eye}
+        assert rms["table along a line"] < 1.2 * rms["ours: bundle of rays"]
+        assert rms["plane (DRC)"] > 5 * rms["ours: bundle of rays"]
+
+
+def test_a_point_for_each_pixel_carries_over_to_another_eye_relief(measured_data, tmp_path, monkeypatch):
+    names = ("plane (DRC)", "ours: point-per-pixel", "ours: planar")
+    monkeypatch.setattr(reliefs, "DISPLAYS", {name: DISPLAYS[name] for name in names})
+    (table,) = tables(measured_data("osvr_hdk13"), "reliefs", tmp_path)
+    plane, point, planar = table["rows"]
+    for relief in ("0 mm", "2 mm", "5 mm"):
+        assert point[f"{relief} left out (arcmin)"] < 0.2 * plane[f"{relief} left out (arcmin)"]
+    assert "may have two solutions" in planar["remark"]
