@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from prescribed_eyes import captured, prescription
 
-from wlr_render.calibration.fit_prescription import display_trend, fit_assembly, see_through_trend
+from wlr_render.calibration.fit_prescription import IMPLAUSIBLE, display_trend, fit_assembly, see_through_trend
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -113,3 +113,12 @@ def test_the_trends_are_compiled_over_the_boxes_of_the_models():
     step = display.by_parameter(inputs).reshape(len(inputs), 2, 12) @ (1e-3 * errors)
     found = more.about(1.001 * errors, np.eye(12)).mean(inputs) - display.mean(inputs)
     np.testing.assert_allclose(found, step, atol=0.02 * np.abs(step).max())
+
+
+def test_a_wrong_shape_that_looks_like_large_assembly_errors_is_not_refused():
+    """The prescription's ellipsoid is 0.2 % too long: turning it by degrees about its centre imitates that."""
+    drawn = wrong_headset(prescription("northstar"), np.random.default_rng([1, 0]), shape=0.002)
+    fitted = fit_assembly(captured(prescription("northstar"), count=25, noise=0.25), drawn)
+    assert np.abs(fitted.values / ASSEMBLY_SIZES).max() > IMPLAUSIBLE
+    assert fitted.display_arcmin < 0.3
+    assert forward_rms(fitted.optics, prescription("northstar")) < 0.5

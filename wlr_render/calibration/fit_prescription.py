@@ -35,7 +35,9 @@ _SETTLED = 0.02  # of the residuals' size, from one round to the next
 _FLOOR_ARCMIN = 1e-3  # exact captures
 _LOST = 100.0  # residual, in their size, of a reading whose ray misses the optics: it no longer counts
 _MISSING_ALLOWED = 0.2  # of the readings
-_IMPLAUSIBLE = 6.0  # plausible sizes
+IMPLAUSIBLE = 6.0
+"""Plausible sizes beyond which an assembly error is none: another headset, or a surface of another shape."""
+_EXPLAINED_ARCMIN, _EXPLAINED = 1.0, 2.0  # residuals of a prescription that is of this headset; of the stated sigma
 _EVALUATIONS = 40  # of the Jacobian, a round: a prescription of this headset needs about five
 _TANGENT_STEP = 1e-6
 
@@ -66,22 +68,17 @@ class FittedAssembly:
         return assembled(self.prescription, self.values)
 
 
-def fit_assembly(
-    captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55, *, plausible: bool = True
-) -> FittedAssembly:
+def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
     """Fit the twelve assembly errors of a prescription to display and see-through captures together.
 
     Robust nonlinear least squares of angles; each error has a Gaussian prior of its plausible size. The size of the
     residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
 
-    Args:
-        captures: of the display, and of see-through if there are any.
-        optics: the prescription.
-        wavelength_um: of the light, vacuum.
-        plausible: whether implausible errors are refused; a wrong shape can look like large ones.
+    A wrong shape can look like large assembly errors, which then serve the models but mean nothing themselves.
 
     Raises:
-        BadInputError: many readings have no ray through the prescription, or an assembly error is implausibly large.
+        BadInputError: many readings have no ray through the prescription, or it explains the readings badly and only
+            with an assembly error that is implausibly large.
     """
     parts: list[_DisplayReadings | _SeeThroughReadings] = []
     if captures.display is not None:
@@ -106,7 +103,7 @@ def fit_assembly(
             break
     for part in parts:
         _check_reached(part.residual(fitted), captures.source.device)
-    if plausible:
+    if max(sizes) > _EXPLAINED_ARCMIN * ARCMIN and max(sizes) > _EXPLAINED * _stated_sigma(captures) * ARCMIN:
         _check_plausible(scaled, captures.source.device)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(ASSEMBLY_SIZES, ASSEMBLY_SIZES)
     display_arcmin, *see_through_arcmin = (size / ARCMIN for size in sizes)
@@ -241,9 +238,15 @@ def _check_reached(residual: FloatArray, device: str) -> None:
         )
 
 
+def _stated_sigma(captures: EyeCaptures) -> float:
+    """Of the readings, arcminutes: the larger median of both parts; 0 where they are exact."""
+    parts = (part for part in (captures.display, captures.see_through) if part is not None)
+    return max(float(np.median(part.sigma_arcmin)) for part in parts)
+
+
 def _check_plausible(scaled: FloatArray, device: str) -> None:
     largest = int(np.argmax(np.abs(scaled)))
-    if abs(scaled[largest]) > _IMPLAUSIBLE:
+    if abs(scaled[largest]) > IMPLAUSIBLE:
         raise BadInputError(
             f"the prescription would explain the captures of {device} only with {ASSEMBLY_NAMES[largest]} = "
             f"{ASSEMBLY_SIZES[largest] * scaled[largest]:.3g}, {abs(scaled[largest]):.0f} times what is plausible; "

@@ -61,7 +61,7 @@ class MethodData:
     def assembly(self, prescription: Prescription) -> FittedAssembly:
         """The prescription with assembly errors fitted to the planar captures; each is fitted once."""
         if id(prescription) not in self._assemblies:
-            self._assemblies[id(prescription)] = fit_assembly(self.planar, prescription, plausible=False)
+            self._assemblies[id(prescription)] = fit_assembly(self.planar, prescription)
         return self._assemblies[id(prescription)]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
+from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
 from wlr_render.calibration.fit_report import FitReport, ModelFit
 from wlr_render.calibration.smooth_fit import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
@@ -14,6 +15,7 @@ from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.mappings import Status
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES
 from wlr_render.report.blocks import Block, Cell, Plot, ReportTable
 from wlr_render.report.plots import arrow_map, bars, heat_map
 
@@ -81,6 +83,19 @@ def fit_warnings(fit: EyeFit, display_names: Sequence[str] = (), *, sigma_is_giv
         warning
         for name, side in fit.sides.items()
         for warning in _warnings(name.capitalize(), side, display_names, sigma_is_given)
+    ] + _assembly_warnings(fit)
+
+
+def _assembly_warnings(fit: EyeFit) -> list[str]:
+    if fit.assembly is None:
+        return []
+    sizes = np.abs(fit.assembly.values) / ASSEMBLY_SIZES
+    if sizes.max() <= IMPLAUSIBLE:
+        return []
+    name = ASSEMBLY_NAMES[int(np.argmax(sizes))]
+    return [
+        f"The fitted assembly errors are larger than parts are displaced ({name} is {sizes.max():.0f} times what is "
+        "plausible): a surface may have another shape than the prescription. The models hold, these values do not."
     ]
 
 
