@@ -77,7 +77,7 @@ def folded_captures(bulge):
 def test_a_model_that_may_have_two_solutions_is_refused_with_the_remedy():
     sentence = (
         r"the planar display model may have two solutions at one viewpoint: its contraction over the eye box is 2\.\d "
-        "and must stay below 1; put the base plane nearer to the middle of the eye box, or make the eye box shallower"
+        "and must stay below 1; add camera positions, move the base plane to the middle of the eye box, or make the box"
     )
     captures = folded_captures(3e4)
     with pytest.raises(BadInputError, match=sentence):

@@ -78,7 +78,7 @@ def require_unique(contraction: float, kind: str, side: str) -> float:
         return contraction
     remedy = "add camera positions, or use a lower degree"
     if kind == "planar":
-        remedy = "add camera positions, put the base plane nearer to the middle of the eye box, or make the box shallower"
+        remedy = "add camera positions, move the base plane to the middle of the eye box, or make the box shallower"
     raise BadInputError(
         f"the {kind} {side} model may have two solutions at one viewpoint: its contraction over the eye box is "
         f"{contraction:.2g} and must stay below 1; {remedy}."
