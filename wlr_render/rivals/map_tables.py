@@ -186,7 +186,10 @@ def components_with_scores(
         with suppress(BadInputError):
             choices[count, setting] = error(count, setting)
     if not choices:
-        raise BadInputError(f"{len(size)} camera positions are too few for principal components; take 9 or more.")
+        raise BadInputError(
+            f"{len(size)} camera positions are too few for principal components; take 9 or more in a plane, 13 or more "
+            "in a volume."
+        )
     found = _Components.of(maps.place, size, *min(choices, key=lambda each: choices[each]), fit)
     seen = np.concatenate([found.mean[None], found.axes]).reshape(-1, *by_column.shape[1:])
     every = np.stack([samples.by_block(np.linalg.solve(root, each)) for each in seen])
@@ -243,7 +246,8 @@ def _require_places(place: FloatArray, fewest: int) -> None:
     variables = place.shape[1]
     if len(place) < fewest or np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-3) < variables:
         raise BadInputError(
-            f"{len(place)} camera positions do not span {variables} dimensions of places; take {fewest} or more."
+            f"{len(place)} camera positions do not span {variables} dimensions of places; take {fewest} or more, not all "
+            f"in one {'line' if variables == 2 else 'plane'}."
         )
 
 
