@@ -246,8 +246,8 @@ def _require_places(place: FloatArray, fewest: int) -> None:
     variables = place.shape[1]
     if len(place) < fewest or np.linalg.matrix_rank(place - place.mean(axis=0), tol=1e-3) < variables:
         raise BadInputError(
-            f"{len(place)} camera positions do not span {variables} dimensions of places; take {fewest} or more, not all "
-            f"in one {'line' if variables == 2 else 'plane'}."
+            f"{len(place)} camera positions do not span {variables} dimensions of places; take {fewest} or more, not "
+            f"all in one {'line' if variables == 2 else 'plane'}."
         )
 
 
