@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
@@ -28,7 +29,12 @@ def wrong_headset(
         turn_deg, shift_mm: standard deviations per axis of the displacements.
         shape: relative error of the first semi-axis of each ellipsoid; where there is none, of the curvature of each
             sphere, or of the curvature along x of each polynomial.
+
+    Raises:
+        BadInputError: there are no surfaces, or a surface of another type has an error of its shape.
     """
+    if not optics.surfaces():
+        raise BadInputError("the headset has no surfaces that could differ from its prescription.")
     combiner = _displacement(optics.surfaces()[0].device_from_surface[:3, 3], rng, turn_deg, shift_mm)
     panel = _displacement(optics.panel.device_from_panel[:3, 3], rng, turn_deg, shift_mm)
     moved = optics.with_surfaces(
@@ -39,6 +45,8 @@ def wrong_headset(
 
 def misshapen(shape: Shape, relative: float) -> Shape:
     """A surface with an error of its shape; see `wrong_headset`. Planes stay planes."""
+    if relative == 0.0:
+        return shape
     if isinstance(shape, Offset):
         return replace(shape, base=misshapen(shape.base, relative))
     if isinstance(shape, Ellipsoid):
@@ -49,7 +57,9 @@ def misshapen(shape: Shape, relative: float) -> Shape:
         coefficients = shape.coefficients.copy()
         coefficients[2, 0] *= 1.0 + relative
         return replace(shape, coefficients=coefficients)
-    raise TypeError(f"no error of the shape is known for {type(shape).__name__}")
+    raise BadInputError(
+        f"no error of the shape is known for surfaces of the type {type(shape).__name__}; leave it out."
+    )
 
 
 def _displacement(near: FloatArray, rng: np.random.Generator, turn_deg: float, shift_mm: float) -> FloatArray:

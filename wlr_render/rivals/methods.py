@@ -28,6 +28,8 @@ from wlr_render.rivals.samples import Fit, fit_structure
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 STRUCTURES = ("static", "volumetric", "planar")
+SHAPE = 0.002
+"""Relative error of a semi-axis or curvature of each surface, for methods that know a prescription of wrong shape."""
 _WAVELENGTH_UM = 0.55
 _NETWORK_S = 1.5  # of process time, for each side
 
@@ -39,30 +41,29 @@ class MethodData:
     Attributes:
         planar: captures from camera positions in a plane.
         volumetric: from as many positions in the eye box.
-        prescription: of the headset as drawn; the parts of the real one stand elsewhere.
-        misshapen: likewise, of a headset whose surfaces also have another shape than drawn.
-        field_of: prescription -> how rays are traced through it, for methods that fit traced rays.
+        drawn: relative error of the shape -> the prescription as drawn. The parts of the real headset stand elsewhere,
+            and its surfaces differ by that error. Raises BadInputError for surfaces without such an error.
+        bench_of: prescription -> a bench on which it stands in place of the headset, for methods that fit traced rays.
     """
 
     planar: EyeCaptures
     volumetric: EyeCaptures
-    prescription: Prescription
-    misshapen: Prescription
-    field_of: Callable[[Prescription], CaptureSetup]
+    drawn: Callable[[float], Prescription]
+    bench_of: Callable[[Prescription], CaptureSetup]
 
     def of(self, structure: str) -> EyeCaptures:
         """The captures that a structure is fitted to."""
         return self.volumetric if structure == "volumetric" else self.planar
 
     @cached_property
-    def _assemblies(self) -> dict[int, FittedAssembly]:
+    def _assemblies(self) -> dict[float, FittedAssembly]:
         return {}
 
-    def assembly(self, prescription: Prescription) -> FittedAssembly:
-        """The prescription with assembly errors fitted to the planar captures; each is fitted once."""
-        if id(prescription) not in self._assemblies:
-            self._assemblies[id(prescription)] = fit_assembly(self.planar, prescription)
-        return self._assemblies[id(prescription)]
+    def assembly(self, shape: float) -> FittedAssembly:
+        """The prescription of an error of the shape, with assembly errors fitted to the planar captures, once."""
+        if shape not in self._assemblies:
+            self._assemblies[shape] = fit_assembly(self.planar, self.drawn(shape))
+        return self._assemblies[shape]
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ def _plane_and_polynomial(bundled: bool, data: MethodData) -> Rival:
 
 
 def _as_drawn(data: MethodData) -> Rival:
-    return _traced(data.prescription)
+    return _traced(data.drawn(0.0))
 
 
 def _traced(optics: Prescription) -> Rival:
@@ -162,20 +163,20 @@ def _traced(optics: Prescription) -> Rival:
     return Rival(*eye, numbers=len(ASSEMBLY_NAMES))
 
 
-def _fitted_prescription(shape: str, data: MethodData) -> Rival:
-    return _traced(data.assembly(getattr(data, shape)).optics)
+def _fitted_prescription(shape: float, data: MethodData) -> Rival:
+    return _traced(data.assembly(shape).optics)
 
 
-def _grey_box(shape: str, data: MethodData) -> Rival:
-    trends = eye_trends(data.planar, data.assembly(getattr(data, shape)))
+def _grey_box(shape: float, data: MethodData) -> Rival:
+    trends = eye_trends(data.planar, data.assembly(shape))
     mappings = fit_with_trends(data.planar, "grey-box", trends).mappings
     return Rival(mappings.display, mappings.see_through, _numbers(mappings.display, mappings.see_through))
 
 
 def _traced_components(fitted: bool, structure: str, data: MethodData) -> Rival:
     """Principal components of rays that are traced through a prescription, as drawn or with fitted assembly errors."""
-    optics = data.assembly(data.misshapen).optics if fitted else data.prescription
-    setup, rng = data.field_of(optics), np.random.default_rng(0)
+    optics = data.assembly(SHAPE).optics if fitted else data.drawn(0.0)
+    setup, rng = data.bench_of(optics), np.random.default_rng(0)
     positions = setup.camera_positions(structure, 100)
     traced = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
     return _structured(principal_components, structure, replace(data, planar=traced, volumetric=traced))
@@ -193,7 +194,7 @@ _REGRESSORS: dict[str, tuple[str, Fit]] = {
 
 def _methods() -> dict[str, Method]:
     found = {name: Method("this package", name, partial(_kind, name)) for name in ("planar", "volumetric", "static")}
-    for shape, end in (("prescription", ""), ("misshapen", "-misshapen")):
+    for shape, end in ((0.0, ""), (SHAPE, "-misshapen")):
         found[f"grey-box{end}"] = Method("this package", "planar", partial(_grey_box, shape))
         source = "Guo et al. 2020"
         found[f"prescription-fitted{end}"] = Method(source, "ray tracing", partial(_fitted_prescription, shape))

@@ -46,8 +46,8 @@ DEPTHS_M = (0.25, 0.5, 1.0, 10.0)
 BACK_M = 0.010
 """How far viewpoints are moved back along their own rays."""
 OUTLIER_PX = 8.0
-TURN_DEG, SHIFT_MM, SHAPE = 0.2, 0.3, 0.002
-"""Errors of assembly per axis, and the relative error of a semi-axis or curvature, of prescriptions as drawn."""
+TURN_DEG, SHIFT_MM = 0.2, 0.3
+"""Errors of assembly per axis by which a headset differs from its prescription as drawn."""
 FRAME_NODES = 17
 """Along each axis of the panel, at which a frame's rays are solved."""
 _JUDGED = 4  # every so-manieth of the sightings
@@ -129,15 +129,17 @@ def _data(trial: MethodTrial, seed: int) -> MethodData:
     """Captures with their errors, and prescriptions with other ones, that all methods of a trial share."""
     rng = trial.rng(seed)
     eyes = {kind: _captures(trial, kind, rng) for kind in ("planar", "volumetric")}
-    device = load_device(trial.device)
-    drawn, misshapen = (
-        wrong_headset(device.eyes[trial.eye], np.random.default_rng([seed, trial.repeat]), TURN_DEG, SHIFT_MM, shape)
-        for shape in (0.0, SHAPE)
-    )
-    return MethodData(**eyes, prescription=drawn, misshapen=misshapen, field_of=partial(_setup_of, trial.at))
+    drawn = partial(_drawn, trial.at, (seed, trial.repeat))
+    return MethodData(**eyes, drawn=drawn, bench_of=partial(_bench_of, trial.at))
 
 
-def _setup_of(at: EvaluatedEye, optics: EyeOptics) -> CaptureSetup:
+def _drawn(at: EvaluatedEye, seeds: tuple[int, int], shape: float) -> EyeOptics:
+    """A prescription from which the headset differs: by assembly errors, and by an error of the shape."""
+    optics = load_device(at.device).eyes[at.eye]
+    return wrong_headset(optics, np.random.default_rng(seeds), TURN_DEG, SHIFT_MM, shape)
+
+
+def _bench_of(at: EvaluatedEye, optics: EyeOptics) -> CaptureSetup:
     """A bench on which a prescription stands in place of the headset."""
     device, here = load_device(at.device), truth(at)
     eye = traced_eye(replace(device, eyes={at.eye: optics}), at.eye)
