@@ -11,7 +11,7 @@ from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
-from wlr_render.optics.drawing import VIEWS, Projection, cut_surface
+from wlr_render.optics.drawing import VIEWS, DrawingView, cut_surface
 from wlr_render.optics.tracer import trace
 from wlr_render.report.blocks import Plot
 from wlr_render.report.plots import axis
@@ -63,7 +63,7 @@ class Diagram:
         traces: Plotly traces.
     """
 
-    view: Projection
+    view: DrawingView
     title: str
     traces: list[dict[str, Any]] = field(default_factory=list)
 

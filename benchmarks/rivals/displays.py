@@ -13,7 +13,7 @@ from wlr_render.numerics.regressor import Regressor
 from wlr_render.rivals.kernels import gaussian_process, kernel_ridge
 from wlr_render.rivals.map_tables import PositionMaps
 from wlr_render.rivals.pinhole import direct_plane, indica_full
-from wlr_render.rivals.plane_and_polynomial import fit_polynomial, wientapper_display
+from wlr_render.rivals.plane_and_polynomial import wientapper_display
 from wlr_render.rivals.point_table import klemm_grid
 from wlr_render.rivals.samples import Fit, Samples, fit_structure
 
@@ -60,7 +60,7 @@ def _ours(kind: str) -> FitDisplay:
 
 
 DISPLAYS: Mapping[str, FitDisplay] = {
-    "polynomial by least squares, static": _structured("static", fit_polynomial),
+    "polynomial by least squares, static": _structured("static", Samples.polynomial),
     "plane (DRC)": direct_plane,
     "INDICA full": indica_full,
     "one point per pixel, grid (Klemm)": klemm_grid,

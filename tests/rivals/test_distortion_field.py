@@ -83,7 +83,7 @@ def test_gradient_through_the_sum_is_that_of_differences() -> None:
     assert off < 1e-4 * np.linalg.norm(gradient)
 
 
-def test_points_of_a_ray_are_told_from_the_centre() -> None:
+def test_points_of_a_ray_have_the_centre_as_origin() -> None:
     """A ray through a point in space has the same features there from whichever viewpoint, but for its direction."""
     box = Box(np.array([0.025, -0.004, 0.017, -0.5, -0.5]), np.array([0.035, 0.004, 0.023, 0.5, 0.5]))
     point = EYE_BOX.centre + np.array([0.1, 0.05, -0.5])

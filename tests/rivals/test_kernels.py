@@ -14,7 +14,7 @@ PLACES = grid_of_places(6, SIZE)
 
 
 def smooth(inputs):
-    """Tangents (n, 2): no polynomial and no sum of bells at the centres."""
+    """Tangents (n, 2): no polynomial and no sum of gaussians at the centres."""
     u, v, x, y = (inputs / [1.0, 1.0, SIZE, SIZE]).T
     first = 0.3 * np.sin(2.0 * u) + 0.02 * np.exp(-((u - 0.6) ** 2) / 0.3 - 0.3 * (v - 0.1 * x) ** 2)
     return np.column_stack([first + 0.003 * x * np.cos(v), 0.3 * v + 0.01 * np.sin(u + 0.3 * x * y)])
@@ -39,7 +39,7 @@ def likelihood(monkeypatch):
     return calls
 
 
-def bells(first, second, lengths):
+def gaussians(first, second, lengths):
     """exp(-r^2 / 2), (n, m), of scaled inputs."""
     apart = (first[:, None] - second) / lengths
     return np.exp(-0.5 * np.sum(apart**2, axis=2))
@@ -78,10 +78,10 @@ def test_held_out_positions_choose_a_larger_ridge_for_noisier_readings(monkeypat
     ridges = np.array([1e-6, 1.0])
     samples = samples_of(smooth, PLACES, 40, noise=noise_arcmin)
     inputs = samples.readings.inputs[:50]
-    monkeypatch.setattr(kernels, "WIDTHS", (1.0,))
+    monkeypatch.setattr(kernels, "_WIDTHS", (1.0,))
     values = []
     for offered in (ridges, ridges[:1], ridges[1:]):
-        monkeypatch.setattr(kernels, "SMALL_RIDGES", offered)
+        monkeypatch.setattr(kernels, "_SMALL_RIDGES", offered)
         values.append(free_kernel_ridge(samples)(inputs))
     either, *alone = values
     np.testing.assert_array_equal(either, alone[chosen])
@@ -119,7 +119,7 @@ def test_lengths_size_and_noise_of_a_process_are_found(likelihood):
     rng = np.random.default_rng(11)
     inputs = rng.uniform(0.0, 1.0, (400, 2))
     lengths, size, stated, noise = np.array([0.3, 0.7]), 0.02, 0.5, 1.5
-    covariance = size**2 * bells(2.0 * inputs, 2.0 * inputs, lengths) + (noise * ARCMIN) ** 2 * np.eye(400)
+    covariance = size**2 * gaussians(2.0 * inputs, 2.0 * inputs, lengths) + (noise * ARCMIN) ** 2 * np.eye(400)
     observed = np.linalg.cholesky(covariance) @ rng.normal(size=(400, 2))
     gaussian_process(readings_of(inputs, np.arange(400) // 40, observed, np.ones((400, 1)), stated))
     found = np.exp(likelihood[0][2])
@@ -138,8 +138,8 @@ def test_with_all_readings_as_inducing_points_it_is_the_process_itself(likelihoo
     wanted = np.random.default_rng(3).uniform([0, 0, -SIZE, -SIZE], [1, 1, SIZE, SIZE], (50, 4))
     multiplier = samples.readings.multiplier
     rest = samples.target(trend) / samples.readings.weight[:, None]
-    covariance = size**2 * (multiplier @ multiplier.T) * bells(samples.scaled, samples.scaled, lengths)
+    covariance = size**2 * (multiplier @ multiplier.T) * gaussians(samples.scaled, samples.scaled, lengths)
     seen = np.linalg.solve(covariance + np.diag((noise / samples.readings.weight) ** 2), rest)
-    across = size**2 * bells(samples.readings.box.scaled(wanted), samples.scaled, lengths)
+    across = size**2 * gaussians(samples.readings.box.scaled(wanted), samples.scaled, lengths)
     expected = trend(wanted) + np.hstack([(across * multiplier[:, block]) @ seen for block in range(blocks)])
     np.testing.assert_allclose(model(wanted), expected, atol=1e-4 * ARCMIN)

@@ -12,6 +12,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.evaluate.trials import EvaluatedEye, capture_setup
 from wlr_render.numerics.polynomial import term_count
+from wlr_render.rivals import map_tables
 from wlr_render.rivals.map_tables import (
     PositionMaps,
     components_with_scores,
@@ -98,11 +99,11 @@ def test_between_places_it_is_the_thin_plate_through_them():
     place = grid_of_places(3)
     value = np.random.default_rng(5).normal(0.0, 0.1, 9)
 
-    def bells(apart):
+    def radial(apart):
         return apart**2 * np.log(np.where(apart > 0, apart, 1.0))
 
     def at(wanted):
-        return bells(np.linalg.norm(wanted[:, None] - place, axis=2) / SIZE)
+        return radial(np.linalg.norm(wanted[:, None] - place, axis=2) / SIZE)
 
     plane = np.column_stack([np.ones(9), place])
     matrix = np.block([[at(place), plane], [plane.T, np.zeros((3, 3))]])
@@ -131,9 +132,10 @@ def test_no_more_components_are_stored_than_rise_above_the_noise():
     assert noisy.numbers == (1 + 3) * term_count(2, 4) * 2 + 3 * term_count(2, 2)
 
 
-def test_the_size_of_a_map_is_that_over_all_readings():
+def test_the_size_of_a_map_is_that_over_all_readings(monkeypatch):
+    monkeypatch.setattr(map_tables, "_MAP_DEGREES", (4,))
     samples = samples_of(linear_in_place, grid_of_places(), noise=0.25)
-    maps = PositionMaps.of(samples_of(linear_in_place, grid_of_places()), degree=4)
+    maps = PositionMaps.of(samples_of(linear_in_place, grid_of_places()))
     change = replace(maps, samples=samples).metric_root() @ (maps.coefficients[-1] - maps.coefficients[0])
     inputs, weight = samples.readings.inputs, samples.readings.weight[:, None]
     first, last = (linear_in_place(np.hstack([inputs[:, :2], 0 * weight + place])) for place in inputs[[0, -1], 2:])

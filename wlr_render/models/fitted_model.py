@@ -148,7 +148,7 @@ class FittedModel(ABC):
 
     FORMS: ClassVar[Forms]
     eye_box: EyeBox
-    spread: Covariance | None
+    spread: Covariance | None = None
 
     def __post_init__(self) -> None:
         for name, (variables, outputs) in self.FORMS.items():
@@ -183,19 +183,19 @@ class FittedModel(ABC):
     def _backward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
         """Display: view tangents (m, 2) -> pixels. See-through: points (m, 3) -> view tangents."""
 
-    @abstractmethod
     def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
         """How the view tangents (m, 2) of a pixel (m, 2) or a real point (m, 3) follow the first polynomial."""
+        raise BadInputError("this model has no covariance: only models fitted by maximum evidence have one.")
 
     def _sigma(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
-        if self.spread is None:
-            raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
         lead = view_dir.shape[:-1]
         subject, viewpoint = (_flat(np.asarray(each, np.float64), lead) for each in (subject, viewpoint))
         sigma = np.full(len(subject), np.nan)
         tangents = tangents_of_dir(view_dir.reshape(-1, 3))
         rows = np.flatnonzero(np.isfinite(tangents).all(axis=1))
         at = self._sensitivity(subject[rows], viewpoint[rows], tangents[rows])
+        if self.spread is None:
+            raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
         covariance = at.by_polynomial @ self.spread.covariance(at.inputs) @ at.by_polynomial.transpose(0, 2, 1)
         turned = dir_by_tangents(tangents[rows])
         sigma[rows] = np.sqrt(np.einsum("nij,njk,nik->n", turned, covariance, turned)) / ARCMIN

@@ -28,7 +28,7 @@ _SURFACE_COLOURS = ("tab:purple", "tab:brown", "tab:olive", "tab:pink", "tab:cya
 
 
 @dataclass(frozen=True)
-class Projection:
+class DrawingView:
     """A projection along one device axis: -z to the right, and `up` (1: y, 0: x) upwards."""
 
     title: str
@@ -47,8 +47,8 @@ class Projection:
 
 
 VIEWS = (
-    Projection("from the side", 1, "up, y (mm)"),
-    Projection("from above", 0, "right, x (mm)"),
+    DrawingView("from the side", 1, "up, y (mm)"),
+    DrawingView("from above", 0, "right, x (mm)"),
 )
 
 
@@ -75,7 +75,7 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     write_figure(path, figure, 150)
 
 
-def _draw_view(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
+def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     axes.set_title(view.title)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("forward, -z (mm)")
@@ -96,14 +96,14 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
         axes.invert_yaxis()  # seen from above and looking to the right, the right-hand side is below
 
 
-def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
+def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     unit = np.zeros((len(_EDGES), 3))
     unit[:, [2, view.up]] = 2.0 * _EDGES - 1.0
     axes.plot(*view.in_mm(optics.eye_box.at(unit)), color="tab:green", ls="--", label="eye box")
     axes.plot(*view.in_mm(optics.eye_box.centre), "o", ms=4, color="tab:green", label="nominal viewpoint")
 
 
-def cut_surface(surface: PlacedSurface, centre: FloatArray, view: Projection) -> FloatArray:
+def cut_surface(surface: PlacedSurface, centre: FloatArray, view: DrawingView) -> FloatArray:
     """Points of a surface in the plane of the view through `centre`, (n, 3); NaN separates pieces.
 
     They are found by a fan of straight rays, whatever the shape.
@@ -113,7 +113,7 @@ def cut_surface(surface: PlacedSurface, centre: FloatArray, view: Projection) ->
     return np.where((met.status == Status.OK)[:, None], met.origin, np.nan)
 
 
-def _draw_rays(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
+def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     """Rays to the panel, evenly over the angles at which it is seen in this plane, and the world's rays there."""
     centre = optics.eye_box.centre
     ahead = _FAN[np.abs(_FAN) < 0.5 * np.pi]
@@ -133,7 +133,7 @@ def _draw_rays(axes: "Axes", optics: EyeOptics, view: Projection) -> None:
     _draw_lines(axes, view, [centre, display.points, panel_end], "tab:blue", "display rays")
 
 
-def _draw_lines(axes: "Axes", view: Projection, parts: list[FloatArray], colour: str, label: str) -> None:
+def _draw_lines(axes: "Axes", view: DrawingView, parts: list[FloatArray], colour: str, label: str) -> None:
     """One line per ray through its start (3,), the points between (n, steps, 3) and its end (n, 3)."""
     start, between, end = parts
     line = np.concatenate([np.broadcast_to(start, (len(end), 1, 3)), between, end[:, None]], axis=1)

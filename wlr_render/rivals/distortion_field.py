@@ -5,7 +5,7 @@ direction t at a viewpoint v is the weighted sum along its ray, u(v, t) = sum ov
 softmax of o. So the backward map is native, and the forward map solves it.
 
 What is reduced against the published method, so that a processor trains it in seconds: layers of tanh units, four
-frequencies of Fourier features, and few points on the ray at fixed inverse depths. Points are given as their tangents
+frequencies of Fourier features, and few points on the ray at fixed inverse depths. Points are given by their tangents
 and inverse depth from the eye box's centre, so that the ray may pass through infinity (a virtual image lies beyond it
 where the light converges). U's last layer is linear; as the weights sum to one, u is linear in it, and training is by
 variable projection, with squares in place of a robust loss. An affine function of (v, t) is added to the sum. Widths,
@@ -24,17 +24,14 @@ import numpy as np
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, Sensitivity, joined
+from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, joined
 from wlr_render.models.inverse import solve_warm_then_cold
-from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.regressor import Regressor
 from wlr_render.rivals.network_training import TanhLayers, trained
-from wlr_render.rivals.samples import Samples
+from wlr_render.rivals.samples import Samples, least_squares
 
-SECONDS = 6.0
-"""Of process time, that a distortion field is trained for."""
 _FREQUENCIES = 2.0 ** np.arange(4) * np.pi / 2.0
 _DIOPTRES = np.linspace(-1.0, 4.0, 8)
 _FIRST_ROWS = 1_000
@@ -44,13 +41,15 @@ _START_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class RayLayers:
-    """Hidden layers whose last values (n, units) are the weighted sum of those of points along rays.
+    """Hidden layers whose last values (n, units) are the weighted sum of the values at points along rays.
 
-    See `network_training`. The flat weights are those of `hidden`, then of the occupancy (units,).
+    These are `network_training.Layers`. The flat weights are those of `hidden`, then of the occupancy (units,).
 
     Attributes:
-        units: of each layer. box: of (x, y, z, tx, ty), metres. centre: (3,) where points are told from.
-        dioptres: (k,) inverse depths of the points in front of the viewpoint, 1/m.
+        units: number of units of each layer.
+        box: of (x, y, z, tx, ty): viewpoints in metres, and view tangents.
+        centre: (3,) metres, origin of the points' tangents and inverse depths.
+        dioptres: (k,) inverse depths of the points of a ray from the viewpoint, 1/m.
     """
 
     units: tuple[int, ...]
@@ -60,7 +59,7 @@ class RayLayers:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of inputs and units."""
+        """Numbers of inputs of each point, and of units of each layer."""
         return self.hidden.sizes
 
     @cached_property
@@ -69,12 +68,15 @@ class RayLayers:
         return TanhLayers((5 * (1 + 2 * len(_FREQUENCIES)), *self.units))
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
-        """Random weights; high frequencies have small ones, and all points the same occupancy. `size` is not used."""
+        """Random weights (numbers,): small ones for high frequencies, and the same occupancy for all points.
+
+        `size` is not used.
+        """
         by_frequency = np.concatenate([[1.0], np.tile(0.5 / (_FREQUENCIES / _FREQUENCIES[0]), 2)])
         return np.concatenate([self.hidden.start(rng, np.repeat(by_frequency, 5)), np.zeros(self.units[-1])])
 
     def features(self, inputs: FloatArray) -> FloatArray:
-        """Fourier features (n * k, any) of the points of the rays (n, 5), scaled to -1..1 in `box`."""
+        """Fourier features (n * k, sizes[0]) of the points of rays (n, 5), which are scaled to -1..1 in `box`."""
         low, high = self.box.low, self.box.high
         metric = 0.5 * (low + high) + 0.5 * inputs * (high - low)
         offset, tangents = (metric[:, :3] - self.centre)[:, None], metric[:, None, 3:]
@@ -90,7 +92,7 @@ class RayLayers:
         return np.hstack([raw, *waves])
 
     def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
-        """Of the points' layers (n * k, size), the points' shares (n, k), and the sum (n, units)."""
+        """Values of the points' layers (n * k, size), the points' shares (n, k), and the weighted sum (n, units)."""
         found = self.hidden.values(weights[: self.hidden.numbers], self.features(inputs))
         occupancy = (found[-1] @ weights[self.hidden.numbers :]).reshape(len(inputs), -1)
         raised = np.exp(occupancy - occupancy.max(axis=1, keepdims=True))
@@ -98,20 +100,16 @@ class RayLayers:
         by_point = found[-1].reshape(*shares.shape, -1)
         return [*found, shares, np.asarray((shares[:, None] @ by_point)[:, 0])]
 
-    def gradient(
-        self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of a loss by the weights, and by the points' features."""
+    def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
+        """Derivative (numbers,) of a loss by the weights, from that by the weighted sum (n, units)."""
         *layers, shares, _ = values
         points = layers[-1].reshape(*shares.shape, -1)
         by_share = (points @ by_last[:, :, None])[..., 0]
         by_occupancy = shares * (by_share - np.sum(shares * by_share, axis=1, keepdims=True))
         occupancy = weights[self.hidden.numbers :]
         by_points = shares[..., None] * by_last[:, None] + by_occupancy[..., None] * occupancy
-        found, by_features = self.hidden.gradient(
-            weights[: self.hidden.numbers], layers, by_points.reshape(-1, len(occupancy))
-        )
-        return np.concatenate([found, np.ravel(by_occupancy) @ layers[-1]]), by_features
+        found = self.hidden.gradient(weights[: self.hidden.numbers], layers, by_points.reshape(-1, len(occupancy)))
+        return np.concatenate([found, np.ravel(by_occupancy) @ layers[-1]])
 
 
 @dataclass(frozen=True)
@@ -125,14 +123,12 @@ class DistortionFieldDisplay(FittedDisplay):
         eye_box: box of valid viewpoints.
         field: (x m, y m, z m, tx, ty) -> (u px, v px).
         forward_start: (u px, v px, x m, y m, z m) -> (tx, ty), where forward queries start.
-        spread: None.
     """
 
     panel: Panel
     eye_box: EyeBox
     field: Regressor
     forward_start: Polynomial
-    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {}
 
@@ -151,20 +147,16 @@ class DistortionFieldDisplay(FittedDisplay):
         inputs = joined(viewpoint, tangents)
         return Answer(self.field(inputs), self.field.box.contains(inputs))
 
-    def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
-        inputs = joined(viewpoint, tangents)
-        return Sensitivity(inputs, np.asarray(-np.linalg.inv(self.field.with_jacobian(inputs, axes=(3, 4))[1])))
-
 
 def distortion_field(
-    captures: DisplayCaptures, seconds: float = SECONDS, units: tuple[int, ...] = (32, 32, 32)
+    captures: DisplayCaptures, seconds: float, units: tuple[int, ...] = (32, 32, 32)
 ) -> DistortionFieldDisplay:
     """Fit a distortion field to captures of the panel, from viewpoints anywhere.
 
     Args:
-        captures: what was measured.
-        seconds: process time of the training.
-        units: of the hidden layers.
+        captures: of the panel.
+        seconds: process time of the training; therefore the result depends on the speed of the machine.
+        units: number of units of each hidden layer.
     """
     inputs = joined(captures.viewpoint, captures.tangents)
     readings = FitReadings(
@@ -184,7 +176,5 @@ def distortion_field(
     field = trained(samples, layers, seconds, trend_degree=1, first_rows=_FIRST_ROWS, rounding=_ROUNDING_PX)
     backward = joined(captures.pixel, captures.viewpoint)
     box, orders = Box.around(backward), total_degree(5, _START_DEGREE)
-    start = np.linalg.lstsq(basis(backward, orders, box), captures.tangents, rcond=1e-10)[0]
-    return DistortionFieldDisplay(
-        captures.panel, captures.eye_box, field, Polynomial(orders, box, np.asarray(start, np.float64))
-    )
+    start = Polynomial(orders, box, least_squares(basis(backward, orders, box), captures.tangents))
+    return DistortionFieldDisplay(captures.panel, captures.eye_box, field, start)

@@ -1,4 +1,4 @@
-"""One map for each camera position, and what lies between the positions: tables, and principal components.
+"""One map for each camera position, interpolated between the positions: tables, and principal components.
 
 Tables with interpolation are what headsets ship (US 10,373,297; US 10,241,545). Principal components of the maps, with
 scores that depend on the eye's position, are Guan et al., "Perceptual requirements for eye-tracked distortion
@@ -19,10 +19,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
 from wlr_render.numerics.regressor import NumericRegressor
-from wlr_render.rivals.samples import FOLDS, Samples
+from wlr_render.rivals.samples import FOLDS, Samples, least_squares
 
-MAP_DEGREES = (4, 6, 8)
-"""Of the polynomial of one position's map; held-out readings choose."""
+_MAP_DEGREES = (4, 6, 8)  # of the polynomial of one position's map; held-out readings choose
 _CONSTANT = 1e-6  # of the extent of the places: what a place of one position may vary by
 _DEPTHS_APART = 0.3  # of the nearest point's inverse depth: a tilted target reaches 0.2
 _COMPONENTS = (2, 3, 4, 6, 8, 10, 14, 18)
@@ -33,13 +32,14 @@ _INWARD = 0.97  # of the distance from the centre, a step
 
 @dataclass(frozen=True, eq=False)
 class PositionMaps:
-    """The map of each of k camera positions: polynomials of the pixel or direction.
+    """The map of each of k camera positions: polynomials of the pixel (px) or of the view tangents.
 
     Attributes:
-        samples: from which they come.
-        orders: (terms, 2) of the polynomials. box: of their two inputs.
+        samples: that the maps are fitted to.
+        orders: (terms, 2) of the polynomials.
+        box: of the two inputs of the polynomials.
         coefficients: (k, terms, outputs).
-        place: (k, place variables) of the positions, scaled.
+        place: (k, place variables) of the positions, scaled to -1..1.
     """
 
     samples: Samples
@@ -49,35 +49,31 @@ class PositionMaps:
     place: FloatArray
 
     @classmethod
-    def of(cls, samples: Samples, degree: int | None = None) -> "PositionMaps":
-        """Fit each map by least squares; held-out readings of all positions choose the degree if none is given.
+    def of(cls, samples: Samples) -> "PositionMaps":
+        """Fit each map by least squares, all of the degree with the least error at held-out readings.
 
         Raises:
             BadInputError: a position's place is not one point, or it has too few readings.
         """
-        if degree is None:
-            fewest = np.bincount(samples.position).min() * 0.8 / samples.readings.blocks
-            known = [each for each in MAP_DEGREES if term_count(2, each) < fewest] or [2]
-            degree = known[0]
-            if len(known) > 1:
-                degree = min(known, key=lambda each: _held_out_map_error(samples, each))
+        fewest = np.bincount(samples.position).min() * 0.8 / samples.readings.blocks
+        known = [each for each in _MAP_DEGREES if term_count(2, each) < fewest] or [2]
+        degree = known[0]
+        if len(known) > 1:
+            degree = min(known, key=lambda each: _held_out_map_error(samples, each))
         subject = samples.readings.inputs[:, ~samples.is_place]
         box = samples.readings.box.of(np.flatnonzero(~samples.is_place).tolist())
         orders = total_degree(2, degree)
-        phi, target = basis(subject, orders, box), samples.target()
+        phi, columns = basis(subject, orders, box), samples.readings.blocks * len(orders)
         coefficients, places = [], []
         for position in range(int(samples.position.max()) + 1):
             rows = np.flatnonzero(samples.position == position)
-            design = samples.design(phi[rows], rows)
             _require_two_depths(samples, rows, position)
-            if len(rows) < design.shape[1]:
+            if len(rows) < columns:
                 raise BadInputError(
                     f"camera position {position} has {len(rows)} readings, too few for a map of its own; "
-                    f"a table needs {design.shape[1]} or more at each."
+                    f"a table needs {columns} or more at each."
                 )
-            coefficients.append(
-                samples.by_block(np.asarray(np.linalg.lstsq(design, target[rows], rcond=1e-10)[0], np.float64))
-            )
+            coefficients.append(samples.solve(phi[rows], rows))
             place = samples.scaled[rows][:, samples.is_place]
             if place.size and np.ptp(place, axis=0).max() > _CONSTANT:
                 raise BadInputError(
@@ -88,7 +84,10 @@ class PositionMaps:
         return cls(samples, orders, box, np.array(coefficients), np.array(places))
 
     def metric_root(self) -> FloatArray:
-        """Upper triangular (m, m): its product with the columns of a map has the map's size over all readings."""
+        """Upper triangular matrix (m, m) whose product with a map (m, 2) has the map's rms size over all readings.
+
+        m is the blocks times the terms, as in `Samples.by_column`.
+        """
         samples = self.samples
         phi = basis(samples.readings.inputs[:, ~samples.is_place], self.orders, self.box)
         return np.asarray(np.linalg.qr(samples.design(phi) / np.sqrt(len(samples)), mode="r"))
@@ -104,6 +103,23 @@ class PositionMaps:
 
         return NumericRegressor(value, box, samples.outputs, numbers=coefficients.size)
 
+    def table(
+        self, fewest: int, interpolate: Callable[[FloatArray], Callable[[FloatArray], FloatArray]]
+    ) -> NumericRegressor:
+        """The maps interpolated between their places; a single map, or one without places, serves all viewpoints.
+
+        Args:
+            fewest: number of positions that the interpolation needs.
+            interpolate: places (k, place variables) -> function of places (n, place variables): weights (n, k).
+
+        Raises:
+            BadInputError: there are fewer positions, or they do not span the places.
+        """
+        if len(self.place) == 1 or self.place.shape[1] == 0:
+            return self.regressor(lambda place: np.ones((len(place), 1)), self.coefficients[:1])
+        _require_places(self.place, fewest)
+        return self.regressor(interpolate(self.place), self.coefficients)
+
 
 def _held_out_map_error(samples: Samples, degree: int) -> float:
     """Sum of squares at every fifth reading of each position, of a map fitted to the others."""
@@ -114,30 +130,35 @@ def _held_out_map_error(samples: Samples, degree: int) -> float:
     for position in range(int(samples.position.max()) + 1):
         here = samples.position == position
         kept, left = np.flatnonzero(here & ~out), np.flatnonzero(here & out)
-        solution = np.linalg.lstsq(samples.design(phi[kept], kept), target[kept], rcond=1e-10)[0]
+        solution = samples.by_column(samples.solve(phi[kept], kept))
         error += float(np.sum((samples.design(phi[left], left) @ solution - target[left]) ** 2))
     return error
 
 
 def linear_table(samples: Samples) -> NumericRegressor:
-    """Maps interpolated linearly within the triangles (tetrahedra) of Delaunay; clamped to their hull."""
+    """Fit maps, interpolated linearly within the Delaunay triangles (tetrahedra) of their places; clamped to the hull.
+
+    Raises:
+        BadInputError: see `PositionMaps.of` and `PositionMaps.table`.
+    """
     maps = PositionMaps.of(samples)
-    if len(maps.place) == 1 or maps.place.shape[1] == 0:
-        return maps.regressor(lambda place: np.ones((len(place), 1)), maps.coefficients[:1])
-    _require_places(maps.place, maps.place.shape[1] + 1)
-    return maps.regressor(_linear_weights(maps.place), maps.coefficients)
+    return maps.table(maps.place.shape[1] + 1, _linear_weights)
 
 
 def thin_plate_table(samples: Samples) -> NumericRegressor:
-    """Maps interpolated by thin plates: the smoothest function through all of them."""
+    """Fit maps, interpolated by thin-plate splines of their places.
+
+    Raises:
+        BadInputError: see `PositionMaps.of` and `PositionMaps.table`.
+    """
     maps = PositionMaps.of(samples)
-    if len(maps.place) == 1 or maps.place.shape[1] == 0:
-        return maps.regressor(lambda place: np.ones((len(place), 1)), maps.coefficients[:1])
     variables = maps.place.shape[1]
     degree = 2 if len(maps.place) > 2 * term_count(variables, 2) else 1
-    _require_places(maps.place, term_count(variables, degree))
-    spline = RBFInterpolator(maps.place, np.eye(len(maps.place)), kernel="thin_plate_spline", degree=degree)
-    return maps.regressor(spline, maps.coefficients)
+
+    def spline(place: FloatArray) -> RBFInterpolator:
+        return RBFInterpolator(place, np.eye(len(place)), kernel="thin_plate_spline", degree=degree)
+
+    return maps.table(term_count(variables, degree), spline)
 
 
 FitScores = Callable[[FloatArray, FloatArray, Any], tuple[Callable[[FloatArray], FloatArray], int]]
@@ -145,9 +166,9 @@ FitScores = Callable[[FloatArray, FloatArray, Any], tuple[Callable[[FloatArray],
 
 
 def principal_components(samples: Samples) -> NumericRegressor:
-    """Mean map and principal components, with scores that are polynomials of the place.
+    """Fit the mean map and principal components, with scores that are polynomials of the place.
 
-    Their numbers and degree are those with the least error at held-out positions.
+    The number of components and the degree are those with the least error at held-out positions.
     """
     return components_with_scores(samples, _COMPONENTS, _SCORE_DEGREES, _polynomial_scores)
 
@@ -155,7 +176,7 @@ def principal_components(samples: Samples) -> NumericRegressor:
 def components_with_scores(
     samples: Samples, counts: Sequence[int], settings: Sequence[Any], fit: FitScores
 ) -> NumericRegressor:
-    """Mean map and principal components, with scores that are a function of the place.
+    """Fit the mean map and principal components, with scores that are a function of the place.
 
     Args:
         samples: what to fit.
@@ -201,7 +222,7 @@ def _polynomial_scores(place: FloatArray, scores: FloatArray, degree: int) -> tu
     if term_count(place.shape[1], degree) > len(place):
         raise BadInputError(f"{len(place)} camera positions are too few for scores of degree {degree}.")
     orders, box = total_degree(place.shape[1], degree), Box(-np.ones(place.shape[1]), np.ones(place.shape[1]))
-    fitted = Polynomial(orders, box, np.asarray(np.linalg.lstsq(basis(place, orders, box), scores, rcond=1e-10)[0]))
+    fitted = Polynomial(orders, box, least_squares(basis(place, orders, box), scores))
     return fitted, fitted.coefficients.size
 
 

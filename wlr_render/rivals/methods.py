@@ -11,7 +11,7 @@ from wlr_render.calibration.fit_display import DISPLAY, fit_display
 from wlr_render.calibration.fit_eye import eye_trends, fit_with_trends
 from wlr_render.calibration.fit_prescription import FittedAssembly, Prescription, fit_assembly
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
+from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.static import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
@@ -122,14 +122,9 @@ def _pinhole(fit: Callable[[EyeCaptures], tuple[PinholeDisplay, FixedEyeSeeThrou
     return Rival(shown, seen, shown.numbers)
 
 
-def _screen(fit: Callable[[DisplayCaptures], PinholeDisplay], data: MethodData) -> Rival:
+def _screen(fit: Callable[[EyeCaptures], PinholeDisplay], data: MethodData) -> Rival:
     """A flat virtual screen, and the world as if there were no combiner."""
-    shown = fit(data.planar.both[0])
-    return Rival(shown, undeviated(shown.eye_box), shown.numbers)
-
-
-def _recycled(data: MethodData) -> Rival:
-    shown = indica_recycle(data.planar)
+    shown = fit(data.planar)
     return Rival(shown, undeviated(shown.eye_box), shown.numbers)
 
 
@@ -220,9 +215,13 @@ def _methods() -> dict[str, Method]:
     found["spaam-redone"] = Method(
         "the same, redone at every position", "nearest", partial(_pinhole, spaam_redone), True
     )
-    found["plane"] = Method("DRC: Owen et al. 2004", "a flat screen", partial(_screen, direct_plane))
-    found["indica-full"] = Method("Itoh and Klinker 2014", "a flat screen", partial(_screen, indica_full))
-    found["indica-recycle"] = Method("Itoh and Klinker 2014", "a flat screen", _recycled)
+    found["plane"] = Method(
+        "DRC: Owen et al. 2004", "a flat screen", partial(_screen, lambda eye: direct_plane(eye.both[0]))
+    )
+    found["indica-full"] = Method(
+        "Itoh and Klinker 2014", "a flat screen", partial(_screen, lambda eye: indica_full(eye.both[0]))
+    )
+    found["indica-recycle"] = Method("Itoh and Klinker 2014", "a flat screen", partial(_screen, indica_recycle))
     found["point-table"] = Method("Klemm et al. 2016", "a point", _point_table)
     for bundled, structure in ((False, "volumetric"), (True, "planar")):
         fit_plane = partial(_plane_and_polynomial, bundled)

@@ -3,7 +3,8 @@
 Variable projection: the last, linear layer is the least-squares solution for the weights of the hidden layers, so that
 only those are searched. The loss does not change with the last layer to first order there; therefore its gradient by
 the hidden weights is the partial one (Golub and Pereyra, Inverse Problems 19(2) R1, 2003). The search is
-`scipy.optimize.minimize` with L-BFGS-B; camera positions that it does not see say when to stop.
+`scipy.optimize.minimize` with L-BFGS-B. It stops when held-out camera positions are no longer predicted better, or when
+the process time is spent. Therefore the results depend on the speed of the machine.
 """
 
 import time
@@ -24,11 +25,10 @@ from wlr_render.rivals.samples import Samples
 _ROUNDING = 1e-10  # the units of the last layer cancel: its weights reach 100 times the values
 _RIDGE = 1e-9  # on the last layer, of the mean square of its multipliers
 _TREND_RIDGE = 1e-13  # so that terms which the readings do not determine stay small
-FIRST_ROWS = 3_000
-"""Readings that are trained on first."""
-_MORE_ROWS = 4  # times so many when they are learnt
+_FIRST_ROWS = 3_000
+_MORE_ROWS = 4  # factor by which the readings grow after each search that ends before the deadline
 _PLACE_SIZES = (0.1, 0.1, 0.3)  # of first weights, against those of the pixel: maps change slowly with the place
-_TRIAL = 0.12  # of the budget, for each of them; the best at held-out positions goes on
+_TRIAL = 0.12  # share of the process time for each size; the best one at held-out positions is continued
 _CHECK_EVERY, _PATIENCE = 8, 5  # iterations between checks; checks without a better one
 
 
@@ -37,7 +37,7 @@ class Layers(Protocol):
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of units; the last is that of the values that the linear layer takes."""
+        """Number of inputs, then of the units of each layer; the linear layer takes the values of the last."""
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
         """Random weights; `size` (variables,) multiplies those of each input."""
@@ -45,10 +45,8 @@ class Layers(Protocol):
     def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
         """The values (n, sizes[-1]) for inputs (n, variables) are the last; `gradient` needs the others."""
 
-    def gradient(
-        self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivative of a loss by the weights, and by the inputs of the first layer."""
+    def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
+        """Derivative (weights,) of a loss by the weights, from that by the last values (n, sizes[-1])."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +79,8 @@ class TanhLayers:
             found.append(np.tanh(found[-1] @ matrix + bias))
         return found
 
-    def gradient(
-        self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of a loss by the weights (numbers,) and by the inputs (n, sizes[0]).
+    def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
+        """Derivative (numbers,) of a loss by the weights.
 
         Args:
             weights: (numbers,). values: of `values`.
@@ -96,7 +92,7 @@ class TanhLayers:
             by = by * (1.0 - after * after)
             found = [np.ravel(before.T @ by), by.sum(axis=0), *found]
             by = by @ matrix.T
-        return np.concatenate(found), by
+        return np.concatenate(found)
 
     def _parts(self, weights: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         parts, at = [], 0
@@ -109,7 +105,7 @@ class TanhLayers:
 
 @dataclass(frozen=True, eq=False)
 class ProjectedLoss:
-    """Mean square that hidden layers, a trend and their best last layer leave of a target, as a function of the former.
+    """Mean square that hidden layers, a trend and the best last layer leave of a target, by the hidden weights.
 
     target = sum over blocks b of multiplier_b ([hidden units, trend] @ coefficients_b).
 
@@ -132,7 +128,14 @@ class ProjectedLoss:
     def of(
         cls, samples: Samples, rows: IntArray, layers: Layers, degree: int, known: Polynomial | None
     ) -> "ProjectedLoss":
-        """Of some rows of samples, with a polynomial trend; `known` is taken off the observed values first."""
+        """Loss of some rows of samples.
+
+        Args:
+            samples: what to fit. rows: (n,) of them.
+            layers: the hidden ones.
+            degree: of the polynomial trend.
+            known: polynomial that is subtracted from the observed values first.
+        """
         readings = samples.readings
         trend = basis(readings.inputs[rows], total_degree(len(samples.is_place), degree), readings.box)
         multiplier = readings.multiplier[rows] * readings.weight[rows, None]
@@ -150,7 +153,7 @@ class ProjectedLoss:
         by_last = np.zeros_like(values[-1])
         for multiplier, coefficients in zip(self.multiplier.T, of_units, strict=True):
             by_last += (rest * (2.0 / len(rest) * multiplier)[:, None]) @ coefficients.T
-        gradient, _ = self.layers.gradient(weights, values, by_last)
+        gradient = self.layers.gradient(weights, values, by_last)
         decay = self.decay / len(weights)
         return float(loss + decay * weights @ weights), gradient + 2.0 * decay * weights
 
@@ -166,11 +169,11 @@ class ProjectedLoss:
         return np.asarray(cho_solve(cho_factor(gram), design.T @ self.target / len(design)))
 
     def solved(self, weights: FloatArray) -> FloatArray:
-        """`solve` for hidden weights."""
+        """The best last layer (blocks * (units + terms), outputs) for hidden weights (numbers,)."""
         return self.solve(self.design(self.layers.values(weights, self.inputs)[-1]))
 
     def error(self, weights: FloatArray, solution: FloatArray) -> float:
-        """Mean square that hidden weights and a last layer, solved elsewhere, leave here."""
+        """Mean square that hidden weights and a last layer of other rows leave of the target."""
         rest = self.design(self.layers.values(weights, self.inputs)[-1]) @ solution - self.target
         return float(np.sum(rest**2) / len(rest))
 
@@ -185,44 +188,38 @@ class _StopSearchError(Exception):
 
 
 @dataclass
-class Search:
-    """A search by L-BFGS-B that ends with a budget of process time, or when its checks stay behind the best one.
+class TimedSearch:
+    """A search by L-BFGS-B that ends at a process time, or when several checks in a row are no better than the best.
 
     Attributes:
         deadline: `time.process_time` at which it ends.
         best: weights of the least error so far.
-        error: at them.
-        evaluations: of the loss so far.
+        error: of `best`, from the check.
     """
 
     deadline: float
     best: FloatArray
     error: float = np.inf
-    evaluations: int = 0
 
     @property
     def is_over(self) -> bool:
-        """Whether the budget is spent."""
+        """Whether the deadline has passed."""
         return time.process_time() >= self.deadline
 
-    def run(
-        self,
-        loss: Callable[[FloatArray], tuple[float, FloatArray]],
-        check: Callable[[FloatArray], float],
-        every: int = _CHECK_EVERY,
-    ) -> None:
-        """Go on from `best` with a loss that returns its gradient, too; `check` gives the error that decides."""
+    def run(self, loss: Callable[[FloatArray], tuple[float, FloatArray]], check: Callable[[FloatArray], float]) -> None:
+        """Search from `best`.
+
+        Args:
+            loss: weights -> loss and its gradient.
+            check: weights -> error that decides which weights are the best.
+        """
         self.error = check(self.best)
         iterations, behind = 0, 0
-
-        def counted(weights: FloatArray) -> tuple[float, FloatArray]:
-            self.evaluations += 1
-            return loss(weights)
 
         def after(weights: FloatArray) -> None:
             nonlocal iterations, behind
             iterations += 1
-            if iterations % every == 0 or self.is_over:
+            if iterations % _CHECK_EVERY == 0 or self.is_over:
                 error = check(weights)
                 behind = 0 if error < self.error else behind + 1
                 if error < self.error:
@@ -232,7 +229,7 @@ class Search:
 
         options = {"maxcor": 40, "maxiter": 10**6, "maxfun": 10**7, "ftol": 0.0, "gtol": 0.0}
         try:
-            after(minimize(counted, self.best, jac=True, method="L-BFGS-B", callback=after, options=options).x)
+            after(minimize(loss, self.best, jac=True, method="L-BFGS-B", callback=after, options=options).x)
         except _StopSearchError:
             return
 
@@ -243,7 +240,7 @@ def trained(
     seconds: float,
     trend_degree: int,
     known: Polynomial | None = None,
-    first_rows: int = FIRST_ROWS,
+    first_rows: int = _FIRST_ROWS,
     rounding: float = _ROUNDING,
 ) -> NumericRegressor:
     """Train hidden layers, and solve the last layer and a polynomial trend.
@@ -256,7 +253,7 @@ def trained(
         hidden: layers that take the samples' inputs, scaled to -1..1.
         seconds: process time of the training.
         trend_degree: of the polynomial that is fitted together with the last layer.
-        known: of the same inputs; the network is fitted to what it leaves.
+        known: polynomial of the same inputs; the network is fitted to what it leaves.
         first_rows: readings that are trained on first.
         rounding: of the values, see `NumericRegressor`.
     """
@@ -272,7 +269,7 @@ def trained(
     searches = []
     for size in _PLACE_SIZES:
         start = hidden.start(rng, np.where(samples.is_place, size, 1.0))
-        searches.append(Search(time.process_time() + _TRIAL * seconds, start))
+        searches.append(TimedSearch(time.process_time() + _TRIAL * seconds, start))
         searches[-1].run(loss, check)
     search = replace(min(searches, key=lambda each: each.error), deadline=deadline)
     rows = first_rows

@@ -1,8 +1,9 @@
 """Small neural networks of tanh units: as a regressor, as an offset from a static map, and as a decoder of maps.
 
-As a regressor in the structure "planar" this is the ray bundle's short cut of the neural distortion field (NDF; see
+As a regressor in the structure "planar" this is the ray bundle's form of the neural distortion field (NDF; see
 `distortion_field`): what a pixel shows is the same along a ray, so that the field's sum along the ray is not needed.
-`network_training` has the layers and their training.
+`network_training` has the layers and their training. It stops by process time, so the results of `network` and
+`offset_network` depend on the speed of the machine.
 """
 
 from collections.abc import Callable
@@ -17,8 +18,7 @@ from wlr_render.rivals.map_tables import components_with_scores
 from wlr_render.rivals.network_training import ProjectedLoss, TanhLayers, trained
 from wlr_render.rivals.samples import Samples
 
-SECONDS = 3.0
-"""Of process time, that a network is trained for."""
+_UNITS = (32, 32)
 _STATIC_DEGREE = 6
 _DECAYS = (1e-6, 1e-4, 1e-2)  # on the decoder's weights; held-out positions choose
 _COUNTS = (3, 6, 10, 14)
@@ -26,25 +26,20 @@ _DECODER_ITERATIONS = 60
 
 
 def network(
-    samples: Samples,
-    seconds: float = SECONDS,
-    layers: tuple[int, ...] = (32, 32),
-    trend_degree: int = 3,
-    known: Polynomial | None = None,
+    samples: Samples, seconds: float, trend_degree: int = 3, known: Polynomial | None = None
 ) -> NumericRegressor:
     """Fit tanh layers and a polynomial trend.
 
     Args:
         samples: what to fit.
-        seconds: process time of the training.
-        layers: numbers of hidden units.
+        seconds: process time of the training; see `network_training` for what depends on it.
         trend_degree: of the polynomial that is fitted together with the last layer.
-        known: of the same inputs; the network is fitted to what it leaves.
+        known: polynomial of the same inputs; the network is fitted to what it leaves.
     """
-    return trained(samples, TanhLayers((len(samples.is_place), *layers)), seconds, trend_degree, known)
+    return trained(samples, TanhLayers((len(samples.is_place), *_UNITS)), seconds, trend_degree, known)
 
 
-def offset_network(samples: Samples, seconds: float = SECONDS, layers: tuple[int, ...] = (32, 32)) -> NumericRegressor:
+def offset_network(samples: Samples, seconds: float) -> NumericRegressor:
     """Fit a network to the offset from a static map: that of the camera position nearest to the centre of all.
 
     As HUDNet (Displays, 2023) and direct distortion prediction (Yu et al., Applied Optics 62(21) 5720, 2023) do for
@@ -59,10 +54,8 @@ def offset_network(samples: Samples, seconds: float = SECONDS, layers: tuple[int
     by_column = np.empty_like(orders)
     by_column[:, ~samples.is_place], by_column[:, samples.is_place] = orders[:, :2], orders[:, 2:]
     box = samples.readings.box
-    design = samples.design(basis(samples.readings.inputs[rows], by_column, box), rows)
-    solution = np.linalg.lstsq(design, samples.target(rows=rows), rcond=1e-10)[0]
-    static = Polynomial(by_column, box, samples.by_block(np.asarray(solution)))
-    return network(samples, seconds, layers, trend_degree=0, known=static)
+    static = Polynomial(by_column, box, samples.solve(basis(samples.readings.inputs[rows], by_column, box), rows))
+    return network(samples, seconds, trend_degree=0, known=static)
 
 
 def decoded_components(samples: Samples) -> NumericRegressor:
@@ -76,7 +69,7 @@ def decoded_components(samples: Samples) -> NumericRegressor:
 
 def _decoder(place: FloatArray, scores: FloatArray, decay: float) -> tuple[Callable[[FloatArray], FloatArray], int]:
     """Scores (k, count) as a network of places (k, variables), and its numbers."""
-    hidden = TanhLayers((place.shape[1], 32, 32))
+    hidden = TanhLayers((place.shape[1], *_UNITS))
     size = float(np.sqrt(np.mean(scores**2))) or 1.0
 
     def terms(place: FloatArray) -> FloatArray:
@@ -84,13 +77,8 @@ def _decoder(place: FloatArray, scores: FloatArray, decay: float) -> tuple[Calla
 
     loss = ProjectedLoss(hidden, place, terms(place), np.ones((len(place), 1)), scores / size, decay)
     options = {"maxiter": _DECODER_ITERATIONS}
-    weights = minimize(
-        loss,
-        hidden.start(np.random.default_rng(0), np.ones(place.shape[1])),
-        jac=True,
-        method="L-BFGS-B",
-        options=options,
-    ).x
+    start = hidden.start(np.random.default_rng(0), np.ones(place.shape[1]))
+    weights = minimize(loss, start, jac=True, method="L-BFGS-B", options=options).x
     solution = loss.solved(weights) * size
     return (
         lambda wanted: np.hstack([hidden.values(weights, wanted)[-1], terms(wanted)]) @ solution,

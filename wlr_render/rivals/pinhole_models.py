@@ -6,31 +6,19 @@ infinity.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, NoReturn
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedModel, FittedSeeThrough, Forms, joined
-from wlr_render.models.spread import Covariance
+from wlr_render.models.fitted_model import Answer, FittedDisplay, FittedSeeThrough, Forms, joined
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
 
-class _WithoutCovariance(FittedModel):
-    """Base of models of published methods that state no covariance."""
-
-    def _sensitivity(self, *_: FloatArray) -> NoReturn:
-        raise BadInputError("this published method states no covariance, so its standard errors are unknown.")
-
-    def _sigma(self, *_: FloatArray) -> NoReturn:
-        self._sensitivity()
-
-
 @dataclass(frozen=True, eq=False)
-class PinholeDisplay(_WithoutCovariance, FittedDisplay):
+class PinholeDisplay(FittedDisplay):
     """`DisplayMapping` by one 3 x 3 matrix for each camera position; a viewpoint uses the nearest position.
 
     Both queries are in closed form.
@@ -43,7 +31,7 @@ class PinholeDisplay(_WithoutCovariance, FittedDisplay):
         matrix: (k, 3, 3) (u, v, 1) -> direction from there.
         inverse_depth: (k, 3) (u, v, 1) -> homogeneous coordinate of the image point, 1/m in the unit of `matrix`; zero
             for an image at infinity.
-        numbers: that have to be stored.
+        numbers: how many numbers have to be stored.
     """
 
     panel: Panel
@@ -53,7 +41,6 @@ class PinholeDisplay(_WithoutCovariance, FittedDisplay):
     matrix: FloatArray
     inverse_depth: FloatArray
     numbers: int
-    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {}
 
@@ -82,7 +69,7 @@ class PinholeDisplay(_WithoutCovariance, FittedDisplay):
 
 
 @dataclass(frozen=True, eq=False)
-class FixedEyeSeeThrough(_WithoutCovariance, FittedSeeThrough):
+class FixedEyeSeeThrough(FittedSeeThrough):
     """`SeeThroughMapping` of straight rays to one eye for each camera position, wherever the viewpoint is near it.
 
     With the display of SPAAM, which lumps both sides of the headset, it gives the projection that SPAAM fits.
@@ -96,7 +83,6 @@ class FixedEyeSeeThrough(_WithoutCovariance, FittedSeeThrough):
     eye_box: EyeBox
     position: FloatArray
     eye: FloatArray
-    spread: Covariance | None = None
 
     FORMS: ClassVar[Forms] = {}
 

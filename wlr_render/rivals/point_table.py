@@ -21,13 +21,12 @@ from wlr_render.numerics.regressor import NumericRegressor
 from wlr_render.rivals.map_tables import PositionMaps
 from wlr_render.rivals.samples import Samples
 
-COLUMNS, ROWS = 25, 21
-"""Of the grid over the panel."""
-_SLACK = 0.05  # of the size of what was decoded at a position: about the distance between its pixels
+_COLUMNS, _ROWS = 25, 21
+_SLACK = 0.05  # of the size of the decoded region at a position: about the distance between its pixels
 _BASELINE_M = 0.5e-3  # rms distance of the positions of a pixel from their mean, at least
 
 
-def klemm_grid(captures: DisplayCaptures, columns: int = COLUMNS, rows: int = ROWS) -> PointPerPixelDisplay:
+def klemm_grid(captures: DisplayCaptures, columns: int = _COLUMNS, rows: int = _ROWS) -> PointPerPixelDisplay:
     """Triangulate the point in space of each node of a pixel grid, with bilinear interpolation between the nodes.
 
     A node's point is the one nearest to its rays from all camera positions. Adapted: each position's map is a
@@ -38,7 +37,7 @@ def klemm_grid(captures: DisplayCaptures, columns: int = COLUMNS, rows: int = RO
 
     Args:
         captures: of two camera positions or more.
-        columns, rows: of the grid over the decoded part of the panel.
+        columns, rows: numbers of nodes of the grid over the decoded part of the panel.
 
     Raises:
         BadInputError: a camera position has too few readings, or fewer than two camera positions see a pixel.

@@ -5,7 +5,7 @@ A regressor is a function of the pixel (or view direction) and of a place. The s
 bundle of the paper's sections 3.3 and 3.4). So each regressor can stand in each structure.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,11 +17,15 @@ from wlr_render.calibration.model_kinds import Side
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
+from wlr_render.numerics.polynomial import Polynomial, basis, term_count, total_degree
 from wlr_render.numerics.regressor import Regressor
 
 FOLDS = 5
 """Parts of the camera positions, each of which is left out once to choose hyperparameters."""
+_MOST_COLUMNS = 520  # of a polynomial's equations: degree 5 or 6 in five variables, 6 to 8 in four
+
+Solutions = Callable[[FloatArray, FloatArray], Iterable[FloatArray]]
+"""Design (m, columns), target (m, outputs) -> solutions (columns, outputs), one for each setting."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,7 @@ class Samples:
 
     @property
     def outputs(self) -> int:
-        """Of the regressor: two for each block."""
+        """Number of outputs of the regressor: two for each block."""
         return 2 * self.readings.blocks
 
     @property
@@ -85,16 +89,83 @@ class Samples:
         blocks = self.readings.blocks
         return coefficients.reshape(-1, blocks, 2).transpose(1, 0, 2).reshape(-1, 2)
 
-    def polynomial(self, degree: int) -> Polynomial:
-        """Least-squares polynomial of a total degree in all inputs."""
-        orders = total_degree(len(self.is_place), degree)
-        design = self.design(basis(self.readings.inputs, orders, self.readings.box))
-        solution = np.linalg.lstsq(design, self.target(), rcond=1e-10)[0]
-        return Polynomial(orders, self.readings.box, self.by_block(np.asarray(solution)))
+    def solve(
+        self, features: FloatArray, rows: slice | IntArray = slice(None), trend: Regressor | None = None
+    ) -> FloatArray:
+        """Least-squares coefficients (k, outputs) of features (m, k) at some rows, for what a trend leaves."""
+        return self.by_block(least_squares(self.design(features, rows), self.target(trend, rows)))
+
+    def polynomial(self, degree: int | None = None, trend: Regressor | None = None) -> Polynomial:
+        """Least-squares polynomial in all inputs, of a total degree, for what a trend leaves.
+
+        Without a degree, it is the degree with the least error at held-out camera positions.
+        """
+        if degree is None:
+            degree = self._held_out_degree(trend)
+        orders, box = total_degree(len(self.is_place), degree), self.readings.box
+        return Polynomial(orders, box, self.solve(basis(self.readings.inputs, orders, box), trend=trend))
+
+    def held_out_errors(
+        self, features: FloatArray, target: FloatArray, solutions: Solutions, rows: IntArray
+    ) -> FloatArray:
+        """Sums of squares (settings,) that solutions leave at held-out camera positions.
+
+        Args:
+            features: (m, k).
+            target: (m, 2), weighted.
+            solutions: fits the other folds, in each setting; it takes their design and target in triangular form.
+            rows: (m,) of the samples.
+        """
+        fold = self.fold[rows]
+        # The products of columns are all that the sums of squares of a fold need.
+        folds = [fold == number for number in range(FOLDS)]
+        roots = [_root(np.hstack([self.design(features[here], rows[here]), target[here]])) for here in folds]
+        error: FloatArray = np.zeros(1)
+        for number, out in enumerate(roots):
+            design, seen = _parts(_root(np.vstack(roots[:number] + roots[number + 1 :])))
+            left, wanted = _parts(out)
+            error = error + [np.sum((left @ each - wanted) ** 2) for each in solutions(design, seen)]
+        return error
+
+    def _held_out_degree(self, trend: Regressor | None) -> int:
+        """Total degree of the polynomial with the least error at held-out camera positions."""
+        variables, blocks = len(self.is_place), self.readings.blocks
+        most = 1
+        while blocks * term_count(variables, most + 1) <= min(_MOST_COLUMNS, 0.8 * len(self)):
+            most += 1
+        orders = total_degree(variables, most)
+
+        def solutions(design: FloatArray, target: FloatArray) -> Iterable[FloatArray]:
+            for degree in range(most + 1):
+                used = np.tile(orders.sum(axis=1) <= degree, blocks)
+                solution = np.zeros((design.shape[1], target.shape[1]))
+                solution[used] = least_squares(design[:, used], target)
+                yield solution
+
+        phi = basis(self.readings.inputs, orders, self.readings.box)
+        return int(np.argmin(self.held_out_errors(phi, self.target(trend), solutions, np.arange(len(self)))))
+
+
+def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
+    """Least-squares solution (columns, outputs) of a design (m, columns) and target (m, outputs).
+
+    It is the smallest one where the rows do not determine it.
+    """
+    return np.asarray(np.linalg.lstsq(design, target, rcond=1e-10)[0], np.float64)
+
+
+def _root(rows: FloatArray) -> FloatArray:
+    """Upper triangular matrix with the same products of columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _parts(root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Design and target, of which the target is the last two columns."""
+    return root[:, :-2], root[:, -2:]
 
 
 Fit = Callable[[Samples], Regressor]
-"""How a regressor is fitted."""
+"""Fits a regressor."""
 
 
 def fit_structure(
