@@ -287,6 +287,12 @@ def test_a_spread_with_terms_of_its_own_comes_back(tmp_path):
     assert "orders" in eye["display"]["spread"]["joint"]
 
 
+def test_a_model_of_a_file_without_a_spread_refuses_its_standard_error(tmp_path):
+    read = read_again(tmp_path, model(bundle_display()))
+    with pytest.raises(BadInputError, match="no covariance; fit it with this version: calibrate again"):
+        read.mappings.display.sigma(np.array([500.0, 400.0]), EYE_BOX.centre)
+
+
 def test_a_model_of_exact_data_without_factors_comes_back(tmp_path):
     display = bundle_display()
     none = Polynomial(display.forward.orders, display.forward.box, np.zeros((15, 0)))

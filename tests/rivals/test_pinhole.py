@@ -123,9 +123,9 @@ def test_pixels_outside_the_fit_and_behind_the_eye_have_their_status():
 
 def test_there_is_no_covariance():
     display, see_through = spaam(spaam_captures(EYE_BOX.centre[None], np.zeros(3)))
-    with pytest.raises(BadInputError, match="no covariance"):
+    with pytest.raises(BadInputError, match="only models fitted by maximum evidence"):
         display.sigma(PIXEL, VIEWPOINT)
-    with pytest.raises(BadInputError, match="no covariance"):
+    with pytest.raises(BadInputError, match="only models fitted by maximum evidence"):
         see_through.sigma(POINT, VIEWPOINT)
 
 

@@ -194,7 +194,7 @@ class FittedModel(ABC):
         tangents = tangents_of_dir(view_dir.reshape(-1, 3))
         rows = np.flatnonzero(np.isfinite(tangents).all(axis=1))
         at = self._sensitivity(subject[rows], viewpoint[rows], tangents[rows])
-        if self.spread is None:
+        if self.spread is None:  # models that never have a covariance refused in `_sensitivity`
             raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
         covariance = at.by_polynomial @ self.spread.covariance(at.inputs) @ at.by_polynomial.transpose(0, 2, 1)
         turned = dir_by_tangents(tangents[rows])

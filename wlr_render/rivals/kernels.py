@@ -77,14 +77,14 @@ def _ridge(samples: Samples, centres: int, ridges: FloatArray, trend: Polynomial
 def _solved(
     samples: Samples, features: Callable[[FloatArray], FloatArray], prior: FloatArray, trend: Polynomial, centres: int
 ) -> NumericRegressor:
-    """A trend and weighted features, with the least squares of the rest and of prior (m, columns) times weights.
+    """Fit weights of features to what a trend leaves, with least squares of the rest and of prior @ weights.
 
     Args:
         samples: what to fit.
         features: inputs (n, variables) -> (n, k).
-        prior: its columns are those of `Samples.design`.
-        trend: is subtracted from the observed values first.
-        centres: how many numbers the features store.
+        prior: (m, columns), with the columns of `Samples.design`.
+        trend: subtracted from the observed values first.
+        centres: number of values that the features store.
     """
     design = samples.design(features(samples.readings.inputs))
     orthogonal, triangle = np.linalg.qr(np.vstack([design, prior]))
@@ -116,7 +116,7 @@ class _Process:
     """Hyperparameters of a Gaussian process of unit noise.
 
     Attributes:
-        lengths: (variables,) of the bell, in scaled inputs.
+        lengths: (variables,) of the Gaussian, in inputs scaled to -1..1.
         size: standard deviation of the function.
         noise: factor on the stated sigma.
     """

@@ -56,7 +56,7 @@ def spaam(captures: EyeCaptures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
 
 
 def spaam_redone(captures: EyeCaptures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
-    """SPAAM at each camera position anew, used with the position nearest to the viewpoint; see `spaam`.
+    """SPAAM at each camera position, used with the position nearest to the viewpoint; see `spaam`.
 
     An upper bound of what a user who aligns again after each motion of the headset reaches.
 
@@ -175,12 +175,13 @@ def fit_projection(pixel: FloatArray, point: FloatArray, where: str) -> FloatArr
     """Fit SPAAM's projection to alignments: a direct linear transform, refined by least squares of the reprojection.
 
     Args:
-        pixel: (n, 2).
-        point: (n, 3) real points, any frame.
-        where: what the alignments are of, for the refusal.
+        pixel: (n, 2) px.
+        point: (n, 3) real points, in any frame and unit of length.
+        where: name of the alignments in the error message.
 
     Returns:
-        (3, 4) matrix; the third coordinate of its products is positive in front of the eye.
+        (3, 4) matrix from homogeneous points of that frame to homogeneous pixels; the third coordinate of its products
+        is positive in front of the eye.
 
     Raises:
         BadInputError: there are fewer than six alignments, or their points lie in one plane.
@@ -256,11 +257,11 @@ def _fit_image(
     """Matrix (3, 3) and inverse depth (3,) with the least angles to captures.
 
     Args:
-        captures: whose directions are explained.
-        pixel: (n, 3) homogeneous.
-        image: parameters -> matrix and inverse depth.
-        start: parameters.
-        origin: (3,) position that the matrix is of; None for the eye box's centre.
+        captures: n readings of the panel.
+        pixel: (n, 3) their homogeneous pixels, scaled to the box or not.
+        image: parameters -> matrix and inverse depth, as in `PinholeDisplay`.
+        start: parameters to start from.
+        origin: (3,) metres, position of the matrix; None for the eye box's centre.
     """
     shift = captures.viewpoint - (captures.eye_box.centre if origin is None else origin)
     sigma = captures.sigma_arcmin if np.any(captures.sigma_arcmin > 0) else np.ones(len(captures))
@@ -291,7 +292,7 @@ def _image_display(
     *,
     numbers: int,
 ) -> PinholeDisplay:
-    """The display of an image; in the box's scaled pixels and about its eye box's centre if there is no origin."""
+    """The display of a flat image. Without an origin, the matrix is of the eye box's centre and of scaled pixels."""
     if origin is None:
         origin = captures.eye_box.centre
         per_pixel = np.diag(np.append(box.per_unit, 1.0))

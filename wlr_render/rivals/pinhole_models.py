@@ -45,7 +45,10 @@ class PinholeDisplay(FittedDisplay):
     FORMS: ClassVar[Forms] = {}
 
     def tangents(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """View tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3); NaN where a pixel lies behind the viewpoint."""
+        """View tangents (m, 2) of pixels (m, 2) from viewpoints (m, 3) metres.
+
+        They are NaN where a pixel lies behind the viewpoint.
+        """
         direction = np.einsum("nij,nj->ni", self._matrices(viewpoint), homogeneous(pixel))
         return np.asarray(direction[:, :2] / np.where(direction[:, 2:] < 0.0, -direction[:, 2:], np.nan))
 

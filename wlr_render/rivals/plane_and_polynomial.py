@@ -1,4 +1,4 @@
-"""A flat virtual image and a polynomial of what it leaves: Wientapper et al.
+"""A flat virtual image, and a polynomial for the rest: Wientapper et al.
 
 F. Wientapper, H. Wuest, P. Rojtberg and D. Fellner, "A camera-based calibration for automotive augmented reality
 head-up-displays", ISMAR 2013: a view-independent virtual plane, and a "generic five-variate" polynomial of pixel and
@@ -22,7 +22,7 @@ from wlr_render.rivals.samples import Samples, fit_structure
 def wientapper_display(
     captures: DisplayCaptures, bundled: bool = False, degree: int | None = None
 ) -> tuple[FittedDisplay, Regressor]:
-    """Fit the virtual image of `pinhole.direct_plane`, and a polynomial of the tangents that it leaves.
+    """Fit the virtual image of `pinhole.direct_plane`, and a polynomial for the rest of the view tangents.
 
     Adapted: held-out camera positions choose the total degree; the fit minimises angles.
 

@@ -1,8 +1,8 @@
-"""Readings as any regressor takes them, and the three structures that it can stand in.
+"""Readings in the form that any regressor takes, and the three structures that it can have.
 
 A regressor is a function of the pixel (or view direction) and of a place. The structure says what the place is: nothing
 ("static"), the viewpoint ("volumetric"), or the point on the base plane where the ray crosses it ("planar", the ray
-bundle of the paper's sections 3.3 and 3.4). So each regressor can stand in each structure.
+bundle of the paper's sections 3.3 and 3.4). Each regressor can be fitted in each structure.
 """
 
 from collections.abc import Callable, Iterable
@@ -98,7 +98,8 @@ class Samples:
     def polynomial(self, degree: int | None = None, trend: Regressor | None = None) -> Polynomial:
         """Least-squares polynomial in all inputs, of a total degree, for what a trend leaves.
 
-        Without a degree, it is the degree with the least error at held-out camera positions.
+        `trend` may be any function of the same inputs. Without a degree, the least error at held-out camera positions
+        chooses it.
         """
         if degree is None:
             degree = self._held_out_degree(trend)
@@ -116,15 +117,14 @@ class Samples:
             solutions: fits the other folds, in each setting; it takes their design and target in triangular form.
             rows: (m,) of the samples.
         """
-        fold = self.fold[rows]
-        # The products of columns are all that the sums of squares of a fold need.
-        folds = [fold == number for number in range(FOLDS)]
+        folds = [self.fold[rows] == number for number in range(FOLDS)]
+        # The sums of squares of a fold need only the products of its columns.
         roots = [_root(np.hstack([self.design(features[here], rows[here]), target[here]])) for here in folds]
         error: FloatArray = np.zeros(1)
         for number, out in enumerate(roots):
-            design, seen = _parts(_root(np.vstack(roots[:number] + roots[number + 1 :])))
-            left, wanted = _parts(out)
-            error = error + [np.sum((left @ each - wanted) ** 2) for each in solutions(design, seen)]
+            others = np.hsplit(_root(np.vstack(roots[:number] + roots[number + 1 :])), [-2])
+            design, wanted = np.hsplit(out, [-2])
+            error = error + [np.sum((design @ each - wanted) ** 2) for each in solutions(*others)]
         return error
 
     def _held_out_degree(self, trend: Regressor | None) -> int:
@@ -157,11 +157,6 @@ def least_squares(design: FloatArray, target: FloatArray) -> FloatArray:
 def _root(rows: FloatArray) -> FloatArray:
     """Upper triangular matrix with the same products of columns."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
-
-
-def _parts(root: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Design and target, of which the target is the last two columns."""
-    return root[:, :-2], root[:, -2:]
 
 
 Fit = Callable[[Samples], Regressor]
