@@ -7,11 +7,18 @@ from typing import ClassVar
 import numpy as np
 
 from wlr_render.evaluation import mapping_error
-from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations, displaced
+from wlr_render.evaluation.mapping_error import (
+    DisplayObservations,
+    SeeThroughObservations,
+    moved_back,
+    self_inconsistency_arcmin,
+    through_depth,
+)
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.evaluate.trials import (
+    BACK_M,
     DisplayTrial,
     SeeThroughTrial,
     display_observations,
@@ -21,9 +28,6 @@ from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.simulate_captures import SeeThroughRays
-
-BACK_M = 0.010
-"""How far viewpoints are moved back along their own rays."""
 
 
 class DepthMeasure(StrEnum):
@@ -83,13 +87,7 @@ class SeeThroughDepthTrial(SeeThroughTrial):
 
 
 def _through(trial: DisplayTrial | SeeThroughTrial, view_dir: FloatArray) -> FloatArray:
-    """Length (...) of a ray of direction (..., 3) between planes as far apart as the eye box is deep, metres."""
-    return np.asarray(1e-3 * trial.eye_box_mm[2] / -view_dir[..., 2])
-
-
-def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
-    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
-    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
+    return through_depth(view_dir, 1e-3 * trial.eye_box_mm[2])
 
 
 def see_through_moved_back(
@@ -101,22 +99,6 @@ def see_through_moved_back(
 
 def _behind(viewpoint: FloatArray, view_dir: FloatArray, distance_m: float | FloatArray) -> FloatArray:
     return np.asarray(viewpoint - np.asarray(distance_m)[..., None] * view_dir)
-
-
-def self_inconsistency_arcmin(
-    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
-) -> FloatArray:
-    """Self-inconsistency of a mapping along its own rays.
-
-    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
-    farther back on the same ray, where it must be the same.
-
-    Returns:
-        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
-    """
-    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
-    behind = _behind(viewpoint, first, distance_m)
-    return arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
 
 
 def pixel_inconsistency_px(

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from benchmarks.paper.along_rays import BACK_M, DepthMeasure, DepthTrial, SeeThroughDepthTrial
+from benchmarks.paper.along_rays import DepthMeasure, DepthTrial, SeeThroughDepthTrial
 from wlr_render.jobs.evaluate.study import Findings, Lines, Study, box_text, error_curves, trial_at
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
+from wlr_render.jobs.evaluate.trials import BACK_M, EvaluatedEye, Measure, Outcome
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.report.blocks import Cell, Plot, ReportTable
 from wlr_render.report.plots import curves

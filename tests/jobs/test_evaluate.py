@@ -197,8 +197,14 @@ def test_trials_that_share_captures_make_one_task_and_none_runs_twice():
     noisy = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
     other = display("northstar", "planar", 5, 121)
     tasks = tasks_of([quiet, noisy, other, quiet])
-    assert [task.trials for task in tasks] == [(other,), (quiet, noisy)]
-    assert tasks[0].file != tasks[1].file
+    assert tasks == [[other], [quiet, noisy]]
+
+
+def test_no_two_trials_share_the_file_of_an_outcome():
+    trial = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    others = [replace(trial, eye="left"), replace(trial, repeat=1), replace(trial, device="birdbath28")]
+    others += [SeeThroughTrial("northstar", "planar", 5, 25, trial.eye_box_mm, 1.0), NoModelTrial(trial.at)]
+    assert len({each.file for each in (trial, *others)}) == 6
 
 
 def test_a_resumed_run_takes_the_outcomes_that_are_kept(tmp_path):
@@ -209,8 +215,7 @@ def test_a_resumed_run_takes_the_outcomes_that_are_kept(tmp_path):
     files = list((tmp_path / "trials").rglob("*.json"))
     for path in files:
         kept = json.loads(path.read_text())
-        for outcome in kept["outcomes"]:
-            outcome["errors"]["forward (arcmin)"]["rms"] = 77.0
+        kept["errors"]["forward (arcmin)"]["rms"] = 77.0
         path.write_text(json.dumps(kept))
     resumed = evaluate(replace(options, resume=True))
     (row,) = next(table for table in resumed.tables if table.title.startswith("Camera positions")).rows

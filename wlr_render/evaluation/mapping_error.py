@@ -136,5 +136,31 @@ def displaced(observations: DisplayObservations, offset: FloatArray) -> DisplayO
     return replace(observations, viewpoint=observations.viewpoint + offset)
 
 
+def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
+    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
+    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
+
+
+def through_depth(view_dir: FloatArray, depth_m: float) -> FloatArray:
+    """Length (...) of a ray of direction (..., 3) between planes of constant z that are `depth_m` apart, metres."""
+    return np.asarray(depth_m / -view_dir[..., 2])
+
+
+def self_inconsistency_arcmin(
+    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
+) -> FloatArray:
+    """Self-inconsistency of a mapping along its own rays.
+
+    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
+    farther back on the same ray, where it must be the same.
+
+    Returns:
+        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
+    """
+    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
+    behind = viewpoint - np.asarray(distance_m)[..., None] * first
+    return directions.arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
+
+
 def _rows(array: FloatArray, kept: NDArray[np.bool_], width: int) -> FloatArray:
     return np.broadcast_to(array, (*kept.shape, width))[kept]

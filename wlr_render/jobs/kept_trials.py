@@ -11,7 +11,7 @@ from wlr_render.files import output_folder, write_text
 from wlr_render.processes import as_finished
 
 
-class Trial(Protocol):
+class KeptTrial(Protocol):
     """A trial whose outcome has a file."""
 
     @property
@@ -19,7 +19,7 @@ class Trial(Protocol):
         """Name of that file; no other trial has it."""
 
 
-AnyTrial = TypeVar("AnyTrial", bound=Trial)
+AnyTrial = TypeVar("AnyTrial", bound=KeptTrial)
 Outcome = TypeVar("Outcome")
 Run = Callable[[AnyTrial, int], Outcome]
 """Runs a trial with a seed; returns a dataclass."""
@@ -47,11 +47,17 @@ def finished_trials(
         resume: whether the outcomes that are there already are used instead of being deleted.
         workers: processes, or None for one per usable core.
     """
+    own = outcome_folder(folder, seed, resume)
+    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, workers)
+
+
+def outcome_folder(folder: Path, seed: int, resume: bool) -> Path:
+    """The folder of the outcomes of a seed; they are deleted unless a run is resumed."""
     own = output_folder(folder / f"seed-{seed}")
     if not resume:
         for path in own.glob("*.json"):
             path.unlink()
-    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, workers)
+    return own
 
 
 def kept_outcome(

@@ -1,5 +1,6 @@
 """All methods by name: what each fits to the same captures of one eye, and who published it."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -30,8 +31,10 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 STRUCTURES = ("static", "volumetric", "planar")
 SHAPE = 0.002
 """Relative error of a semi-axis or curvature of each surface, for methods that know a prescription of wrong shape."""
+TRACED_POSITIONS = 100
+"""From which rays are traced through a prescription."""
 _WAVELENGTH_UM = 0.55
-_NETWORK_S = 1.5  # of process time, for each side
+_NETWORK_S = 1.0  # of process time, for each side
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +59,20 @@ class MethodData:
         return self.volumetric if structure == "volumetric" else self.planar
 
     @cached_property
-    def _assemblies(self) -> dict[float, FittedAssembly]:
+    def _assemblies(self) -> dict[float, tuple[FittedAssembly, float]]:
         return {}
 
-    def assembly(self, shape: float) -> FittedAssembly:
-        """The prescription of an error of the shape, with assembly errors fitted to the planar captures, once."""
-        if shape not in self._assemblies:
-            self._assemblies[shape] = fit_assembly(self.planar, self.drawn(shape))
-        return self._assemblies[shape]
+    def assembly(self, shape: float) -> tuple[FittedAssembly, float]:
+        """The prescription of an error of the shape with assembly errors fitted to the planar captures, once.
+
+        Also the process time in seconds that it took if another method paid for it, else 0.
+        """
+        if shape in self._assemblies:
+            return self._assemblies[shape]
+        started = time.process_time()
+        fitted = fit_assembly(self.planar, self.drawn(shape))
+        self._assemblies[shape] = fitted, time.process_time() - started
+        return fitted, 0.0
 
 
 @dataclass(frozen=True)
@@ -72,12 +81,14 @@ class Rival:
 
     Attributes:
         display, see_through: its mappings.
-        numbers: that have to be stored, of both.
+        numbers: how many have to be stored for both.
+        shared_seconds: process time of a fit that it shares with another method, which paid for it.
     """
 
     display: DisplayMapping
     see_through: SeeThroughMapping
     numbers: int
+    shared_seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -159,22 +170,27 @@ def _traced(optics: Prescription) -> Rival:
 
 
 def _fitted_prescription(shape: float, data: MethodData) -> Rival:
-    return _traced(data.assembly(shape).optics)
+    assembly, seconds = data.assembly(shape)
+    return replace(_traced(assembly.optics), shared_seconds=seconds)
 
 
 def _grey_box(shape: float, data: MethodData) -> Rival:
-    trends = eye_trends(data.planar, data.assembly(shape))
-    mappings = fit_with_trends(data.planar, "grey-box", trends).mappings
-    return Rival(mappings.display, mappings.see_through, _numbers(mappings.display, mappings.see_through))
+    assembly, seconds = data.assembly(shape)
+    mappings = fit_with_trends(data.planar, "grey-box", eye_trends(data.planar, assembly)).mappings
+    return Rival(mappings.display, mappings.see_through, _numbers(mappings.display, mappings.see_through), seconds)
 
 
 def _traced_components(fitted: bool, structure: str, data: MethodData) -> Rival:
     """Principal components of rays that are traced through a prescription, as drawn or with fitted assembly errors."""
-    optics = data.assembly(SHAPE).optics if fitted else data.drawn(0.0)
+    optics, seconds = data.drawn(SHAPE), 0.0
+    if fitted:
+        assembly, seconds = data.assembly(SHAPE)
+        optics = assembly.optics
     setup, rng = data.bench_of(optics), np.random.default_rng(0)
-    positions = setup.camera_positions(structure, 100)
+    positions = setup.camera_positions(structure, TRACED_POSITIONS)
     traced = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
-    return _structured(principal_components, structure, replace(data, planar=traced, volumetric=traced))
+    found = _structured(principal_components, structure, replace(data, planar=traced, volumetric=traced))
+    return replace(found, shared_seconds=seconds)
 
 
 _REGRESSORS: dict[str, tuple[str, Fit]] = {

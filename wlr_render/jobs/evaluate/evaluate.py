@@ -66,11 +66,12 @@ class EvaluateOptions(StudyOptions):
     methods: Annotated[
         tuple[str, ...] | None,
         described(
-            f"Methods of the experiment methods, which is then run alone unless --experiment is given: all, or some of "
-            f"{', '.join(METHODS)} (default: one of each kind).",
+            f"Run the experiment methods with these: all, or some of {', '.join(METHODS)} (default of that experiment: "
+            f"{', '.join(DEFAULT_METHODS)}).",
             flag=True,
             many=True,
         ),
+        OnlyWith("experiment", ("methods",)),
     ] = None
     degrees: Annotated[
         tuple[int, ...] | None,
@@ -100,6 +101,7 @@ class EvaluateOptions(StudyOptions):
             "Camera noise of your bench in arcmin per axis (default: none; 0.25 in position-errors, 1 in see-through)."
         ),
         _NOT_NEGATIVE,
+        OnlyWith("experiment", _OWN_MODELS),
     ] = None
     stage_error_mm: Annotated[
         float | None,
@@ -122,12 +124,18 @@ class EvaluateOptions(StudyOptions):
         float,
         described("Error of eye tracking in mm per axis."),
         _NOT_NEGATIVE,
+        OnlyWith("experiment", ("position-errors", "methods")),
     ] = 0.05
     repeats: Annotated[
         int | None,
         described("Repetitions of each trial with random errors (default: 3; 10 with --methods all)."),
         Range(at_least=1, at_most=1000),
     ] = None
+
+    def __post_init__(self) -> None:
+        if self.methods is not None and self.experiment == _OWN_MODELS:
+            object.__setattr__(self, "experiment", ("methods",))
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -368,10 +376,7 @@ def evaluate(options: EvaluateOptions = _DEFAULTS, *, progress: ProgressArgument
     Raises:
         BadInputError: see `run_study`.
     """
-    names = options.experiment
-    if options.methods is not None:
-        names = ("methods",) if names == _OWN_MODELS else tuple(dict.fromkeys((*names, "methods")))
-    chosen = {str(name): partial(EXPERIMENTS[name], options) for name in names}
+    chosen = {str(name): partial(EXPERIMENTS[name], options) for name in options.experiment}
     repeats = options.repeats or (_FULL_REPEATS if options.methods == ("all",) else _REPEATS)
     return run_study("Evaluation", options, chosen, "report", progress, repeats)
 

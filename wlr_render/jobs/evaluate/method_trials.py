@@ -15,6 +15,7 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 from wlr_render.jobs.evaluate.trials import (
+    BACK_M,
     EvaluatedEye,
     Measure,
     Outcome,
@@ -43,14 +44,12 @@ from wlr_render.simulation.simulate_captures import (
 
 DEPTHS_M = (0.25, 0.5, 1.0, 10.0)
 """Distances of real points between and beyond the targets of the captures."""
-BACK_M = 0.010
-"""How far viewpoints are moved back along their own rays."""
 OUTLIER_PX = 8.0
 TURN_DEG, SHIFT_MM = 0.2, 0.3
 """Errors of assembly per axis by which a headset differs from its prescription as drawn."""
 FRAME_NODES = 17
 """Along each axis of the panel, at which a frame's rays are solved."""
-_JUDGED = 4  # every so-manieth of the sightings
+_EVERY = 4  # one in so many of the observations is used
 _FRAMES = 5
 
 
@@ -91,7 +90,7 @@ class MethodTrial(Trial):
 
     @property
     def has_random_errors(self) -> bool:
-        """Whether repetitions differ: prescriptions as drawn always do."""
+        """Whether repetitions differ. With exact captures only prescriptions as drawn do, of which one is taken."""
         return super().has_random_errors or self.outliers > 0
 
     @property
@@ -108,7 +107,7 @@ class MethodTrial(Trial):
             rival = method.fit(data)
         except BadInputError as error:
             return Outcome({}, refused=str(error))
-        seconds = time.process_time() - started
+        seconds = time.process_time() - started + rival.shared_seconds
         rng = np.random.default_rng(seed)
         errors = _composite_errors(self.at, rival, seed, self.tracking_error_mm if self.in_depth else None)
         if not method.lumps:
@@ -121,7 +120,7 @@ class MethodTrial(Trial):
             errors |= {} if method.lumps else _errors_along_rays(self.at, rival, seed)
             errors[MethodMeasure.FRAME_MS] = summary([_frame_ms(truth(self.at), rival, rng)])
         errors[MethodMeasure.NUMBERS] = summary([float(rival.numbers)])
-        return Outcome(errors, None, len(data.planar.both[0]), seconds)
+        return Outcome(errors, seconds=seconds)
 
 
 @lru_cache(maxsize=1)
@@ -179,18 +178,18 @@ def _wrong_by(count: int, share: float, rng: np.random.Generator) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _judged(at: EvaluatedEye, seed: int) -> tuple[DisplayObservations, SeeThroughObservations]:
-    """Sightings of pixels, and of real points at distances of 0.3 to 5 m."""
+    """Observations of pixels, and of real points at distances of 0.3 to 5 m."""
     shown, seen = display_observations(at, seed), see_through_observations(at, seed)
-    pixels = DisplayObservations(shown.viewpoint[::_JUDGED], shown.pixel[::_JUDGED], shown.view_dir[::_JUDGED])
+    pixels = DisplayObservations(shown.viewpoint[::_EVERY], shown.pixel[::_EVERY], shown.view_dir[::_EVERY])
     points = SeeThroughObservations(
-        seen.viewpoint[::_JUDGED], seen.view_dir[::_JUDGED], seen.real_ray[::_JUDGED], seen.point[::_JUDGED]
+        seen.viewpoint[::_EVERY], seen.view_dir[::_EVERY], seen.real_ray[::_EVERY], seen.point[::_EVERY]
     )
     return pixels, points
 
 
 @lru_cache(maxsize=16)
 def _at_depth(at: EvaluatedEye, seed: int, depth_m: float) -> SeeThroughObservations:
-    """Sightings of real points at one distance."""
+    """Observations of real points at one distance."""
     seen = _judged(at, seed)[0]
     depth = np.full(len(seen.pixel), depth_m)
     return mapping_error.see_through_observations(truth(at).see_through, seen.viewpoint, seen.view_dir, depth)
@@ -201,11 +200,11 @@ def _composite(
 ) -> FloatArray:
     """Angles (n,) at the eye between real points and the pixels that a method shows for them.
 
-    The method is told viewpoints that are wrong by `offset` (n, 3).
+    The method is queried at viewpoints that are wrong by `offset` (n, 3) metres.
     """
-    told = seen.viewpoint if offset is None else seen.viewpoint + offset
-    view_dir = rival.see_through.view_dir_of_real_point(seen.point, told).value
-    pixel = rival.display.pixel_of_view_dir(view_dir, told).value
+    queried = seen.viewpoint if offset is None else seen.viewpoint + offset
+    view_dir = rival.see_through.view_dir_of_real_point(seen.point, queried).value
+    pixel = rival.display.pixel_of_view_dir(view_dir, queried).value
     return misalignment_arcmin(exact, seen.viewpoint, pixel, seen.point)
 
 
@@ -226,21 +225,19 @@ def _separate_errors(at: EvaluatedEye, rival: Rival, seed: int) -> dict[str, Sum
         Measure.FORWARD: summary(shown.forward_arcmin),
         Measure.BACKWARD: summary(shown.backward_px),
         Measure.REAL_POINT: summary(seen.backward_arcmin),
-        Measure.REAL_RAY: summary(seen.forward_arcmin),
     }
 
 
 def _errors_along_rays(at: EvaluatedEye, rival: Rival, seed: int) -> dict[str, Summary]:
     pixels, _ = _judged(at, seed)
-    back = pixels.viewpoint - BACK_M * pixels.view_dir
-    moved = rival.display.view_dir_of_pixel(pixels.pixel, back).value
-    depth = 1e-3 * at.eye_box_mm[2]
-    front = pixels.viewpoint + 0.5 * depth * pixels.view_dir
-    first = rival.display.view_dir_of_pixel(pixels.pixel, front).value
-    behind = rival.display.view_dir_of_pixel(pixels.pixel, front - depth * first).value
+    back = mapping_error.moved_back(pixels, BACK_M)
+    moved = rival.display.view_dir_of_pixel(back.pixel, back.viewpoint).value
+    through = mapping_error.through_depth(pixels.view_dir, 1e-3 * at.eye_box_mm[2])
+    front = mapping_error.moved_back(pixels, -0.5 * through).viewpoint
+    apart = mapping_error.self_inconsistency_arcmin(rival.display, front, pixels.pixel, through)
     return {
         MethodMeasure.MOVED_BACK: summary(arcmin_between(moved, pixels.view_dir)),
-        MethodMeasure.ALONG_RAY: summary(arcmin_between(first, behind)),
+        MethodMeasure.ALONG_RAY: summary(apart),
     }
 
 

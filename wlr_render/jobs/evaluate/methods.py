@@ -11,7 +11,7 @@ from wlr_render.jobs.evaluate.study import Findings, Study, trial_at
 from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
 from wlr_render.report.blocks import Block, Cell, Plot, ReportTable, Text
 from wlr_render.report.plots import curves
-from wlr_render.rivals.methods import METHODS, REGRESSORS, STRUCTURES
+from wlr_render.rivals.methods import METHODS, REGRESSORS, STRUCTURES, TRACED_POSITIONS
 
 DEFAULT_METHODS = (
     "planar",
@@ -36,6 +36,23 @@ EVERYWHERE = frozenset(DEFAULT_METHODS) | {
     "plane-and-polynomial-planar",
 }
 """Of all methods, those that are run in every condition; the others with exact captures and at `_NOISY` only."""
+COSTLY = frozenset(
+    {
+        "volumetric",
+        "grey-box-misshapen",
+        "free-kernel-ridge-planar",
+        "kernel-ridge-volumetric",
+        "gaussian-process-volumetric",
+        "network-volumetric",
+        "offset-network",
+        "distortion-field",
+        "traced-components-drawn",
+        "traced-components-fitted",
+        "plane-and-polynomial-volumetric",
+    }
+)
+"""Of all methods, those that are repeated `_FEW` times at most."""
+_FEW = 3
 POSITIONS = 25
 COUNTS = (9, 16, 25, 49, 84)
 GOALS_ARCMIN = (1.0, 0.3, 0.1)
@@ -49,7 +66,8 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
 """Errors of the bench by column; a camera's pixel is an arcminute wide in its middle."""
 _NOISY, _USUAL = "1 px", "0.25 px"
 _LEADERS = 12  # curves in the plot of camera positions
-_TIES = 2.0  # standard errors within which two methods are as good
+_TIES, _ONE_DRAW = 2.0, 0.1
+"""Within so many standard errors two methods are as good; with one draw, within this share of the error."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +111,7 @@ class _Table:
 def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Findings:
     """All chosen methods on the same captures, by error of the bench, structure, number of positions and cost.
 
-    If all are chosen, some are run in some conditions only: see `EVERYWHERE`.
+    If all are chosen, some are run in some conditions only (see `EVERYWHERE`), and some less often (see `COSTLY`).
     """
     blocks: list[Block] = [_sources(chosen)]
     verdict: list[str] = []
@@ -121,10 +139,12 @@ def _outcomes(chosen: Sequence[str], tracking_error_mm: float, study: Study, eye
     def trial(method: str, count: int, **errors: Any) -> MethodTrial:
         return trial_at(MethodTrial, eye, method, None, count, tracking_error_mm=tracking_error_mm, **errors)
 
-    everywhere = [method for method in chosen if len(chosen) < len(METHODS) or method in EVERYWHERE]
+    are_all = len(chosen) == len(METHODS)
+    everywhere = [method for method in chosen if not are_all or method in EVERYWHERE]
+    few = {method: _FEW for method in COSTLY if are_all}
     outcomes = {
         condition: {
-            method: study.repeated(trial(method, POSITIONS, in_depth=not errors, **errors))
+            method: study.repeated(trial(method, POSITIONS, in_depth=not errors, **errors), few.get(method))
             for method in (chosen if condition in ("exact", _NOISY) else everywhere)
         }
         for condition, errors in CONDITIONS.items()
@@ -140,8 +160,8 @@ def _sources(chosen: Sequence[str]) -> ReportTable:
     rows: list[list[Cell]] = [[name, METHODS[name].source, METHODS[name].structure] for name in chosen]
     notes = (
         "Structure: what the method takes from the eye's position. planar: where the ray crosses the base plane.",
-        "Methods of the structure volumetric are fitted to camera positions in the eye box, all others to as many in a "
-        "plane.",
+        "Methods of the structure volumetric are fitted to camera positions in the eye box, others to as many in "
+        f"a plane. Traced components take {TRACED_POSITIONS} positions on the prescription; drawn needs nothing else.",
     )
     return ReportTable("Methods", ["method", "source", "structure"], rows, notes)
 
@@ -154,13 +174,19 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
             row.append(_or_none(found.rms(condition, method, MethodMeasure.COMPOSITE)))
             if condition != "exact":
                 row.append(found.standard_error(condition, method, MethodMeasure.COMPOSITE))
-        rows.append(row)
+        answers = found.outcomes[_NOISY][method][0].errors[MethodMeasure.COMPOSITE]
+        row.append(len(found.outcomes[_NOISY][method]))
+        rows.append([*row, 100.0 * answers.missing / (answers.missing + answers.count)])
     columns = ["method"]
     for condition in CONDITIONS:
         columns += [f"{condition} (arcmin)", "+-"] if condition != "exact" else [f"{condition} (arcmin)"]
+    columns += ["repetitions at 1 px", "no answer (%)"]
     notes = (
         f"Angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions. Noise is of "
-        "a camera's pixels; stage and outliers come with 0.25 px. +- is the standard error over repetitions.",
+        "a camera's pixels; stage and outliers come with 0.25 px. +- is the standard error over repetitions; exact "
+        "captures are fitted once, so that methods which know a prescription have one draw of its errors there.",
+        "No answer: points for which the method has no pixel, or one beside the panel; first repetition at 1 px. "
+        "They do not count in the errors.",
     )
     return ReportTable(f"{eye}: composite error", columns, rows, notes)
 
@@ -297,7 +323,9 @@ def _clearly(found: _Table, condition: str, method: str) -> bool:
     """Whether a method is better than planar by more than the repetitions scatter."""
     measure = MethodMeasure.COMPOSITE
     gain = found.rms(condition, "planar", measure) - found.rms(condition, method, measure)
-    own, other = (found.standard_error(condition, name, measure) or 0.0 for name in ("planar", method))
+    own, other = (found.standard_error(condition, name, measure) for name in ("planar", method))
+    if own is None or other is None:
+        return gain > _ONE_DRAW * found.rms(condition, "planar", measure)
     return gain > _TIES * float(np.hypot(own, other))
 
 

@@ -87,9 +87,9 @@ class Study:
         """The outcome of an error-free trial of the display model."""
         return self.outcome_of(trial_at(DisplayTrial, eye, kind, degree, count))
 
-    def repeated(self, trial: Trial) -> list[Outcome]:
-        """Outcomes of a trial's repetitions; a trial without random errors runs once."""
-        times = self.repeats if trial.has_random_errors else 1
+    def repeated(self, trial: Trial, most: int | None = None) -> list[Outcome]:
+        """Outcomes of a trial's repetitions, `most` at most; a trial without random errors runs once."""
+        times = min(self.repeats, most or self.repeats) if trial.has_random_errors else 1
         return [self.outcome_of(replace(trial, repeat=k)) for k in range(times)]
 
 

@@ -1,13 +1,14 @@
 """Trials: simulate captures of a traced device, fit a model to them, and measure its errors at random viewpoints."""
 
 import hashlib
+import json
 import time
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,12 +22,13 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, SeeThroughCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.jobs.kept_trials import finished_trials
+from wlr_render.jobs.kept_trials import kept_outcome, outcome_folder
 from wlr_render.mappings import EyeBox, EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.processes import as_finished
 from wlr_render.progress import Progress
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
@@ -46,6 +48,8 @@ TEST_RAYS = 64
 """From each test viewpoint."""
 NEAREST_M, FARTHEST_M = 0.3, 5.0
 """Distances of real points."""
+BACK_M = 0.010
+"""How far viewpoints are moved back along their own rays."""
 
 
 @dataclass(frozen=True)
@@ -223,6 +227,11 @@ class Trial:
         """Equal for trials that share captures, and should run in one process."""
         return type(self), self.at, self.kind, self.viewpoints
 
+    @property
+    def file(self) -> str:
+        """Name of the file that keeps the outcome."""
+        return _file_of(self)
+
     def rng(self, seed: int) -> np.random.Generator:
         """Random numbers that depend on the seed, the eye and the trial alone."""
         eye = () if self.eye == "right" else (1,)
@@ -299,6 +308,17 @@ class NoModelTrial:
     """Error of ignoring the combiner: real points taken to be seen along straight lines."""
 
     at: EvaluatedEye
+    viewpoints: ClassVar[int] = 1
+
+    @property
+    def shared(self) -> object:
+        """See `Trial`."""
+        return self
+
+    @property
+    def file(self) -> str:
+        """See `Trial`."""
+        return _file_of(self)
 
     def run(self, seed: int) -> Outcome:
         """Angle between the straight line to a real point and the direction in which it is seen."""
@@ -309,67 +329,46 @@ class NoModelTrial:
 AnyTrial = Trial | NoModelTrial
 
 
-@dataclass(frozen=True)
-class TrialGroup:
-    """Trials that share captures, and run in one process."""
-
-    trials: tuple[AnyTrial, ...]
-
-    @property
-    def file(self) -> str:
-        """Name of the file that keeps their outcomes: it depends on the trials and the content of the device file."""
-        devices = sorted({trial.at.device for trial in self.trials})
-        content = repr((metadata.version("wlr_render"), self.trials)).encode()
-        digest = hashlib.sha256(content + b"".join(device_path(device).read_bytes() for device in devices))
-        return f"{digest.hexdigest()[:32]}.json"
-
-
-@dataclass(frozen=True)
-class GroupOutcomes:
-    """Outcomes of a group, one of each trial."""
-
-    trials: tuple[AnyTrial, ...]
-    outcomes: tuple[Outcome, ...]
-
-
 def run_trials(
     trials: Iterable[AnyTrial], seed: int, workers: int | None, progress: Progress, folder: Path, resume: bool
 ) -> dict[AnyTrial, Outcome]:
-    """Run each different trial once, on several processes; outcomes depend on the seed and the trial alone.
+    """Run each different trial once, on several processes.
 
-    Outcomes are kept in the folder; with `resume` those that are there are not repeated.
+    Outcomes depend on the seed and the trial alone; those of networks also on the speed of the machine, because they
+    are trained for a fixed time. They are kept in the folder, and with `resume` those that are there are not repeated.
     """
-    groups = tasks_of(trials)
-    finished = finished_trials(
-        _run_group, _load_group, groups, seed=seed, folder=folder, resume=resume, workers=workers
-    )
-    pairs = (pair for found in finished for pair in zip(found.trials, found.outcomes, strict=True))
-    return dict(progress(pairs, sum(len(group.trials) for group in groups), "trials"))
+    tasks, kept = tasks_of(trials), outcome_folder(folder, seed, resume)
+    finished = (pair for found in as_finished(partial(_run, kept, seed), tasks, workers) for pair in found)
+    return dict(progress(finished, sum(map(len, tasks)), "trials"))
 
 
-def tasks_of(trials: Iterable[AnyTrial]) -> list[TrialGroup]:
-    """Different trials, grouped by the exact captures that they share; the longest groups first."""
+def tasks_of(trials: Iterable[AnyTrial]) -> list[list[AnyTrial]]:
+    """Different trials, grouped by the captures that they share; the longest groups first."""
     groups: dict[object, list[AnyTrial]] = defaultdict(list)
     for trial in dict.fromkeys(trials):
-        groups[trial if isinstance(trial, NoModelTrial) else trial.shared].append(trial)
-
-    def cost(group: list[AnyTrial]) -> int:
-        return sum(1 if isinstance(trial, NoModelTrial) else trial.viewpoints for trial in group)
-
-    return [TrialGroup(tuple(group)) for group in sorted(groups.values(), key=cost, reverse=True)]
+        groups[trial.shared].append(trial)
+    return sorted(groups.values(), key=lambda group: sum(trial.viewpoints for trial in group), reverse=True)
 
 
-def _run_group(group: TrialGroup, seed: int) -> GroupOutcomes:
-    return GroupOutcomes(group.trials, tuple(trial.run(seed) for trial in group.trials))
+def _run(folder: Path, seed: int, task: list[AnyTrial]) -> list[tuple[AnyTrial, Outcome]]:
+    return [(trial, kept_outcome(_run_one, _load, folder, seed, trial)) for trial in task]
 
 
-def _load_group(group: TrialGroup, content: dict[str, Any]) -> GroupOutcomes:
-    outcomes = []
-    for kept in content["outcomes"]:
-        errors = {name: Summary(**each) for name, each in kept.pop("errors").items()}
-        found = kept.pop("found")
-        outcomes.append(Outcome(errors, FoundBench(**found) if found else None, **kept))
-    return GroupOutcomes(group.trials, tuple(outcomes))
+def _run_one(trial: AnyTrial, seed: int) -> Outcome:
+    return trial.run(seed)
+
+
+def _load(_: AnyTrial, content: dict[str, Any]) -> Outcome:
+    errors = {name: Summary(**each) for name, each in content.pop("errors").items()}
+    found = content.pop("found")
+    return Outcome(errors, FoundBench(**found) if found else None, **content)
+
+
+def _file_of(trial: "AnyTrial") -> str:
+    """Name of the file that keeps an outcome: it depends on the trial, the device file, and the program's version."""
+    what = json.dumps([metadata.version("wlr_render"), type(trial).__name__, asdict(trial)])
+    digest = hashlib.sha256(what.encode() + device_path(trial.at.device).read_bytes())
+    return f"{digest.hexdigest()[:32]}.json"
 
 
 def _timed(
