@@ -68,9 +68,12 @@ def test_tables_of_methods(small, in_process, tmp_path):
     for table in first.tables:
         assert all(len(row) == len(table.columns) for row in table.rows)
     assert [row[0] for row in sources.rows] == list(NAMES)
-    assert composite.columns == ["method", "exact (arcmin)", "0.25 px (arcmin)", "+-"]
+    errors = ["exact (arcmin)", "0.25 px (arcmin)", "+-"]
+    assert composite.columns == ["method", *errors, "repetitions at 0.25 px", "no answer (%)"]
     assert [row[0] for row in composite.rows] == ["planar", "linear-table-planar", "spaam"]  # the best first
-    for _, exact, noisy, standard_error in composite.rows:
+    for _, exact, noisy, standard_error, repetitions, unanswered in composite.rows:
+        assert repetitions == 2
+        assert 0 <= unanswered < 10
         assert 0 < exact <= 1.5 * noisy
         assert 0 < standard_error < 0.5 * noisy
     assert composite.rows[0][1] < 0.7 < composite.rows[2][1]

@@ -180,12 +180,12 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
     columns = ["method"]
     for condition in CONDITIONS:
         columns += [f"{condition} (arcmin)", "+-"] if condition != "exact" else [f"{condition} (arcmin)"]
-    columns += ["repetitions at 1 px", "no answer (%)"]
+    columns += [f"repetitions at {_NOISY}", "no answer (%)"]
     notes = (
         f"Angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions. Noise is of "
         "a camera's pixels; stage and outliers come with 0.25 px. +- is the standard error over repetitions; exact "
         "captures are fitted once, so that methods which know a prescription have one draw of its errors there.",
-        "No answer: points for which the method has no pixel, or one beside the panel; first repetition at 1 px. "
+        "No answer: points for which the method has no pixel, or one beside the panel; first of those repetitions. "
         "They do not count in the errors.",
     )
     return ReportTable(f"{eye}: composite error", columns, rows, notes)
