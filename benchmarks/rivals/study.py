@@ -39,8 +39,11 @@ def run(options: RivalsOptions, *, progress: ProgressArgument = SILENT) -> Repor
     """Fit every method to each set and judge it by what was left out; writes rivals.html, .md and .json.
 
     Raises:
-        BadInputError: the folder has none of the sets, a set is faulty, or an output folder that cannot be written.
+        BadInputError: there is no such folder, or none of the sets in it, or a set is faulty, or the output folder
+            cannot be written.
     """
+    if not options.folder.is_dir():
+        raise BadInputError(f"{options.folder}: there is no such folder; name the one that holds the sets.")
     out = output_folder(options.out)
     wanted = options.sets or tuple(SETS)
     present = [each for each in wanted if (options.folder / SETS[each][0]).is_dir()]

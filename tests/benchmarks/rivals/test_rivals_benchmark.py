@@ -93,6 +93,8 @@ def test_kernel_ridge_takes_fewer_readings_than_it_has_bells():
 def test_a_folder_without_any_set_is_refused(tmp_path, capsys):
     assert main(["rivals", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "holds none of itoh_hmd_calibration/dataset" in capsys.readouterr().err
+    assert main(["rivals", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert "none: there is no such folder" in capsys.readouterr().err
 
 
 def tables(folder, name, tmp_path):
