@@ -49,7 +49,8 @@ TURN_DEG, SHIFT_MM = 0.2, 0.3
 """Errors of assembly per axis by which a headset differs from its prescription as drawn."""
 FRAME_NODES = 17
 """Along each axis of the panel, at which a frame's rays are solved."""
-_EVERY = 4  # one in so many of the observations is used
+EVERY = 4
+"""One in so many of the observations is used."""
 _FRAMES = 5
 
 
@@ -180,9 +181,9 @@ def _wrong_by(count: int, share: float, rng: np.random.Generator) -> FloatArray:
 def _judged(at: EvaluatedEye, seed: int) -> tuple[DisplayObservations, SeeThroughObservations]:
     """Observations of pixels, and of real points at distances of 0.3 to 5 m."""
     shown, seen = display_observations(at, seed), see_through_observations(at, seed)
-    pixels = DisplayObservations(shown.viewpoint[::_EVERY], shown.pixel[::_EVERY], shown.view_dir[::_EVERY])
+    pixels = DisplayObservations(shown.viewpoint[::EVERY], shown.pixel[::EVERY], shown.view_dir[::EVERY])
     points = SeeThroughObservations(
-        seen.viewpoint[::_EVERY], seen.view_dir[::_EVERY], seen.real_ray[::_EVERY], seen.point[::_EVERY]
+        seen.viewpoint[::EVERY], seen.view_dir[::EVERY], seen.real_ray[::EVERY], seen.point[::EVERY]
     )
     return pixels, points
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.jobs.evaluate.method_trials import DEPTHS_M, FRAME_NODES, MethodMeasure, MethodTrial, at_depth
+from wlr_render.jobs.evaluate.method_trials import DEPTHS_M, EVERY, FRAME_NODES, MethodMeasure, MethodTrial, at_depth
 from wlr_render.jobs.evaluate.study import Findings, Study, trial_at
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
+from wlr_render.jobs.evaluate.trials import TEST_RAYS, EvaluatedEye, Measure, Outcome
 from wlr_render.report.blocks import Block, Cell, Plot, ReportTable, Text
 from wlr_render.report.plots import curves
 from wlr_render.rivals.methods import METHODS, REGRESSORS, STRUCTURES, TRACED_POSITIONS
@@ -65,6 +65,7 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
 }
 """Errors of the bench by column; a camera's pixel is an arcminute wide in its middle."""
 _NOISY, _USUAL = "1 px", "0.25 px"
+_LEAST_DRAWN = 1e-4  # arcminutes, in the plot of methods
 _LEADERS = 12  # curves in the plot of camera positions
 _TIES, _ONE_DRAW = 2.0, 0.1
 """Within so many standard errors two methods are as good; with one draw, within this share of the error."""
@@ -182,9 +183,11 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         columns += [f"{condition} (arcmin)", "+-"] if condition != "exact" else [f"{condition} (arcmin)"]
     columns += [f"repetitions at {_NOISY}", "no answer (%)"]
     notes = (
-        f"Angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions. Noise is of "
-        "a camera's pixels; stage and outliers come with 0.25 px. +- is the standard error over repetitions; exact "
-        "captures are fitted once, so that methods which know a prescription have one draw of its errors there.",
+        f"Angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions; rms over "
+        f"{TEST_RAYS // EVERY} rays from each viewpoint. Noise is of a camera's pixels; stage and outliers come with "
+        f"{_USUAL}.",
+        "+- is the standard error over repetitions. Exact captures are fitted once, so that methods which know a "
+        "prescription have one draw of its errors there.",
         "No answer: points for which the method has no pixel, or one beside the panel; first of those repetitions. "
         "They do not count in the errors.",
     )
@@ -198,16 +201,17 @@ def _conditions_plot(eye: EvaluatedEye, found: _Table) -> Plot:
             "type": "scatter",
             "mode": "markers",
             "name": condition,
-            "x": [_rounded(found.rms(condition, name, MethodMeasure.COMPOSITE)) for name in names],
+            "x": [_drawn_at(found.rms(condition, name, MethodMeasure.COMPOSITE)) for name in names],
             "y": names,
         }
         for condition in CONDITIONS
     ]
     layout = {
-        "xaxis": {"type": "log", "title": {"text": "composite rms (arcmin)"}},
+        "xaxis": {"type": "log", "title": {"text": "composite rms (arcmin)"}, "exponentformat": "power", "dtick": 1},
         "yaxis": {"automargin": True, "dtick": 1},
     }
-    return Plot(f"{eye}: composite error by method", data, layout, height_px=160 + 20 * len(names))
+    caption = f"Errors below {_LEAST_DRAWN:g}' are drawn there."
+    return Plot(f"{eye}: composite error by method", data, layout, caption, height_px=160 + 20 * len(names))
 
 
 def _separate_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
@@ -337,5 +341,5 @@ def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _rounded(value: float) -> float | None:
-    return float(f"{value:.4g}") if np.isfinite(value) else None
+def _drawn_at(value: float) -> float | None:
+    return float(f"{max(value, _LEAST_DRAWN):.4g}") if np.isfinite(value) else None
