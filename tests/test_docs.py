@@ -27,6 +27,8 @@ CODE = [
 ]
 FILE = re.compile(r"`([\w./-]+\.(?:py|md|glsl|frag|vert|toml))`")
 LINK = re.compile(r"\]\(([^)#:]+)\)")
+ANCHOR = re.compile(r"\]\(([^)#:]*)#([^)]+)\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 # Files of users, not of ours.
 THEIRS = {
     "session.toml",
@@ -68,6 +70,22 @@ def test_files_that_a_text_names_exist(text):
     lost = {name for name in named if not any((place / name).exists() for place in [text.parent, *PLACES])}
     lost |= {link for link in LINK.findall(content) if not (text.parent / link).exists()}
     assert not lost
+
+
+def anchors_of(path):
+    """Of the headings of a Markdown file, as GitHub makes them."""
+    words = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in HEADING.findall(path.read_text(encoding="utf-8")))
+    return {each.strip().replace(" ", "-") for each in words}
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=name_of)
+def test_sections_that_a_text_links_exist(text):
+    found = {
+        (name, anchor)
+        for name, anchor in ANCHOR.findall(text.read_text(encoding="utf-8"))
+        if anchor not in anchors_of(text.parent / name if name else text)
+    }
+    assert not found
 
 
 def app_of(app, words):

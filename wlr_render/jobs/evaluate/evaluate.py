@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from difflib import get_close_matches
 from functools import partial
 from itertools import product
 from typing import Annotated, Literal, TypeVar
@@ -392,6 +393,10 @@ def _chosen(options: EvaluateOptions) -> Sequence[str]:
     if options.methods == ("all",):
         return tuple(METHODS)
     for name in options.methods:
+        if name == "all":
+            raise BadInputError("--methods has all beside other names; give all alone.")
         if name not in METHODS:
-            raise BadInputError(f"--methods is {name}; choose all, or from {', '.join(METHODS)}.")
+            close = get_close_matches(name, METHODS, 1)
+            meant = f"did you mean {close[0]}? Choose" if close else "choose"
+            raise BadInputError(f"--methods has {name}; {meant} all, or from {', '.join(METHODS)}.")
     return tuple(dict.fromkeys(options.methods))

@@ -8,8 +8,8 @@ import numpy as np
 
 from wlr_render.jobs.evaluate.method_trials import DEPTHS_M, EVERY, FRAME_NODES, MethodMeasure, MethodTrial, at_depth
 from wlr_render.jobs.evaluate.study import Findings, Study, trial_at
-from wlr_render.jobs.evaluate.trials import TEST_RAYS, EvaluatedEye, Measure, Outcome
-from wlr_render.report.blocks import Block, Cell, Plot, ReportTable, Text
+from wlr_render.jobs.evaluate.trials import BACK_M, TEST_RAYS, EvaluatedEye, Measure, Outcome
+from wlr_render.report.blocks import Block, Cell, Plot, ReportTable, Section, Text
 from wlr_render.report.plots import curves
 from wlr_render.rivals.methods import METHODS, REGRESSORS, STRUCTURES, TRACED_POSITIONS
 
@@ -93,14 +93,14 @@ class _Table:
         values = [outcome.rms(measure) for outcome in self.outcomes[condition].get(method, ())]
         return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
-    def refusals(self) -> dict[str, str]:
-        """Why methods gave no model, by method and condition."""
-        return {
-            f"{method}, {condition}": next(outcome.refused for outcome in outcomes if outcome.refused)
-            for condition, by_method in self.outcomes.items()
-            for method, outcomes in by_method.items()
-            if any(outcome.refused for outcome in outcomes)
-        }
+    def refusals(self) -> list[str]:
+        """Sentences: which methods gave no model, in which conditions, and why."""
+        where: dict[tuple[str, str], list[str]] = {}
+        for condition, by_method in self.outcomes.items():
+            for method, outcomes in by_method.items():
+                for why in dict.fromkeys(outcome.refused for outcome in outcomes if outcome.refused):
+                    where.setdefault((method, why), []).append(condition)
+        return [f"{method} ({', '.join(conditions)}): {why}" for (method, why), conditions in where.items()]
 
     def ranked(self, condition: str, measure: str = MethodMeasure.COMPOSITE) -> list[str]:
         """Methods with the error, the best first."""
@@ -120,17 +120,17 @@ def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Fi
     for eye in study.eyes:
         found = _outcomes(chosen, tracking_error_mm, study, eye)
         blocks += [
-            Text(f"{eye}: what wins.", [_what_wins(eye, found, condition) for condition in CONDITIONS]),
+            Section(f"{eye}: what wins"),
+            Text("By composite error:", [_what_wins(eye, found, condition) for condition in CONDITIONS]),
+            *([Text("Methods that could not use the captures:", refused)] if (refused := found.refusals()) else []),
             _conditions_table(eye, found),
             _conditions_plot(eye, found),
             _separate_table(eye, found),
             _beyond_table(eye, found, tracking_error_mm),
-            _structures_table(eye, found),
+            *_structures_table(eye, found),
             _cost_table(eye, found),
             _positions_plot(eye, found),
         ]
-        if refused := found.refusals():
-            blocks.append(Text(f"{eye}: methods that could not use the captures.", _sentences(refused)))
         verdict.append(_what_wins(eye, found, _USUAL))
         record[str(eye)] = {name: found.ranked(name) for name in CONDITIONS}
     return Findings(blocks, verdict, record={"ranked": record})
@@ -160,7 +160,8 @@ def _outcomes(chosen: Sequence[str], tracking_error_mm: float, study: Study, eye
 def _sources(chosen: Sequence[str]) -> ReportTable:
     rows: list[list[Cell]] = [[name, METHODS[name].source, METHODS[name].structure] for name in chosen]
     notes = (
-        "Structure: what the method takes from the eye's position. planar: where the ray crosses the base plane.",
+        "Structure: what the method takes from the eye's position. static: nothing; volumetric: three coordinates; "
+        "planar: where the ray crosses the base plane; a point, a flat screen: from where it sees an image in space.",
         "Methods of the structure volumetric are fitted to camera positions in the eye box, others to as many in "
         f"a plane. Traced components take {TRACED_POSITIONS} positions on the prescription; drawn needs nothing else.",
     )
@@ -183,7 +184,7 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         columns += [f"{condition} (arcmin)", "+-"] if condition != "exact" else [f"{condition} (arcmin)"]
     columns += [f"repetitions at {_NOISY}", "no answer (%)"]
     notes = (
-        f"Angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions; rms over "
+        f"Rms angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions; over "
         f"{TEST_RAYS // EVERY} rays from each viewpoint. Noise is of a camera's pixels; stage and outliers come with "
         f"{_USUAL}.",
         "+- is the standard error over repetitions. Exact captures are fitted once, so that methods which know a "
@@ -229,7 +230,11 @@ def _separate_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         rows.append(row)
     names = ["forward (arcmin)", "p95 (arcmin)", "max (arcmin)", "backward (px)", "real point (arcmin)"]
     columns = ["method", *(f"{condition}: {name}" for condition in ("exact", _NOISY) for name in names)]
-    notes = ("p95 and max are of the first repetition. Methods that map the world to pixels in one are left out.",)
+    notes = (
+        "Forward: direction of a pixel; backward: pixel of a direction; real point: view direction of a real point.",
+        "All are rms; p95 and max are of forward in the first repetition.",
+        "Methods that map the world to pixels in one are left out.",
+    )
     return ReportTable(f"{eye}: display and see-through apart", columns, rows, notes)
 
 
@@ -242,13 +247,15 @@ def _beyond_table(eye: EvaluatedEye, found: _Table, tracking_error_mm: float) ->
     columns = ["method", f"eye tracking {1e3 * tracking_error_mm:g} um (arcmin)", "moved back 10 mm (arcmin)"]
     columns += ["self-contradiction (arcmin)", *(f"point at {depth:g} m (arcmin)" for depth in DEPTHS_M)]
     notes = (
-        "Exact captures, of targets at 0.4 and 3 m. Moved back and self-contradiction are of the display: the "
-        "direction of a pixel 10 mm farther back on its ray, and at two points of one of the model's own rays.",
+        f"Exact captures, of targets at 0.4 and 3 m. Moved back: the direction of a pixel from {1e3 * BACK_M:g} mm "
+        "behind on its ray. Self-contradiction: the angle between the directions of a pixel at two points of one of the "
+        "model's own rays, the eye box's depth apart. Eye tracking and points: the composite error.",
     )
     return ReportTable(f"{eye}: beyond the captures", columns, rows, notes)
 
 
-def _structures_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
+def _structures_table(eye: EvaluatedEye, found: _Table) -> list[ReportTable]:
+    """None without a regressor in all structures."""
     own = {"polynomials by evidence": dict(zip(STRUCTURES, STRUCTURES, strict=True))}
     regressors = own | {name: {each: f"{name}-{each}" for each in STRUCTURES} for name in REGRESSORS}
     rows: list[list[Cell]] = []
@@ -262,6 +269,8 @@ def _structures_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
             }
             row += [*error.values(), error["volumetric"] / error["planar"]]
         rows.append(row)
+    if not rows:
+        return []
     columns = ["regressor"]
     columns += [
         f"{condition}: {name}"
@@ -269,7 +278,7 @@ def _structures_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         for name in (*(f"{each} (arcmin)" for each in STRUCTURES), "volumetric / planar")
     ]
     notes = ("Composite error of each regressor in each structure: the paper's claim, on more than polynomials.",)
-    return ReportTable(f"{eye}: structure and regressor", columns, rows, notes)
+    return [ReportTable(f"{eye}: structure and regressor", columns, rows, notes)]
 
 
 def _cost_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
@@ -331,10 +340,6 @@ def _clearly(found: _Table, condition: str, method: str) -> bool:
     if own is None or other is None:
         return gain > _ONE_DRAW * found.rms(condition, "planar", measure)
     return gain > _TIES * float(np.hypot(own, other))
-
-
-def _sentences(refused: Mapping[str, str]) -> list[str]:
-    return [f"{where}: {why}" for where, why in refused.items()]
 
 
 def _or_none(value: float) -> float | None:
