@@ -247,9 +247,9 @@ def _beyond_table(eye: EvaluatedEye, found: _Table, tracking_error_mm: float) ->
     columns = ["method", f"eye tracking {1e3 * tracking_error_mm:g} um (arcmin)", "moved back 10 mm (arcmin)"]
     columns += ["self-contradiction (arcmin)", *(f"point at {depth:g} m (arcmin)" for depth in DEPTHS_M)]
     notes = (
-        f"Exact captures, of targets at 0.4 and 3 m. Moved back: the direction of a pixel from {1e3 * BACK_M:g} mm "
-        "behind on its ray. Self-contradiction: the angle between the directions of a pixel at two points of one of the "
-        "model's own rays, the eye box's depth apart. Eye tracking and points: the composite error.",
+        "Exact captures, of targets at 0.4 and 3 m. Eye tracking and points: the composite error.",
+        f"Moved back: the direction of a pixel from {1e3 * BACK_M:g} mm behind on its ray. Self-contradiction: the angle "
+        "between the directions of a pixel at two points of one of the model's rays, the eye box's depth apart.",
     )
     return ReportTable(f"{eye}: beyond the captures", columns, rows, notes)
 
