@@ -67,8 +67,8 @@ class EvaluateOptions(StudyOptions):
     methods: Annotated[
         tuple[str, ...] | None,
         described(
-            f"Run the experiment methods with these: all, or some of {', '.join(METHODS)} (default of that experiment: "
-            f"{', '.join(DEFAULT_METHODS)}).",
+            "Compare methods, ours and published ones, in place of the experiments above: all, or names of docs/methods.md "
+            f"(default of the experiment methods: {', '.join(DEFAULT_METHODS)}).",
             flag=True,
             many=True,
         ),
