@@ -67,7 +67,7 @@ class EvaluateOptions(StudyOptions):
     methods: Annotated[
         tuple[str, ...] | None,
         described(
-            "Compare methods, ours and published ones, in place of the experiments above: all, or names of docs/methods.md "
+            "Compare methods, ours and published ones, in place of those experiments: all, or names of docs/methods.md "
             f"(default of the experiment methods: {', '.join(DEFAULT_METHODS)}).",
             flag=True,
             many=True,
