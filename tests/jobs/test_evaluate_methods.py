@@ -66,8 +66,9 @@ def test_tables_of_methods(small, in_process, tmp_path):
     _, sources, composite, apart, beyond, cost = first.tables
     for table in first.tables:
         assert all(len(row) == len(table.columns) for row in table.rows)
+        assert len(set(table.columns)) == len(table.columns)  # keys of the rows in the JSON
     assert [row[0] for row in sources.rows] == list(NAMES)
-    errors = ["exact (arcmin)", "0.25 px (arcmin)", "+-"]
+    errors = ["exact (arcmin)", "0.25 px (arcmin)", "0.25 px +-"]
     assert composite.columns == ["method", *errors, "repetitions at 0.25 px", "no answer (%)"]
     assert [row[0] for row in composite.rows] == ["planar", "linear-table-planar", "spaam"]  # the best first
     for _, exact, noisy, standard_error, repetitions, unanswered in composite.rows:

@@ -181,7 +181,7 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         rows.append([*row, 100.0 * answers.missing / (answers.missing + answers.count)])
     columns = ["method"]
     for condition in CONDITIONS:
-        columns += [f"{condition} (arcmin)", "+-"] if condition != "exact" else [f"{condition} (arcmin)"]
+        columns += [f"{condition} (arcmin)", f"{condition} +-"] if condition != "exact" else ["exact (arcmin)"]
     columns += [f"repetitions at {_NOISY}", "no answer (%)"]
     notes = (
         f"Rms angle at the eye between a real point and the pixel shown for it; {POSITIONS} camera positions; over "
