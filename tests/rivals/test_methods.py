@@ -91,6 +91,7 @@ def test_a_prescription_is_fitted_once(monkeypatch):
     monkeypatch.setattr(methods, "fit_assembly", fit)
     data = replace(captured()[0], drawn=lambda shape: f"drawn with {shape}")
     found = [data.assembly(shape) for shape in (0.0, 0.0, 0.002)]
-    assert found[0] is found[1]
-    assert found[0] is not found[2]
+    assert found[0][0] is found[1][0]
+    assert found[0][1] == 0.0 <= found[1][1]  # whoever fits pays; the other is told what it would have paid
+    assert found[0][0] is not found[2][0]
     assert calls == [(data.planar, "drawn with 0.0"), (data.planar, "drawn with 0.002")]
