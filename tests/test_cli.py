@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import inspect
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -189,8 +190,10 @@ def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_
             else:
                 good[field.name] = value
     for options, field, kind, notes in fields:
-        if any(isinstance(note, Range) for note in notes) and "tuple" not in str(kind):
-            wrong, sentence = "-1", "is -1"
+        limits = next((note for note in notes if isinstance(note, Range)), Range())
+        if math.isfinite(max(limits.at_least, limits.above)) and "tuple" not in str(kind):
+            below = min(-1, math.floor(max(limits.at_least, limits.above)) - 1)
+            wrong, sentence = str(below), f"is {below}"
         elif typing.get_origin(kind) is typing.Literal and isinstance(typing.get_args(kind)[0], str):
             wrong, sentence = "nonsense", 'Invalid value "nonsense"'
         else:

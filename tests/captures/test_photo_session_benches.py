@@ -388,6 +388,7 @@ KINDS = TEXT.split("## Kinds of benches\n")[1].split("\n## ")[0]
 EXAMPLES = dict(re.findall(r"### ([^\n]+)\n(?:[^`#]|`[^`]|``[^`])*?```toml\n(.*?)```", KINDS, re.DOTALL))
 REPLACED = {
     "Rotation about the pupil": [],
+    "Known stage axes": [],
     "Robot arm or hand": ["bare"],
     "No tracking camera": ["tracking_camera", "tracking"],
     "Display only": ["tracking_camera", "tracking", "bare", "see_through"],

@@ -8,9 +8,9 @@ import pytest
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
-from wlr_render.jobs import kept_trials
 from wlr_render.jobs.evaluate import evaluate as evaluate_module
 from wlr_render.jobs.evaluate import methods as methods_module
+from wlr_render.jobs.evaluate import trials
 from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
 from wlr_render.jobs.evaluate.method_trials import OUTLIER_PX, MethodMeasure, MethodTrial, _data
 from wlr_render.jobs.evaluate.study import Findings
@@ -41,7 +41,7 @@ def small(monkeypatch):
 @pytest.fixture
 def in_process(monkeypatch):
     """Trials run in this process, where a test has changed the methods."""
-    monkeypatch.setattr(kept_trials, "as_finished", lambda function, tasks, workers: map(function, tasks))
+    monkeypatch.setattr(trials, "as_finished", lambda function, tasks, workers: map(function, tasks))
 
 
 def run(out, names, workers=1):
