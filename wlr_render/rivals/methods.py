@@ -96,7 +96,7 @@ class Method:
     """A method.
 
     Attributes:
-        source: who published it, or "ours".
+        source: who published it, or "this package".
         structure: "static", "volumetric", "planar", or what else it takes from the eye's position.
         fit: captures -> both mappings.
         lumps: it maps the world to pixels in one; its mappings mean something only together.

@@ -1,14 +1,12 @@
 """Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from difflib import get_close_matches
 from functools import partial
 from itertools import product
 from typing import Annotated, Literal, TypeVar
 
-from wlr_render.errors import BadInputError
-from wlr_render.jobs.evaluate.methods import DEFAULT_METHODS, methods
+from wlr_render.jobs.evaluate.methods import DEFAULT_METHODS, chosen_methods, methods
 from wlr_render.jobs.evaluate.study import (
     FOUND_COLUMNS,
     Findings,
@@ -35,7 +33,6 @@ from wlr_render.jobs.evaluate.trials import (
 from wlr_render.jobs.options import Degree, OnlyWith, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
-from wlr_render.rivals.methods import METHODS
 
 AnyCell = TypeVar("AnyCell")
 ExperimentName = Literal["camera-positions", "noise", "position-errors", "see-through", "methods"]
@@ -366,7 +363,7 @@ EXPERIMENTS: dict[ExperimentName, Callable[[EvaluateOptions, Study], Findings]] 
     "noise": noise,
     "position-errors": position_errors,
     "see-through": see_through,
-    "methods": lambda options, study: methods(_chosen(options), options.tracking_error_mm, study),
+    "methods": lambda options, study: methods(chosen_methods(options.methods), options.tracking_error_mm, study),
 }
 _DEFAULTS = EvaluateOptions()
 
@@ -380,23 +377,3 @@ def evaluate(options: EvaluateOptions = _DEFAULTS, *, progress: ProgressArgument
     chosen = {str(name): partial(EXPERIMENTS[name], options) for name in options.experiment}
     repeats = options.repeats or (_FULL_REPEATS if options.methods == ("all",) else _REPEATS)
     return run_study("Evaluation", options, chosen, "report", progress, repeats)
-
-
-def _chosen(options: EvaluateOptions) -> Sequence[str]:
-    """The methods to compare.
-
-    Raises:
-        BadInputError: one is unknown.
-    """
-    if options.methods is None:
-        return DEFAULT_METHODS
-    if options.methods == ("all",):
-        return tuple(METHODS)
-    for name in options.methods:
-        if name == "all":
-            raise BadInputError("--methods has all beside other names; give all alone.")
-        if name not in METHODS:
-            close = get_close_matches(name, METHODS, 1)
-            meant = f"did you mean {close[0]}? Choose" if close else "choose"
-            raise BadInputError(f"--methods has {name}; {meant} all, or from {', '.join(METHODS)}.")
-    return tuple(dict.fromkeys(options.methods))

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.jobs.evaluate.method_trials import DEPTHS_M, EVERY, FRAME_NODES, MethodMeasure, MethodTrial, at_depth
 from wlr_render.jobs.evaluate.study import Findings, Study, trial_at
 from wlr_render.jobs.evaluate.trials import BACK_M, TEST_RAYS, EvaluatedEye, Measure, Outcome
@@ -107,6 +109,26 @@ class _Table:
         error = {method: self.rms(condition, method, measure) for method in self.outcomes[condition]}
         known = [method for method in error if np.isfinite(error[method])]
         return sorted(known, key=error.__getitem__)
+
+
+def chosen_methods(names: Sequence[str] | None) -> Sequence[str]:
+    """The methods of these names: all of them for "all", `DEFAULT_METHODS` for None.
+
+    Raises:
+        BadInputError: a name is unknown, or "all" is not alone.
+    """
+    if names is None:
+        return DEFAULT_METHODS
+    if tuple(names) == ("all",):
+        return tuple(METHODS)
+    for name in names:
+        if name == "all":
+            raise BadInputError("--methods has all beside other names; give all alone.")
+        if name not in METHODS:
+            close = get_close_matches(name, METHODS, 1)
+            meant = f"did you mean {close[0]}? Choose" if close else "choose"
+            raise BadInputError(f"--methods has {name}; {meant} all, or from {', '.join(METHODS)}.")
+    return tuple(dict.fromkeys(names))
 
 
 def methods(chosen: Sequence[str], tracking_error_mm: float, study: Study) -> Findings:

@@ -53,7 +53,7 @@ class StudyOptions(Options):
     seed: Seed = 1
     workers: Workers = None
     resume: Annotated[
-        bool, described("Continue a run that was cut off: trials whose outcomes are in the output folder are kept.")
+        bool, described("Continue a run of the same program that was cut off: outcomes in the output folder are kept.")
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/evaluate")
 
