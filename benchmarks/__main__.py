@@ -2,14 +2,18 @@
 
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from cyclopts import App, Parameter
+from wlr_render.__main__ import run_program
 
-from wlr_render.cli import run_app
+if TYPE_CHECKING:
+    from cyclopts import App
 
 BENCHMARKS = {
     "speed": "Speed of frames, offline and in real time, against baselines, and their accuracy.",
+    "submission": "CPU cost of a frame: time of submission without drawing, OpenGL calls, allocations.",
     "soak": "Soak test: many frames for a moving wearer; frame times, memory, map errors.",
+    "kills": "Jobs that are killed at random moments and resumed, compared with undisturbed ones.",
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "photographs": "Readings of simulated photographs, compared with exact traces.",
     "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
@@ -23,12 +27,16 @@ BENCHMARKS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one benchmark; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    """Run one benchmark; returns the exit status: 0, 2 for bad input, 130 or 143 when interrupted."""
+    from wlr_render.cli import run_app
+
     return run_app(make_app, arguments)
 
 
-def make_app() -> App:
+def make_app() -> "App":
     """The parser of the command line; a benchmark's module is imported when it is used."""
+    from cyclopts import App, Parameter
+
     app = App(
         name="benchmarks",
         usage="python -m benchmarks NAME [OPTIONS]",
@@ -42,4 +50,4 @@ def make_app() -> App:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_program(main))

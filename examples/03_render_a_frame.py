@@ -2,25 +2,27 @@
 
 import numpy as np
 
+from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.rendering.gl import open_context
 from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.painters import TracedPainter, WarpedPainter
-from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.painters import TracedPainter
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.scene_raster import SceneRaster
 
 eye = traced_eye(load_device("freeform40"))
 scene = load_scene("desk")
 viewpoint, world_from_device = eye.eye_box.centre, np.eye(4)
 
-raster_backend = open_raster_backend(scene)  # EGL, else OSMesa, else the CPU
+raster = SceneRaster(open_context(), scene)  # EGL, else OSMesa
 renderer = RayRenderer(scene)
-warped = WarpedPainter(eye, raster_backend).paint(viewpoint, world_from_device, with_geometry=True)
+warped = WarpedPainter(eye, raster).paint(viewpoint, world_from_device, with_geometry=True)
 traced = TracedPainter(eye, renderer, shadows=True).paint(viewpoint, world_from_device, with_geometry=True)
 write_png("raster.png", warped.colour)
 write_png("raytrace.png", traced.colour)
@@ -31,5 +33,5 @@ error = raster_error(warped.position, traced.position, eye_in_world)
 drawn_from = warped.view.position_in_world
 hidden = disoccluded(renderer.tracer, drawn_from, traced.ray_map, world_from_device, traced.position)
 seen = summary(error.registration_arcmin[~hidden])
-print(f"drawn by {raster_backend.backend}: registration {seen.median:.5f} arcmin median, {seen.p95:.5f} at 95 %")
+print(f"drawn by {raster.backend}: registration {seen.median:.5f} arcmin median, {seen.p95:.5f} at 95 %")
 print(f"{hidden.mean():.4%} of the pixels are disoccluded")

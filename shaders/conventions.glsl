@@ -23,12 +23,6 @@ float inverse_depth_of_depth_buffer(float stored, vec2 of_0_and_1)
     return stored != far && inverse > 0.0 ? inverse : 0.0;
 }
 
-// 1 / depth of metres along the viewing axis; 0 for what is no depth.
-float inverse_depth_of_metres(float depth)
-{
-    return depth > 0.0 && !isinf(depth) ? 1.0 / depth : 0.0;
-}
-
 // Where a ray (a, b, c, d), which passes through (c, d, 0) with tangents (a, b) in some camera frame, appears in an image:
 // its point at inverse depth w at at_infinity + w shift. NaN if it does not lead forwards there. The rows of the image's
 // camera matrix give u depth, v depth and depth of a point (x, y, z, 1) of the ray's frame.

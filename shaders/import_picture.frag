@@ -1,12 +1,25 @@
 #version 430
 #include "conventions.glsl"
+#include "srgb.glsl"
 // Takes over a picture that other software drew: its colour, and 1 / depth from the depth that it stored.
 
 uniform sampler2D stored_colour;
 uniform sampler2D stored_depth;
+uniform vec4 scale;    // of colour and alpha
+uniform float opaque;  // 1 for a picture without alpha
 uniform bool bottom_first;
 uniform bool in_metres;
 uniform vec2 inverse_depth_of_0_and_1;  // where not in metres
+uniform vec2 limits;                    // of the stored depth of a surface; NaN lies outside them
+
+const float LARGEST = 65504.0;  // half float; an infinite texel would spoil all samples around it
+
+vec4 within_half_floats(vec4 value)
+{
+    // By its bits: compilers may take isnan for false.
+    bvec4 is_number = lessThanEqual(floatBitsToUint(value) & 0x7fffffffu, uvec4(0x7f800000u));
+    return mix(vec4(0.0), clamp(value, -LARGEST, LARGEST), is_number);
+}
 
 layout(location = 0) out vec4 colour;
 layout(location = 1) out float inverse_depth;
@@ -18,8 +31,14 @@ void main()
         texel = turned_upside_down(texel, size.y);
     // Not texelFetch: it would decode a texture of sRGB.
     vec2 position = (vec2(texel) + 0.5) / vec2(size);
-    colour = vec4(texture(stored_colour, position).rgb, 1.0);
+    colour = within_half_floats(scale * texture(stored_colour, position));
+    colour.a = clamp(max(colour.a, opaque), 0.0, 1.0);
+#if DECODE
+    colour.rgb = linear_of_srgb(colour.rgb);
+#endif
     float stored = texture(stored_depth, position).r;
-    inverse_depth =
-        in_metres ? inverse_depth_of_metres(stored) : inverse_depth_of_depth_buffer(stored, inverse_depth_of_0_and_1);
+    bool surface = stored >= limits.x && stored <= limits.y;
+    inverse_depth = !surface   ? 0.0
+                    : in_metres ? 1.0 / stored
+                                : inverse_depth_of_depth_buffer(stored, inverse_depth_of_0_and_1);
 }

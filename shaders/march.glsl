@@ -1,7 +1,7 @@
 // Intersect a ray with the depth of the intermediate image; rendering/warp.py states the algorithm.
 //
-// Needs STEP_PX, MAX_STEPS, MAX_REFINEMENTS, CONVERGED_PX, SURFACE_STEP, TILE, and of the pixel shader `inverse_depth`,
-// `ranges` and what warp.vert gives. One loop with one texture read in each round, whether it marches or refines:
+// Needs STEP_PX, MAX_STEPS, MAX_REFINEMENTS, CONVERGED_PX, SURFACE_STEP, and of the pixel shader `inverse_depth`,
+// `range`, `size_px` and `per_texel`. One loop with one texture read in each round, whether it marches or refines:
 // software renderers execute both sides of a branch, and one round too many of a loop tested at its head. They leave a
 // loop tested at its end for all neighbours at once, and may mix the last rounds: so the variables of the result (query,
 // last_crossing, converged) no longer change once a pixel has stopped searching.
@@ -23,29 +23,23 @@ float smooth_inverse_depth(vec2 pixel)
     return mix(mix(texels.w, texels.z, weight.x), mix(texels.x, texels.y, weight.x), weight.y);
 }
 
-// The smallest and the largest inverse depth that the image shows along a path.
-vec2 range_along(vec2 at_infinity, vec2 shift, float px_per_inverse_depth)
-{
-    vec2 middle = at_infinity + 0.5 * whole_range.y * shift;
-    vec2 around_middle = texture(ranges, clamp(middle, vec2(0.0), size_px) * per_px_of_tiles).xy;
-    return px_per_inverse_depth * whole_range.y <= 2.0 * float(TILE) ? around_middle : whole_range;
-}
-
 int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
 {
     float px_per_inverse_depth = length(shift);
-    vec2 range = range_along(at_infinity, shift, px_per_inverse_depth);
-    float step_count = clamp(ceil(px_per_inverse_depth * (range.y - range.x) / STEP_PX), 1.0, float(MAX_STEPS));
-    float stride = (range.y - range.x) / step_count;
+    vec2 within = narrowed(at_infinity, shift, range, 3.0, size_px);
+    // A second time, because bounds near a depth edge come from a longer path than is left.
+    within = narrowed(at_infinity, shift, within, 3.0, size_px);
+    float step_count = clamp(ceil(px_per_inverse_depth * (within.y - within.x) / STEP_PX), 1.0, float(MAX_STEPS));
+    float stride = (within.y - within.x) / step_count;
 
     float step_index = 1.0;
-    float far_end = range.y - stride;
-    float seen_near = nearest_inverse_depth(at_infinity + range.y * shift);  // at the step's two ends
+    float far_end = within.y - stride;
+    float seen_near = nearest_inverse_depth(at_infinity + within.y * shift);  // at the step's two ends
     float seen_far = seen_near;
     bool in_front = true;  // at its near end
     bool refining = step_count == 1.0;
     float query = refining ? seen_near : far_end;
-    float last_crossing = range.y;
+    float last_crossing = within.y;
     int refinements = 0;
     bool converged = false;
     bool searching;
@@ -71,7 +65,7 @@ int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
         in_front = advances ? seen_far < far_end : in_front;
         seen_near = advances ? seen_far : seen_near;
         step_index += advances ? 1.0 : 0.0;
-        far_end = advances ? range.y - step_index * stride : far_end;
+        far_end = advances ? within.y - step_index * stride : far_end;
         refining = !advances;
         query = !searching ? query : advances ? far_end : next;
     } while (!converged && step_index <= step_count);

@@ -2,10 +2,6 @@
 // The world ray of each point of a grid on the panel under a planar bundle; rendering/gl_ray_maps.py has the words, and generates
 // display_hold, display, display_contains, deviation and deviation_contains.
 
-uniform sampler2D last_view_tangents;
-uniform sampler2D last_slopes;
-uniform bool has_last;
-uniform vec3 moved;  // since the last frame: the viewpoint's xy, behind_display_plane
 uniform vec2 first_px;  // panel position of the first point
 uniform vec2 step_px;
 uniform vec3 viewpoint;
@@ -17,9 +13,7 @@ uniform bool viewpoint_inside;
 uniform mat3 camera_from_device;
 
 layout(location = 0) out vec4 slope_offset;  // a, b, c, d
-layout(location = 1) out vec2 view_tangents;
-layout(location = 2) out uvec2 status_and_iterations;
-layout(location = 3) out vec4 slopes;  // of view_tangents by the viewpoint's xy, columns
+layout(location = 1) out uint status;
 
 const float NOWHERE = uintBitsToFloat(0x7fc00000u);
 const float INFINITE = uintBitsToFloat(0x7f800000u);
@@ -27,9 +21,7 @@ const float INFINITE = uintBitsToFloat(0x7f800000u);
 struct Root {
     vec2 point;
     vec2 tangents;
-    mat2 slope;  // of tangents by the point
     bool solved;
-    int iterations;  // evaluations of the polynomial
 };
 
 // Depth along -z at which a ray from the viewpoint meets the plane, over the viewpoint's height over it.
@@ -50,37 +42,32 @@ vec2 place_on_display_plane(vec2 tangents)
     return viewpoint.xy + behind_display_plane * depth_per_height(display_plane_slope, tangents) * tangents;
 }
 
-// Newton on p~ - viewpoint_xy - s t(pixel, p~); steps that do not shrink the residual are halved. The last step is
-// short enough for t to follow its slope, so that it costs no evaluation. A start from `tangents` of another frame that
-// leads nowhere is followed by the cold one.
+// Newton on p~ - viewpoint_xy - s t(pixel, p~) from the viewpoint; steps that do not shrink the residual are halved. The
+// last step is short enough for t to follow its slope, so that it costs no evaluation.
 //
 // The loop tests at its head: left from within or at its end, llvmpipe would let a pixel go on with some values of the
 // turn in which it left and others of the turn in which the last of its neighbours did.
-Root solve(vec2 tangents, bool cold)
+Root solve()
 {
-    vec2 base, advance;
-    float size_at_base;
-    Root root = Root(vec2(0.0), tangents, mat2(0.0), false, 0);
-    int limit = cold ? MAX_ITERATIONS : 2 * MAX_ITERATIONS;
-    while (!root.solved && root.iterations < limit) {
-        if (root.iterations % MAX_ITERATIONS == 0) {
-            base = root.iterations == 0 ? place_on_display_plane(tangents) : viewpoint.xy;
-            advance = vec2(0.0);
-            size_at_base = INFINITE;
-        }
+    vec2 base = place_on_display_plane(vec2(0.0)), advance = vec2(0.0);
+    float size_at_base = INFINITE;
+    Root root = Root(vec2(0.0), vec2(0.0), false);
+    int iterations = 0;
+    while (!root.solved && iterations < MAX_ITERATIONS) {
+        mat2 slope;
         vec2 point = base - advance;
-        vec2 tangents_at_point = display(point, root.slope);
+        vec2 tangents_at_point = display(point, slope);
         vec2 residual = point - place_on_display_plane(tangents_at_point);
         float size = length(residual);
         bool shrunk = size < size_at_base;
         base = shrunk ? point : base;
-        mat2 by_point = mat2(1.0) - place_by_tangents(tangents_at_point) * root.slope;
+        mat2 by_point = mat2(1.0) - place_by_tangents(tangents_at_point) * slope;
         advance = shrunk ? inverse(by_point) * residual : 0.5 * advance;
         size_at_base = shrunk ? size : size_at_base;
         root.solved = shrunk && length(advance) <= LAST_STEP_M;
         root.point = point - advance;
-        root.tangents = tangents_at_point - root.slope * advance;
-        ++root.iterations;
+        root.tangents = tangents_at_point - slope * advance;
+        ++iterations;
     }
     return root;
 }
@@ -89,13 +76,7 @@ void main()
 {
     vec2 pixel = first_px + step_px * (gl_FragCoord.xy - 0.5);
     display_hold(pixel);
-    vec2 place = gl_FragCoord.xy / vec2(textureSize(last_view_tangents, 0));
-    vec2 last = texture(last_view_tangents, place).xy;
-    vec4 slope = texture(last_slopes, place);
-    vec2 moved_place = moved.xy + moved.z * depth_per_height(display_plane_slope, last) * last;
-    vec2 start = last + mat2(slope.xy, slope.zw) * moved_place;
-    bool cold = !has_last || any(isnan(start));
-    Root root = solve(cold ? vec2(0.0) : start, cold);
+    Root root = solve();
 
     float depth = behind_see_through_plane * depth_per_height(see_through_plane_slope, root.tangents);
     vec4 inputs = vec4(viewpoint.xy + depth * root.tangents, root.tangents);
@@ -109,10 +90,6 @@ void main()
     bool solved = root.solved && !any(isnan(ray)) && !any(isinf(ray));
     bool forwards = direction.z < 0.0;
     bool inside = viewpoint_inside && display_contains(vec4(pixel, root.point)) && deviation_contains(inputs);
-    int status = !solved ? NOT_CONVERGED : !forwards ? MISS : inside ? OK : OUTSIDE_FIT;
+    status = uint(!solved ? NOT_CONVERGED : !forwards ? MISS : inside ? OK : OUTSIDE_FIT);
     slope_offset = solved && forwards ? ray : vec4(NOWHERE);
-    view_tangents = solved ? root.tangents : vec2(NOWHERE);
-    status_and_iterations = uvec2(status, root.iterations);
-    mat2 by_viewpoint = root.slope * inverse(mat2(1.0) - place_by_tangents(root.tangents) * root.slope);
-    slopes = vec4(by_viewpoint[0], by_viewpoint[1]);
 }

@@ -1,5 +1,5 @@
 #version 430
-// The smallest and the largest value in each tile of an image, whose channels LOW and HIGH hold them so far.
+// The smallest and the largest value in each tile of an image.
 
 uniform sampler2D values;
 
@@ -14,9 +14,9 @@ void main()
     vec4 high = vec4(0.0);
     for (int y = first.y; y < end.y; y += 2) {
         for (int x = first.x; x < end.x; x += 2) {
-            vec2 shared_corner = vec2(x + 1, y + 1) / vec2(size);
-            low = min(low, textureGather(values, shared_corner, LOW));
-            high = max(high, textureGather(values, shared_corner, HIGH));
+            vec4 four = textureGather(values, vec2(x + 1, y + 1) / vec2(size));
+            low = min(low, four);
+            high = max(high, four);
         }
     }
     range = vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));

@@ -1,27 +1,35 @@
 #version 430
 #include "conventions.glsl"
+#include "srgb.glsl"
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.
 //
 // Written for software renderers too: a texture read at normalised coordinates costs them less than texelFetch, and
 // outputs that nobody asked for are not compiled in.
 
-uniform sampler2D slope_offset[CHANNELS];
-uniform vec4 texture_from_fragment[CHANNELS];  // of slope_offset; scale, offset
-#if ROWS
-uniform sampler2D camera_matrices;  // from the field, for each row of the display; three texels in each row
-uniform vec2 row_from_fragment;  // scale, offset
-#else
-uniform vec4 camera_matrix[3];  // from the field
-#endif
-uniform sampler2D picture;
+uniform sampler2D picture;  // gives linear light
 uniform sampler2D inverse_depth;
-uniform sampler2D ranges;
-uniform vec3 background;
+uniform vec3 background;  // linear light
+uniform float opaque;     // 1 for a picture without alpha
+#if ENCODING == TABLE
+uniform sampler2D code_of_light;  // over the fourth root of the light, from 0 to 1
+#endif
+#if UNIFORMITY
+uniform sampler2D uniformity;  // factors of the light
+in vec2 panel_place;
+#endif
 
-flat in vec2 size_px;  // of picture and inverse_depth
-flat in vec2 per_texel;
-flat in vec2 per_px_of_tiles;  // a texture coordinate of ranges
-flat in vec2 whole_range;  // of inverse depth
+#if OVERLAY
+uniform sampler2D overlay;
+uniform vec3 overlay_place[3];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
+#endif
+
+in vec2 grid_place;
+in vec4 path[CHANNELS];
+in vec4 bend[CHANNELS];
+in vec2 mixed_bend[CHANNELS];
+flat in float known[CHANNELS];
+flat in vec2 cell;
+flat in vec2 range;
 
 layout(location = 0) out vec4 colour;
 #if WITH_STATUS
@@ -32,91 +40,105 @@ layout(location = 2) out vec2 source;
 #endif
 
 const float NOWHERE = uintBitsToFloat(0x7fc00000u);
+vec2 size_px = vec2(textureSize(picture, 0));
+vec2 per_texel = 1.0 / size_px;
 
+#if MARCH
+#include "ranges.glsl"
 #include "march.glsl"
+#endif
 
-vec3 colour_at(vec2 pixel)
+// What linear interpolation over a triangle misses of a quadratic, from its second differences between grid points.
+vec2 missed_by_triangles(int channel)
 {
-    vec2 base, weight;
-    bilinear_taps(pixel, base, weight);
-    vec2 texel = (base + 0.5) * per_texel;
-    vec3 upper = mix(texture(picture, texel).rgb, textureOffset(picture, texel, ivec2(1, 0)).rgb, weight.x);
-    vec3 lower = mix(
-        textureOffset(picture, texel, ivec2(0, 1)).rgb, textureOffset(picture, texel, ivec2(1, 1)).rgb, weight.x
-    );
-    return mix(upper, lower, weight.y);
+    vec2 place = grid_place - cell;
+    vec2 share = place * (1.0 - place);
+    float mixed = place.x + place.y < 1.0 ? place.x * place.y : (1.0 - place.x) * (1.0 - place.y);
+    return mixed * mixed_bend[channel] - 0.5 * (share.x * bend[channel].xy + share.y * bend[channel].zw);
 }
 
 // The mean over a display pixel, whose sides appear in the image as `across` and `down`.
-vec3 filtered_colour(vec2 pixel, vec2 across, vec2 down)
+vec4 filtered_light(vec2 pixel, vec2 across, vec2 down)
 {
 #if SAMPLES_PER_AXIS == 1
-    return colour_at(pixel);
+    return texture(picture, pixel * per_texel);
 #else
-    vec3 sum = vec3(0.0);
+    vec4 sum = vec4(0.0);
     for (int i = 0; i < SAMPLES_PER_AXIS * SAMPLES_PER_AXIS; ++i) {
         vec2 place = (vec2(i % SAMPLES_PER_AXIS, i / SAMPLES_PER_AXIS) + 0.5) / float(SAMPLES_PER_AXIS) - 0.5;
-        sum += colour_at(pixel + place.x * across + place.y * down);
+        sum += texture(picture, (pixel + place.x * across + place.y * down) * per_texel);
     }
     return sum / float(SAMPLES_PER_AXIS * SAMPLES_PER_AXIS);
 #endif
 }
 
-// The ray at a normalised position in a field.
-vec4 ray_at(int channel, vec2 position)
+#if OVERLAY
+// Premultiplied light where the ray meets the overlay's quad, with smooth edges; 0 beside it and behind the viewer.
+vec4 overlay_light(vec2 at_infinity, vec2 shift)
 {
-#if FIELD_BY_TEXELS
-    ivec2 size = textureSize(slope_offset[channel], 0);
-    vec2 base, weight;
-    bilinear_taps(position * vec2(size), base, weight);
-    ivec2 first = clamp(ivec2(base), ivec2(0), size - 1), second = clamp(ivec2(base) + 1, ivec2(0), size - 1);
-    vec4 upper = mix(texelFetch(slope_offset[channel], first, 0), texelFetch(slope_offset[channel], ivec2(second.x, first.y), 0), weight.x);
-    vec4 lower = mix(texelFetch(slope_offset[channel], ivec2(first.x, second.y), 0), texelFetch(slope_offset[channel], second, 0), weight.x);
-    return mix(upper, lower, weight.y);
-#else
-    return texture(slope_offset[channel], position);
-#endif
+    // The plane's inverse depth is linear in the pixel, and the pixel in the inverse depth.
+    float inverse = dot(overlay_place[2], vec3(at_infinity, 1.0)) / (1.0 - dot(overlay_place[2].xy, shift));
+    vec3 pixel = vec3(at_infinity + inverse * shift, 1.0);
+    vec2 place = vec2(dot(overlay_place[0], pixel), dot(overlay_place[1], pixel)) / dot(overlay_place[2], pixel);
+    vec2 covered = clamp(min(place, 1.0 - place) / fwidth(place) + 0.5, 0.0, 1.0);
+    vec4 sampled = texture(overlay, place);
+    return inverse > 0.0 ? covered.x * covered.y * sampled : vec4(0.0);
 }
+#endif
 
-void path_of_ray(vec4 ray, out vec2 at_infinity, out vec2 shift)
+vec3 code_of(vec3 light)
 {
-#if ROWS
-    int last_row = textureSize(camera_matrices, 0).y - 1;  // helper pixels may lie beyond it
-    int row = clamp(int(gl_FragCoord.y * row_from_fragment.x + row_from_fragment.y), 0, last_row);
-    vec4 row_u = texelFetch(camera_matrices, ivec2(0, row), 0);
-    vec4 row_v = texelFetch(camera_matrices, ivec2(1, row), 0);
-    vec4 row_depth = texelFetch(camera_matrices, ivec2(2, row), 0);
-    project_ray(ray, row_u, row_v, row_depth, at_infinity, shift);
+#if ENCODING == SRGB
+    return srgb_of_linear(light);
+#elif ENCODING == TABLE
+    float last = float(textureSize(code_of_light, 0).x - 1);
+    vec3 place = (0.5 + last * sqrt(sqrt(clamp(light, 0.0, 1.0)))) / (last + 1.0);
+    return vec3(texture(code_of_light, vec2(place.r, 0.5)).r, texture(code_of_light, vec2(place.g, 0.5)).g,
+                texture(code_of_light, vec2(place.b, 0.5)).b);
 #else
-    project_ray(ray, camera_matrix[0], camera_matrix[1], camera_matrix[2], at_infinity, shift);
+    return light;
 #endif
 }
 
 void main()
 {
-    colour = vec4(0.0, 0.0, 0.0, 1.0);
+    vec3 light = vec3(0.0);
+    float alpha;
     int worst = SEEN;
     vec2 seen_at;
     for (int channel = 0; channel < CHANNELS; ++channel) {
-        vec4 place = texture_from_fragment[channel];
-        vec2 at_infinity, shift;
-        path_of_ray(ray_at(channel, gl_FragCoord.xy * place.xy + place.zw), at_infinity, shift);
-        vec2 across = dFdx(at_infinity), down = dFdy(at_infinity);
-        bool at_hole = any(isnan(across + down));
-        bool lost = any(isnan(at_infinity + shift));
-
+        bool lost = known[channel] == 0.0;
+        vec2 at_infinity = lost ? vec2(0.0) : path[channel].xy + missed_by_triangles(channel);
+        vec2 shift = lost ? vec2(0.0) : path[channel].zw;
         vec2 pixel;
-        int status = march(lost ? vec2(0.0) : at_infinity, lost ? vec2(0.0) : shift, pixel);
+#if MARCH
+        int status = march(at_infinity, shift, pixel);
+#else
+        // All that the image shows near here lies within DIRECT_PX.
+        vec2 nearby = at_infinity + 0.5 * (range.x + range.y) * shift;
+        pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
+        int status = SEEN;
+#endif
         bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size_px));
         status = lost ? NO_RAY : (inside ? status : OUTSIDE);
         bool found = status <= DISOCCLUDED;
 
-        vec3 sampled = filtered_colour(pixel, at_hole ? vec2(0.0) : across, at_hole ? vec2(0.0) : down);
+        vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy));
         vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
-        colour.rgb += share * (found ? sampled : background);
+        vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
+#if OVERLAY
+        vec4 over = overlay_light(at_infinity, shift);
+        seen = lost ? seen : over + (1.0 - over.a) * seen;
+#endif
+        light += share * seen.rgb;
+        alpha = channel == CHANNELS / 2 ? seen.a : alpha;
         worst = max(worst, status);
         seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
     }
+#if UNIFORMITY
+    light *= texture(uniformity, panel_place).rgb;
+#endif
+    colour = vec4(code_of(light), alpha);
 #if WITH_STATUS
     worst_status = uint(worst);
 #endif

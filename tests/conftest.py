@@ -1,5 +1,6 @@
 """A closed-form headset that answers all four questions, for tests that must not depend on the tracer."""
 
+import contextlib
 import os
 
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
@@ -114,3 +115,20 @@ def caller(gl_context):
     made = Caller()
     yield made
     made.ctx.release()
+
+
+@pytest.fixture
+def file_size_limit():
+    """A context manager in which no file can grow beyond so many bytes: a full disk, as the system can imitate one."""
+    resource = pytest.importorskip("resource")
+
+    @contextlib.contextmanager
+    def limited(size):
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited

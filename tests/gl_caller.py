@@ -13,7 +13,7 @@ import numpy as np
 # What is odd, and OpenGL's name of it for glGetDoublev (a switch is a value to it).
 ODD_SWITCHES = [
     0x0BE2, 0x0C11, 0x0B71, 0x0B44, 0x0B90, 0x8DB9, 0x8C89, 0x8642, 0x8F9D, 0x864F, 0x0BF2, 0x8037, 0x2A02, 0x2A01,
-    0x809E, 0x809F, 0x80A0, 0x8E51, 0x0B20, 0x0B41, 0x3000, 0x3007,
+    0x809E, 0x809F, 0x80A0, 0x8E51, 0x8C36, 0x0B20, 0x0B41, 0x3000, 0x3007,
 ]  # fmt: skip
 SWITCHED_OFF = [0x0BD0, 0x809D]
 READ = {
@@ -121,7 +121,7 @@ class Caller:
     def objects(self):
         """The numbers of the objects that live, of each kind."""
         kinds = "Texture", "Framebuffer", "Program", "Buffer", "VertexArray"
-        return [{number for number in range(200) if self.gl(f"glIs{kind}", number)} for kind in kinds]
+        return [{number for number in range(2000) if self.gl(f"glIs{kind}", number)} for kind in kinds]
 
     def draw(self):
         """Its own picture over the last, with the state, bindings and framebuffer that it finds."""

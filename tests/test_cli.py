@@ -218,6 +218,14 @@ def test_an_argument_too_many_is_refused(capsys):
     )
 
 
+@pytest.mark.parametrize("argument", [["--out", ""], ["--out="], ["--out= "]], ids=str)
+def test_an_empty_value_is_refused(argument, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    sentence = refused(["trace", "northstar", *argument], capsys)
+    assert sentence == "wlr-render: --out is empty; give it a value, or leave it out."
+    assert not list(tmp_path.iterdir())
+
+
 def empty_mesh(folder):
     path = folder / "empty.ply"
     header = ("ply", "format ascii 1.0", "element vertex 0", "property float x", "property float y", "property float z")
@@ -289,17 +297,17 @@ FAULTS = {
     ),
     "endless frame rate": (
         lambda f: ["render", device(f), "dots", "--fps", "inf"],
-        "--fps is inf; it must be a finite number above 0.",
+        "--fps is inf; it must be a finite number above 0 and at most 1000.",
     ),
     "one colour of three": (
         lambda f: ["render", device(f), "dots", "--red-model", "red.json"],
         "--red-model and --blue-model go together; give both or neither.",
     ),
     "unknown choice": (lambda f: ["compare", device(f), "dots", "--eye", "third"], '"third" for --eye'),
-    "no number": (lambda f: ["demo", "--viewpoints", "many"], 'unable to convert "many" into int'),
+    "no number": (lambda f: ["demo", "--viewpoints", "many"], "'many' is not a whole number"),
     "fewer numbers": (lambda f: ["compare", device(f), "dots", "--viewpoint-offset-mm", "1"], "--viewpoint-offset-mm"),
     "too few viewpoints": (lambda f: ["demo", "--viewpoints", "4"], "--viewpoints is 4"),
-    "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: cannot be read"),
+    "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: there is no such file"),
 }
 
 
@@ -315,7 +323,7 @@ def test_model_files_that_cannot_be_read_are_refused(model_file, tmp_path, capsy
     text = Path(model_file).read_text(encoding="utf-8")
     short = text_file(tmp_path, "short.json", text[: len(text) // 2])
     newer = text_file(tmp_path, "newer.json", json.dumps(json.loads(text) | {"version": 99}))
-    for path, sentence in ((short, "cut short"), (newer, "has version 99; this program reads version")):
+    for path, sentence in ((short, "cannot be read as a model"), (newer, "has version 99; this program reads version")):
         assert sentence in refused(["compare", path, "dots", "--out", str(tmp_path / "out")], capsys)
     left = refused(["render", model_file, "dots", "--eye", "left", "--out", str(tmp_path / "out")], capsys)
     assert "is a model of the right eye" in left
@@ -339,7 +347,7 @@ def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
 @pytest.mark.parametrize("verb", ["render", "compare"])
 def test_missing_opengl_is_told_and_leaves_nothing_behind(verb, tmp_path, capsys, monkeypatch):
     def refuse(backend="auto"):
-        raise MissingGlError("No OpenGL: install libegl1, or draw with the CPU backend.")
+        raise MissingGlError("No OpenGL: install libegl1, or draw ray-traced frames.")
 
     monkeypatch.setattr(gl, "open_context", refuse)
     out = tmp_path / "out"
@@ -385,9 +393,9 @@ def test_render_says_what_it_drew_and_what_it_kept(tmp_path, capsys):
     assert "0 frames drawn, 1 kept from an earlier run" in capsys.readouterr().out
 
 
-def test_compare_prints_its_table(tmp_path, capsys):
+def test_compare_prints_its_table(gl_context, tmp_path, capsys):
     offset = ["--viewpoint-offset-mm", "1", "-1", "0.5"]
-    arguments = ["compare", device(tmp_path), "dots", *offset, "--backend", "cpu", "--out", str(tmp_path / "out")]
+    arguments = ["compare", device(tmp_path), "dots", *offset, "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     assert "raster + warp" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "report.json").read_text())

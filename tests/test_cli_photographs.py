@@ -13,11 +13,14 @@ from wlr_render.jobs import simulate
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.simulate_photo_session import TakenPhotographs
 
 
 def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     given = []
-    monkeypatch.setattr(simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or (7, 3))
+    monkeypatch.setattr(
+        simulate, "simulate_photo_session", lambda *arguments: given.append(arguments[:3]) or TakenPhotographs(7, 3, ())
+    )
     chosen = ["--device", "northstar", "--eye", "left", "--viewpoints", "6", "--pattern", "gray", "--camera", "640x480"]
     bench_options = ["--bits", "12", "--pupil-mm", "2", "--focus-m", "0.7", "--snr", "20"]
     sizes = ["--perfect", "--stage-error-um", "3", "--bow-mm", "0.1", "--stage", "xyz"]
@@ -103,15 +106,15 @@ def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (["simulate", "--pupil-mm", "-1"], "--pupil-mm is -1.0; it must be a finite number of 0 or more."),
+        (["simulate", "--pupil-mm", "-1"], "--pupil-mm is -1.0; it must be between 0.01 and 50."),
         (["simulate", "--bits", "9"], "Invalid value"),
         (["simulate", "--sampling", "volumetric", "--stage", "xy"], "volumetric sampling needs the stage xyz."),
         (["simulate", "--stated-axes-deg", "9"], "--stated-axes-deg is 9.0; it must be between 0 and 5."),
         (["verify", "session", "--poses", "upright"], "Invalid value"),
-        (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be a finite number of 1 or more."),
+        (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be between 1 and 1000."),
         (["decode", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
         (["decode", "--from", "procam-graycode", "--panel", "64x40"], "--panel is used with --from own only"),
-        (["calibrate", "photos", "--workers", "0"], "--workers is 0; it must be a finite number of 1 or more."),
+        (["calibrate", "photos", "--workers", "0"], "--workers is 0; it must be between 1 and 256."),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):

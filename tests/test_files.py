@@ -1,15 +1,29 @@
 import math
 import os
+import re
+import shutil
+import subprocess
+import sys
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from wlr_render import files, toml_files
+from wlr_render.captures.boards.board_drawing import write_board_svg
+from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.photographs import write_photograph
+from wlr_render.captures.session_schema import DISPLAY
+from wlr_render.captures.session_tables import write_table
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import image_files
+from wlr_render.report.blocks import Report
+from wlr_render.report.html import html_page
+from wlr_render.report.plots import curves
+from wlr_render.report.records import json_text
+from wlr_render.report.save import provenance
 
 
 def table(tmp_path, text):
@@ -42,8 +56,9 @@ def test_an_output_folder_that_is_a_file_is_refused_by_name(tmp_path):
 def test_unknown_name_lists_what_is_shipped(tmp_path):
     with pytest.raises(BadInputError, match=r"neither a file nor one of the shipped devices"):
         files.named_or_path("devices", "northstart")
-    with pytest.raises(BadInputError, match="no such file"):
-        files.named_or_path("devices", tmp_path / "none.toml")
+    for name in ("none.toml", "a\0.toml", 300 * "a" + ".toml"):
+        with pytest.raises(BadInputError, match="no such file"):
+            files.named_or_path("devices", tmp_path / name)
     with pytest.raises(BadInputError, match=r": is a folder; name a file in it"):
         files.named_or_path("devices", tmp_path)
     (tmp_path / "model.json").write_text("{}")
@@ -60,12 +75,41 @@ def test_unknown_name_lists_what_is_shipped(tmp_path):
         ("a_m = 1", r"key 'a_mm' is missing \(found 'a_m' instead\)"),
         ("a_mm = 1\nb = 2", r"unknown key 'b'; remove it"),
         ("a_mm = 1\na_cm = 2", r"unknown key 'a_cm'; did you mean 'a_mm'\?"),
-        ("\na_mm = =", r"not valid TOML .*line 2"),
+        ("\na_mm = =", r"cannot be read as a TOML file .*line 2"),
+        ("a_mm = 1" + 400 * "0", r"'a_mm' must be finite and below 1e\+18, not 1000.*\.\.\..*0\.$"),
+        ("a_mm = 0x1" + 4000 * "0", r"'a_mm' must be finite and below 1e\+18, not a large int"),
+        ("a_mm = -1e308", r"'a_mm' must be finite and below 1e\+18, not -1e\+308"),
+        ("a_mm = '" + 9000 * "x" + "'", r"'a_mm' must be a number, not 'x{20,60}\.\.\.x{20,60}'\.$"),
+        ("a_mm = " + 9000 * "[", "is nested too deeply to be a TOML file"),
+        (9000 * "a." + "a = 1", "a key of 50 parts or more at line 1"),
+        ("a_mm = 1\n" + 9000 * "b" + " = 2", r"unknown key 'b{20,60}\.\.\.b{20,60}'; remove it\.$"),
+        ("a_mm = 1\n'\\u001b[2K' = 2", r"unknown key '\\\\u001b\[2K'"),
     ],
 )
 def test_each_fault_in_a_toml_file_gets_one_sentence(tmp_path, text, sentence):
     with pytest.raises(BadInputError, match=sentence):
         read_a(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ('{"a": 1, "a": 2}', r"cannot be read as a thing \(key 'a' is there twice\); write it again"),
+        ('{"a": NaN}', "'a' must be finite"),
+        ('{"a": -Infinity}', "'a' must be finite"),
+        ('{"a": 1e999}', "'a' must be finite"),
+        ('{"a": 1' + 9000 * "0" + "}", "cannot be read as a thing"),
+        (90_000 * "[", "is nested too deeply to be a thing"),
+        ("[1]", "is not a thing"),
+        ('{"a": 1}'.encode("utf-16"), "line 1 is not UTF-8 text"),
+        (b'\xef\xbb\xbf{"a": 1', "cannot be read as a thing"),
+    ],
+)
+def test_each_fault_in_a_json_file_gets_one_sentence(tmp_path, content, sentence):
+    path = tmp_path / "thing.json"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(BadInputError, match=rf"^{re.escape(str(path))}: .*{sentence}"):
+        toml_files.read_json(path, "a thing").number("a")
 
 
 def read_a(tmp_path, text):
@@ -139,15 +183,16 @@ def test_what_toml_cannot_hold_is_refused_and_no_file_appears(tmp_path, value):
 
 
 @pytest.fixture
-def full_disk():
-    """A disk on which no file can grow beyond 4 kB, as the system's limit for file sizes makes one."""
-    resource = pytest.importorskip("resource")
-    before, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, most))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (before, most))
+def full_disk(file_size_limit):
+    """A disk on which no file can grow beyond 4 kB."""
+    with file_size_limit(4096):
+        yield
 
 
+_BOARD = Chessboard(12, 9, 0.03, 0.0)
+_REPORT = Report("Noise", blocks=[curves("noise", {"a": (range(200), range(200))}, ("x", "y"))])
+_ORIGIN = provenance([], Path())
+_COLUMNS = {column.name: np.arange(2000.0) for column in DISPLAY.columns}
 _NOISE = np.random.default_rng(0).integers(0, 256, (90, 120, 3), np.uint8)
 
 
@@ -162,9 +207,15 @@ WRITERS = {
     "a.npz": lambda path: files.write_arrays(path, {"noise": _NOISE}),
     "figure.png": lambda path: files.write_figure(path, _figure()),
     "a.png": lambda path: image_files.write_png(path, _NOISE),
-    "a.tiff": lambda path: image_files.write_map(path, _NOISE),
-    "a.pfm": lambda path: image_files.write_map(path, _NOISE),
+    "a.tiff": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
+    "a.pfm": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.tif": lambda path: write_photograph(path, _NOISE[..., 0]),
+    "a.json": lambda path: files.write_text(path, json_text({"values": _NOISE.ravel().tolist()})),
+    "a.toml": lambda path: toml_files.write_toml(path, {"rows": _NOISE[:9].tolist()}),
+    "report.html": lambda path: files.write_text(path, html_page(_REPORT, _ORIGIN)),
+    "board.svg": lambda path: write_board_svg(_BOARD, path),
+    "drawing.pdf": lambda path: files.write_figure(path, _figure()),
+    "a.csv.gz": lambda path: write_table(path, DISPLAY, _COLUMNS),
     "a.mp4": lambda path: image_files.write_video(path, [_NOISE, _NOISE[::-1].copy()], 30.0),
 }
 
@@ -184,3 +235,75 @@ def test_outputs_have_the_permissions_that_the_umask_gives_and_leave_the_umask_a
     plain.write_text("")
     monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("another thread's files would get this umask"))
     assert files.write_text(tmp_path / "ours", "").stat().st_mode == plain.stat().st_mode
+
+
+def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path):
+    """A disk in memory, which this process cannot mount, but one in a namespace of its own can."""
+    script = Path(__file__).with_name("full_disk.py")
+    run = ["unshare", "--map-root-user", "--mount"]
+    if not shutil.which("unshare") or subprocess.run([*run, "true"], capture_output=True).returncode:
+        pytest.skip("no user namespaces here: a disk of another size cannot be mounted")
+    path = os.pathsep.join([str(script.parent), *sys.path])
+    # A PDF has its date in it.
+    environment = os.environ | {"PYTHONPATH": path, "SOURCE_DATE_EPOCH": "0"}
+    command = [*run, sys.executable, script, tmp_path]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
+    assert result.stderr.count("refused") == len(WRITERS), result.stderr
+
+
+ABANDONED = """
+import os, signal, sys
+from wlr_render import files
+with files.locked_folder(sys.argv[1], "a killed run"), files.written_whole(sys.argv[1] + "/a.png"):
+    print("ready", flush=True)
+    signal.pause()
+"""
+
+
+@pytest.fixture
+def other_run(tmp_path):
+    """A process that is writing a file into a folder that it has locked."""
+    pytest.importorskip("fcntl")
+    run = subprocess.Popen([sys.executable, "-c", ABANDONED, tmp_path], stdout=subprocess.PIPE, text=True)
+    assert run.stdout.readline() == "ready\n"
+    yield run
+    run.kill()
+    run.communicate()
+
+
+def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_path, other_run):
+    folder = tmp_path
+    with pytest.raises(BadInputError, match=rf"a killed run \(process {other_run.pid}\) is writing"):
+        files.locked_folder(folder, "ours").__enter__()
+    files.write_text(folder / "b.txt", "b")
+    assert len([path for path in folder.iterdir() if path.name.startswith(".wlr-")]) == 2, "of the run that goes on"
+    other_run.kill()
+    other_run.wait()
+    files.remove_abandoned.cache_clear()  # as in a new process
+    with files.locked_folder(folder, "ours"):
+        assert (folder / ".wlr-render.lock").read_text() == f"ours (process {os.getpid()})"
+        files.write_text(folder / "b.txt", "b")
+    assert [path.name for path in folder.iterdir()] == ["b.txt"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="makes pipes")
+def test_a_lock_that_is_a_link_or_a_pipe_changes_no_other_file_and_is_not_waited_for(tmp_path):
+    folder, victim = tmp_path / "out", tmp_path / "victim"
+    folder.mkdir()
+    victim.write_text("mine")
+    lock = folder / ".wlr-render.lock"
+    lock.symlink_to(victim)
+    with pytest.raises(BadInputError, match=r"wlr-render\.lock: cannot be written"):
+        files.locked_folder(folder, "ours").__enter__()
+    assert victim.read_text() == "mine"
+    lock.unlink()
+    os.mkfifo(lock)
+    with files.locked_folder(folder, "ours"):
+        pass
+
+
+def test_a_folder_that_a_refused_run_made_is_removed(tmp_path):
+    with pytest.raises(RuntimeError), files.locked_folder(tmp_path / "deep" / "out", "ours"):
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())

@@ -7,9 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from wlr_render.errors import BadInputError
 from wlr_render.processes import as_finished
 
 
@@ -26,15 +29,22 @@ def test_a_fault_of_a_task_comes_back():
 
 
 WORK = """
-import os, sys, time
+import os, signal, sys, time
 from wlr_render.processes import as_finished
 
 def work(number):
     open(f"begun {os.getpid()}", "w").close()
-    time.sleep(0.5)
-    open(f"ended {number}", "w").close()
+    try:
+        time.sleep(0.1 if number < 2 else 100)
+        open(f"ended {number}", "w").close()
+    finally:
+        open(f"left {os.getpid()} {number}", "w").close()
+
+def stop(number, frame):
+    raise KeyboardInterrupt
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, stop)
     try:
         list(as_finished(work, range(50), 2))
     except KeyboardInterrupt:
@@ -43,24 +53,39 @@ if __name__ == "__main__":
 
 
 @pytest.fixture
-def working(tmp_path):
-    """A session of processes with two workers at work, and their process ids."""
+def start(tmp_path):
+    """Starts a session of processes with two workers, whose tasks of the third on take 100 seconds."""
     (tmp_path / "work.py").write_text(WORK)
     path = os.pathsep.join([*sys.path, str(tmp_path)])
-    process = subprocess.Popen(
-        [sys.executable, "work.py"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": path},
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        # What runs the tests in the background has them ignore Ctrl-C, which a child inherits.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    assert until(lambda: len(list(tmp_path.glob("begun *"))) == 2)
-    yield process, [int(each.name.split()[1]) for each in tmp_path.glob("begun *")]
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+    started = []
+
+    def start_session():
+        process = subprocess.Popen(
+            [sys.executable, "work.py"],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": path},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            # What runs the tests in the background has them ignore Ctrl-C, which a child inherits.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )
+        started.append(process)
+        return process
+
+    yield start_session
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+@pytest.fixture
+def working(start, tmp_path):
+    """A session whose two workers are at tasks of 100 seconds, and their process ids."""
+    process = start()
+    assert until(lambda: len(list(tmp_path.glob("ended *"))) == 2)
+    return process, {int(each.name.split()[1]) for each in tmp_path.glob("begun *")}
 
 
 def until(reached):
@@ -79,18 +104,64 @@ def is_running(process_id):
         return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
 
 
-@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="reads /proc")
-def test_workers_end_with_a_parent_that_is_killed(working):
+def session_of(process):
+    """Ids of the running processes of a session."""
+    found = set()
+    for each in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            state, _, _, session = (each / "stat").read_text().rsplit(")", 1)[1].split()[:4]
+            if state != "Z" and int(session) == process.pid:
+                found.add(int(each.name))
+    return found
+
+
+reads_proc = pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="reads /proc")
+
+
+@reads_proc
+def test_workers_end_with_a_parent_that_is_killed(working, tmp_path):
     process, workers = working
+    assert workers < session_of(process)
     process.kill()
-    assert until(lambda: not any(map(is_running, workers)))
+    # Whoever reads the output of a run reads to its end only when all processes that may write have ended.
+    process.communicate(timeout=60)
+    assert until(lambda: not session_of(process))
+    assert {int(each.name.split()[1]) for each in tmp_path.glob("left *")} == workers
 
 
-@pytest.mark.skipif(os.name == "nt", reason="sends SIGINT to a group of processes")
-def test_an_interrupt_lets_the_tasks_at_work_finish_and_is_silent(working, tmp_path):
-    process, _ = working
-    os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=60)
-    assert (process.returncode, error) == (130, b"")
-    ended = len(list(tmp_path.glob("ended *")))
-    assert 2 <= ended < 10
+@reads_proc
+@pytest.mark.parametrize("seed", range(3))
+def test_workers_end_with_a_parent_that_is_killed_while_they_start(start, seed):
+    process = start()
+    assert until(lambda: len(session_of(process)) > 1)
+    time.sleep(np.random.default_rng(seed).uniform(0.0, 0.3))
+    process.kill()
+    process.communicate(timeout=60)
+    assert until(lambda: not session_of(process))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sends signals to a group of processes")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("to_all", [True, False], ids=["group", "parent"])
+def test_an_interrupt_ends_the_tasks_at_work_and_is_silent(working, tmp_path, number, to_all):
+    process, workers = working
+    (os.killpg if to_all else os.kill)(process.pid, number)
+    out, error = process.communicate(timeout=60)  # tasks take longer
+    assert (process.returncode, out, error) == (130, b"", b"")
+    assert len(list(tmp_path.glob("ended *"))) == 2
+    assert {int(each.name.split()[1]) for each in tmp_path.glob("left *")} == workers
+
+
+def test_a_worker_that_is_killed_is_told_in_one_sentence():
+    with pytest.raises(BadInputError, match=r"A worker process was ended from outside.*give fewer --workers"):
+        list(as_finished(kill_itself, [0], 1))
+
+
+def kill_itself(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_caller_that_stops_listening_does_not_wait_for_the_tasks_at_work():
+    finished = as_finished(time.sleep, [0.0, 1000.0], 2)
+    next(finished)
+    finished.close()  # the time limit of the test run is shorter

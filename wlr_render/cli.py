@@ -3,18 +3,34 @@
 A new verb is a job (options, function, report) and its row in `VERBS`.
 """
 
+import contextlib
 import difflib
 import os
+import re
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
 
-from cyclopts import App, CycloptsError, Group, Parameter, UnknownCommandError, UnusedCliTokensError
+from cyclopts import (
+    App,
+    CycloptsError,
+    Group,
+    Parameter,
+    Token,
+    UnknownCommandError,
+    UnusedCliTokensError,
+    convert,
+)
 
 from wlr_render import __version__
-from wlr_render.errors import BadInputError
+from wlr_render.errors import BadInputError, Terminated
 
 PROGRAM = "wlr-render"
+LONGEST_SENTENCE = 960
+"""Characters of an error: room for the names of all causes or methods."""
 DRAW, CALIBRATE, EXPLAIN, DATA = "Draw", "Calibrate", "Explain", "Data"
 
 
@@ -118,7 +134,10 @@ FOLDERS_OF_VERBS = {
 }
 """Verbs that have verbs of their own."""
 
-DEBUG_NOTE = "Add --debug to any verb for a traceback."
+OUTSIDE = "--outside-references"
+DEBUG_NOTE = (
+    f"Add --debug to any verb for a traceback, and {OUTSIDE} if you trust your files to name files of other folders."
+)
 EPILOGUE = (
     "HEADSET is a shipped device by name, a device file (.toml) or a fitted model (.json). SCENE is a shipped scene by "
     f"name, a scene file (.toml) or a mesh (.glb, .gltf, .obj, .ply). {DEBUG_NOTE}"
@@ -126,31 +145,47 @@ EPILOGUE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    """Run one verb; returns the exit status: 0, 2 for bad input, 1 for a defect, 130 or 143 when interrupted."""
     return run_app(make_app, arguments)
 
 
 def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
     """Run one command of an app whose commands are jobs; returns the exit status as `main`."""
     tokens = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in tokens
-    tokens = [token for token in tokens if token != "--debug"] or ["--help"]
+    debug, outside = "--debug" in tokens, OUTSIDE in tokens
+    tokens = [token for token in tokens if token not in ("--debug", OUTSIDE)] or ["--help"]
     # Before numpy is imported: on thin matrix products BLAS threads are slower than none, many times so on a machine
     # that is busy otherwise. Work is shared out over threads and processes elsewhere.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app = make()
     try:
-        return _run(app, tokens)
-    except (BadInputError, CycloptsError) as error:
-        if debug:
-            raise
-        return _refuse(app, _sentence(error), 2)
+        _refuse_empty(tokens)
+        if outside:
+            from wlr_render.input_files import outside_references
+
+            with outside_references():
+                return _run(app, tokens, debug)
+        return _run(app, tokens, debug)
     except BrokenPipeError:
         # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except Terminated:
+        return _refuse(app, "terminated; finished files are kept.", 143)
     except KeyboardInterrupt:
         return _refuse(app, "interrupted; finished files are kept.", 130)
+    except Exception as error:
+        if debug:
+            raise
+        return _refuse(app, _sentence(error), 2 if isinstance(error, _OF_THE_INPUT) else 1)
+
+
+def _refuse_empty(tokens: Sequence[str]) -> None:
+    """Refuse empty values of options: as a path, one would be the current folder."""
+    for before, token in zip(("", *tokens), tokens, strict=False):
+        name, _, value = (before, "", token) if before.startswith("--") and "=" not in before else token.partition("=")
+        if name.startswith("--") and not value.strip() and token != name:
+            raise BadInputError(f"{name} is empty; give it a value, or leave it out.")
 
 
 def make_app() -> App:
@@ -162,7 +197,7 @@ def make_app() -> App:
         help_format="plaintext",
         version=__version__,
         version_flags=["--version"],
-        default_parameter=Parameter(negative=()),
+        default_parameter=Parameter(negative=(), converter=_converted),
     )
     groups = {title: Group(title, sort_key=order) for order, title in enumerate((DRAW, CALIBRATE, EXPLAIN, DATA))}
     folders = {}
@@ -181,14 +216,24 @@ def make_app() -> App:
     return app
 
 
-def _run(app: App, tokens: Sequence[str]) -> int:
+def _converted(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Convert the text of an option to its type as cyclopts does, but refuse 1.5 for a whole number."""
+    kinds = {kind, *get_args(kind)}
+    for token in tokens:
+        if int in kinds and not kinds & {float, str} and not re.fullmatch(r"[+-]?[0-9]+", token.value):
+            raise ValueError(f"'{token.value}' is not a whole number.")  # cyclopts names the option
+    return convert(kind, tokens)
+
+
+def _run(app: App, tokens: Sequence[str], debug: bool) -> int:
     command, bound, ignored = app.parse_args(tokens, exit_on_error=False, print_error=False)
     if "progress" not in ignored:
         command(*bound.args, **bound.kwargs)  # --help, --version and completion
         return 0
+    from wlr_render.library_output import silenced_libraries
     from wlr_render.report.terminal import print_report, terminal_progress
 
-    with terminal_progress() as progress:
+    with contextlib.nullcontext() if debug else silenced_libraries(), terminal_progress() as progress:
         report = command(*bound.args, **bound.kwargs, progress=progress)
     print_report(report)
     if report.faults:
@@ -196,7 +241,11 @@ def _run(app: App, tokens: Sequence[str]) -> int:
     return 0
 
 
-def _sentence(error: BadInputError | CycloptsError) -> str:
+_OF_THE_INPUT = (BadInputError, CycloptsError, MemoryError, OSError)
+"""Exceptions that the user can do something about; others are defects of the program."""
+
+
+def _sentence(error: Exception) -> str:
     if isinstance(error, UnusedCliTokensError):
         return f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help to see what this verb takes."
     if isinstance(error, UnknownCommandError) and error.app is not None:
@@ -205,13 +254,27 @@ def _sentence(error: BadInputError | CycloptsError) -> str:
         close = difflib.get_close_matches(token, verbs, 1)
         hint = f' Did you mean "{close[0]}"?' if close else ""
         return f'Unknown command "{token}".{hint} Choose from {", ".join(verbs)}.'
-    return str(error)
+    if isinstance(error, BadInputError | CycloptsError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "The memory of this machine is too small for this job; ask for fewer or smaller items."
+    if isinstance(error, OSError):
+        return f"{error.filename or 'A file'}: cannot be read or written ({error.strerror or error})."
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"This is a defect of the program: {type(error).__name__} in {Path(place.filename).name}, line {place.lineno} "
+        f"({' '.join(str(error).split())[:200]}). Please report it where you got {PROGRAM}, with the output of the "
+        "same command and --debug."
+    )
 
 
 def _refuse(app: App, sentence: str, status: int) -> int:
     from wlr_render.report.terminal import say
 
-    say(f"{app.name[0]}: {sentence}", error=True)
+    if len(sentence) > LONGEST_SENTENCE:  # it repeats a long argument or name
+        sentence = f"{sentence[: LONGEST_SENTENCE // 2]} ... {sentence[-LONGEST_SENTENCE // 2 :]}"
+    with contextlib.suppress(OSError):  # nobody can be told anything
+        say(f"{app.name[0]}: {sentence}", error=True)
     return status
 
 

@@ -1,4 +1,6 @@
-"""Exceptions for bad input."""
+"""Exceptions for bad input, and the place that a warning is about."""
+
+import sys
 
 
 class BadInputError(ValueError):
@@ -10,3 +12,15 @@ class BadInputError(ValueError):
 
 class MissingGlError(BadInputError):
     """OpenGL is required and cannot be opened; the sentence says what to install or which backend to use."""
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a run as Ctrl-C does."""
+
+
+def stacklevel_of_caller() -> int:
+    """The `stacklevel` with which a warning names the line that called this library; call it in warnings.warn."""
+    frame, level = sys._getframe(1), 1
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("wlr_render", "contextlib"):
+        frame, level = frame.f_back, level + 1
+    return level

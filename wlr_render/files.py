@@ -1,13 +1,18 @@
 """Paths of shipped files, and atomic writing of every output.
 
 Every output is encoded in memory, goes to a temporary name in the same folder, is flushed to the disk, and is then
-renamed: readers never find a partial file, and a full disk or a failed run leaves the old file in place.
+renamed: readers never find a partial file, and a full disk or a failed run leaves the old file in place. The writer
+locks its temporary file, and a lock ends with its process: the temporary files that nobody has locked are those of
+killed runs, and the next run removes them.
 """
 
 import contextlib
 import difflib
+import errno
+import functools
 import io
 import os
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,11 +22,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.escapes import plain_figure
+from wlr_render.input_files import shown
+
+if sys.platform != "win32":
+    import fcntl
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PACKAGE = Path(__file__).resolve().parent
+_PART = ".wlr-part-"
+"""Start of the names of temporary files."""
+NO_DETOUR = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+"""Flags that open neither a link, which may lead to any file, nor wait for the other end of a pipe."""
+_LOCK = ".wlr-render.lock"
+"""File that the run that writes into a folder has locked."""
 
 
 def _umask() -> int:
@@ -61,16 +77,17 @@ def named_or_path(folder: str, spec: str | Path) -> Path:
     names = shipped_names(folder, ".toml")
     if str(spec) in names:
         return resource(folder, f"{spec}.toml")
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike Path.is_dir, without an exception for a name that no file can have
         model = path / "model.json"
         raise BadInputError(f"{path}: is a folder; name {model if model.is_file() else 'a file in it'}.")
     if path.suffix == ".toml" or len(path.parts) > 1:
-        if not path.is_file():
-            raise BadInputError(f"{path}: there is no such file.")
+        if not os.path.exists(path):
+            raise BadInputError(f"{path}: there is no such file; correct its name.")
         return path
     close = difflib.get_close_matches(str(spec), names, 1)
-    hint = f" Did you mean {close[0]}?" if close else ""
-    raise BadInputError(f"'{spec}' is neither a file nor one of the shipped {folder} ({', '.join(names)}).{hint}")
+    remedy = f"Did you mean {close[0]}?" if close else "Name one of them."
+    name = shown(str(spec))
+    raise BadInputError(f"{name} is neither a file nor one of the shipped {folder} ({', '.join(names)}). {remedy}")
 
 
 def output_folder(path: str | Path) -> Path:
@@ -83,7 +100,80 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInputError(f"{folder}: cannot write to this output folder ({reason}); choose another.") from error
+    remove_abandoned(folder.resolve())
     return folder
+
+
+@functools.cache  # once in a process: a folder may hold many files
+def remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files of killed runs."""
+    for path in folder.glob(f"{_PART}*"):
+        with contextlib.suppress(OSError), path.open("rb+") as file:
+            _lock(file.fileno())
+            path.unlink()
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file until it is closed, or until this process ends in whatever way.
+
+    Raises:
+        BlockingIOError: it is locked already.
+        OSError: this system, or this file system, has no such locks.
+    """
+    if sys.platform == "win32":
+        raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextlib.contextmanager
+def locked_folder(path: str | Path, run: str) -> Iterator[None]:
+    """Context manager in which no other run can write into an output folder, which is created if necessary.
+
+    At the end a folder that was created here is removed if it is empty.
+
+    Args:
+        path: the folder.
+        run: name of this run, which another one is refused with.
+
+    Raises:
+        BadInputError: the folder cannot be written, or another run has locked it.
+    """
+    folder = Path(path)
+    created = [each for each in (folder, *folder.parents) if not each.exists()]
+    lock = output_folder(folder) / _LOCK
+    with disk_errors(lock):
+        handle = _locked(lock)
+    try:
+        with contextlib.suppress(OSError):  # the disk may be full
+            os.ftruncate(handle, 0)
+            os.write(handle, f"{run} (process {os.getpid()})".encode())
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # the folder may have been removed meanwhile
+            lock.unlink()
+        os.close(handle)
+        with contextlib.suppress(OSError):
+            for each in created:
+                each.rmdir()
+
+
+def _locked(lock: Path) -> int:
+    """Handle of the locked file of a folder, made anew until it is the one that the folder holds."""
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | NO_DETOUR, _FILE_MODE)
+        try:
+            _lock(handle)
+        except BlockingIOError as error:
+            run = os.read(handle, 200).decode(errors="replace") or "another run"
+            os.close(handle)
+            raise BadInputError(
+                f"{lock.parent}: {run} is writing into this folder; wait until it has ended, or choose another folder."
+            ) from error
+        except OSError:
+            pass  # without locks the user has to see to it
+        if os.fstat(handle).st_nlink:
+            return handle
+        os.close(handle)  # the run before removed it after we had opened it
 
 
 @contextlib.contextmanager
@@ -97,23 +187,38 @@ def written_whole(path: str | Path) -> Iterator[Path]:
     """
     target = Path(path)
     output_folder(target.parent)
-    with _disk_errors(path):
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
-        os.close(handle)
-    temporary = Path(name)
+    with disk_errors(path):
+        handle, temporary = _locked_temporary(target)
     try:
         yield temporary
-        with _disk_errors(path):
+        with disk_errors(path):
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
             temporary.chmod(_FILE_MODE)
             temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _locked_temporary(target: Path) -> tuple[int, Path]:
+    """Handle and path of a new file beside `target`; another process may have removed it before it was locked."""
+    while True:
+        handle, name = tempfile.mkstemp(prefix=_PART, suffix=target.suffix, dir=target.parent)
+        try:
+            _lock(handle)
+        except BlockingIOError:
+            os.close(handle)
+            continue
+        except OSError:
+            pass  # without locks nothing is removed
+        if os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)
 
 
 @contextlib.contextmanager
-def _disk_errors(path: str | Path) -> Iterator[None]:
+def disk_errors(path: str | Path) -> Iterator[None]:
     """Convert errors of the disk to a `BadInputError` that says why `path` cannot be written."""
     try:
         yield
@@ -128,7 +233,7 @@ def write_bytes(path: str | Path, content: bytes | memoryview) -> Path:
     Raises:
         BadInputError: the disk is full, or the folder cannot be written.
     """
-    with written_whole(path) as temporary, _disk_errors(path):
+    with written_whole(path) as temporary, disk_errors(path):
         temporary.write_bytes(content)
     return Path(path)
 
@@ -162,6 +267,7 @@ def write_image(path: str | Path, image: NDArray[np.generic], parameters: Sequen
 
 def write_figure(path: str | Path, figure: "Figure", dpi: float | None = None) -> Path:
     """Write a matplotlib figure in the format of the path's suffix; `dpi` is the figure's own by default."""
+    plain_figure(figure)
     content = io.BytesIO()
     figure.savefig(content, format=Path(path).suffix[1:], dpi=dpi or "figure")
     return write_bytes(path, content.getbuffer())

@@ -1,6 +1,6 @@
 """Work spread over the processor's cores.
 
-Not joblib: on Ctrl-C its loky kills the tasks at work and prints a traceback, where this pool lets them finish.
+Not joblib: its loky prints a traceback on Ctrl-C, and its workers outlive a parent that is killed.
 """
 
 import contextlib
@@ -8,13 +8,21 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing.connection import Connection
 from typing import TypeVar
+
+from wlr_render.errors import BadInputError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+_GRACE_S = 1.0
+"""Time in which a task that is given up removes its temporary files."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
@@ -22,20 +30,34 @@ def as_finished(run: Callable[[Task], Result], tasks: Sequence[Task], workers: i
     """Results of all tasks, in the order in which they are finished.
 
     Every process calculates with one thread, so that sums are taken in one order whatever the number of workers.
-    Whoever stops listening, or is interrupted, waits for the tasks at work only.
+    The workers end with this process, however it ends, and as soon as its caller stops listening or is interrupted:
+    the tasks at work are given up.
 
     Args:
         run: what is done; it and its results go between processes.
         tasks: in the order in which they are begun.
         workers: processes, or None for one per usable core.
+
+    Raises:
+        BadInputError: a worker was killed, e.g. because the memory was full.
     """
-    with _one_thread_per_process():
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers or usable_cores(), mp_context=context, initializer=_prepare_worker)
+    context = multiprocessing.get_context("spawn")
+    # Only this process can write: the workers read the end of the pipe when it is closed here, or by the system.
+    watched, alive = context.Pipe(duplex=False)
+    with watched, alive:
+        pool = ProcessPoolExecutor(workers or usable_cores(), context, _prepare_worker, (watched,))
         try:
-            for future in as_completed([pool.submit(run, task) for task in tasks]):
+            with _inherited_by_workers():
+                futures = [pool.submit(partial(_run_or_end, run), task) for task in tasks]
+            for future in as_completed(futures):
                 yield future.result()
+            pool.shutdown()
+        except BrokenProcessPool as error:
+            raise BadInputError(
+                "A worker process was ended from outside, perhaps because the memory was full; give fewer --workers."
+            ) from error
         finally:
+            alive.close()
             pool.shutdown(cancel_futures=True)
 
 
@@ -49,26 +71,47 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _prepare_worker() -> None:
-    """Leave Ctrl-C, which reaches every process of a terminal, to the parent; end with a parent that is killed."""
+def _prepare_worker(parent: Connection) -> None:
+    """Leave Ctrl-C, which reaches every process of a terminal, to the parent, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    signal.signal(signal.SIGTERM, _give_up)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None, "this runs in a worker"
-    parent.join()
+def _give_up(number: int, frame: object) -> None:
+    raise SystemExit(128 + number)
+
+
+def _end_with(parent: Connection) -> None:
+    """Give up the task when the parent has ended or wants no more results."""
+    parent.poll(None)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(_GRACE_S)
     os._exit(1)
 
 
+def _run_or_end(run: Callable[[Task], Result], task: Task) -> Result:
+    try:
+        return run(task)
+    except SystemExit:
+        os._exit(1)  # the pool would go on with the next task
+
+
 @contextlib.contextmanager
-def _one_thread_per_process() -> Iterator[None]:
-    """Linear algebra libraries read these variables once, when a new process loads them."""
+def _inherited_by_workers() -> Iterator[None]:
+    """Context manager of what the processes that are started in it inherit.
+
+    One thread each: linear algebra libraries read these variables once, when a new process loads them. No Ctrl-C, which
+    would print a traceback of a process that is starting.
+    """
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    has_mask = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if has_mask else set()
     try:
         yield
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
+        if has_mask:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)

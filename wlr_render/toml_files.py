@@ -1,10 +1,12 @@
 """Reading and writing of TOML and JSON files, key by key, with errors that name file, key and value."""
 
 import difflib
+import itertools
 import json
 import math
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,14 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
+from wlr_render.input_files import LIMITS, inside_folder, parsing, read_text, shown
+
+_LARGEST = 1e18
+"""Of a number in a file: far above every quantity in these units, and its powers do not overflow."""
+_LONGEST_TEXT = 2000
+_KEYS_COMPARED = 1000
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){50}""")
+"""Dotted keys of 50 parts: the time that `tomllib` takes grows with the square of their number."""
 
 
 class Table:
@@ -42,9 +52,10 @@ class Table:
     def _get(self, key: str) -> Any:
         self._read.add(key)
         if key not in self._content:
-            close = difflib.get_close_matches(key, [k for k in self._content if k not in self._read], 1)
-            hint = f" (found '{close[0]}' instead)" if close else ""
-            raise self.fail(f"key '{key}' is missing{hint}.")
+            unread = (k for k in self._content if k not in self._read)
+            close = difflib.get_close_matches(key, itertools.islice(unread, _KEYS_COMPARED), 1)
+            hint = f" (found {shown(close[0])} instead)" if close else ""
+            raise self.fail(f"key '{key}' is missing{hint}; write it.")
         return self._content[key]
 
     def text(self, key: str, default: str | None = None, choices: Sequence[str] | None = None) -> str:
@@ -53,67 +64,106 @@ class Table:
             return default
         value = self._get(key)
         if not isinstance(value, str):
-            raise self.fail(f"'{key}' must be text in quotes, not {value!r}.")
+            raise self.fail(f"'{key}' must be text in quotes, not {shown(value)}.")
+        if len(value) > _LONGEST_TEXT:
+            raise self.fail(f"'{key}' has {len(value)} characters; shorten it to {_LONGEST_TEXT} or fewer.")
         if choices is not None and value not in choices:
-            raise self.fail(f"'{key}' is '{value}'; it must be one of {', '.join(choices)}.")
+            raise self.fail(f"'{key}' is {shown(value)}; it must be one of {', '.join(choices)}.")
         return value
 
     def file_stem(self, key: str) -> str:
         """A string that is safe in names of output files: no folder, hidden file or special character."""
         value = self.text(key)
-        if not re.fullmatch(r"\w[\w.-]*", value):
+        if not re.fullmatch(r"\w[\w.-]{0,99}", value):
             raise self.fail(
-                f"'{key}' is {value!r}; output files are named after it: use letters, digits, '_', '-' and '.' only, "
-                "and no '-' or '.' first."
+                f"'{key}' is {shown(value)}; output files are named after it: use letters, digits, '_', '-' and '.' "
+                "only, at most 100, and no '-' or '.' first."
             )
         return value
+
+    def path(self, key: str, folder: Path) -> Path:
+        """The path of another file, which lies in the folder of this one or below; see `input_files.inside_folder`."""
+        return inside_folder(folder, self.text(key), f"{self.where}: '{key}'")
 
     def texts(self, key: str) -> list[str]:
         """A list of strings, at least one."""
         value = self._get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
-            raise self.fail(f"'{key}' must be a list of texts in quotes, not {value!r}.")
+            raise self.fail(f"'{key}' must be a list of texts in quotes, not {shown(value)}.")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
         """A boolean."""
         value = self._get(key) if self.has(key) else default
         if not isinstance(value, bool):
-            raise self.fail(f"'{key}' must be true or false, not {value!r}.")
+            raise self.fail(f"'{key}' must be true or false, not {shown(value)}.")
         return value
 
-    def number(self, key: str, default: float | None = None) -> float:
-        """A finite number."""
+    def number(
+        self,
+        key: str,
+        default: float | None = None,
+        least: float = -_LARGEST,
+        most: float = _LARGEST,
+        above: float = -_LARGEST,
+    ) -> float:
+        """A finite number from `least` to `most`, and greater than `above`."""
         if default is not None and not self.has(key):
             return default
-        return self._number(self._get(key), key)
+        return self._number(self._get(key), key, least, most, above)
 
-    def whole(self, key: str, least: int = 0) -> int:
-        """A whole number of `least` or more."""
+    def whole(self, key: str, least: int = 0, most: int = 10**9) -> int:
+        """A whole number from `least` to `most`."""
         value = self.number(key)
-        if value < least or value != int(value):
-            raise self.fail(f"'{key}' must be a whole number of {least} or more, not {value:g}.")
+        if not least <= value <= most or value != int(value):
+            raise self.fail(f"'{key}' must be a whole number from {least} to {most}, not {value:g}.")
         return int(value)
 
-    def _number(self, value: Any, key: str) -> float:
+    def _number(
+        self, value: Any, key: str, least: float = -_LARGEST, most: float = _LARGEST, above: float = -_LARGEST
+    ) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.fail(f"'{key}' must be a number, not {value!r}.")
-        if not math.isfinite(value):
-            raise self.fail(f"'{key}' must be finite, not {value}.")
+            raise self.fail(f"'{key}' must be a number, not {shown(value)}.")
+        if value != value or not abs(value) < _LARGEST:  # an integer may be too large for a float
+            raise self.fail(f"'{key}' must be finite and below {_LARGEST:g}, not {shown(value)}.")
+        if not (least <= value <= most and value > above):
+            low = f"above {above:g}" if above >= least else f"{least:g} or more"
+            demand = low if most == _LARGEST else f"{low}, and at most {most:g}"
+            raise self.fail(f"'{key}' has the value {value:g}; it must be {demand}: correct it, or convert its unit.")
         return float(value)
 
-    def vector(self, key: str, size: int, default: Sequence[float] | None = None) -> NDArray[np.float64]:
-        """A list of `size` finite numbers, shape (size,)."""
-        value = self._get(key) if default is None or self.has(key) else list(default)
+    def vector(
+        self,
+        key: str,
+        size: int,
+        default: Sequence[float] | None = None,
+        least: float = -_LARGEST,
+        most: float = _LARGEST,
+        above: float = -_LARGEST,
+    ) -> NDArray[np.float64]:
+        """A list of `size` finite numbers, shape (size,); each in the range of `number`."""
+        value = self._list(key, size) if default is None or self.has(key) else list(default)
+        return np.array([self._number(item, key, least, most, above) for item in value])
+
+    def row(self, key: str, size: int) -> list[float]:
+        """As `vector`, a list; a model file has a thousand of them."""
+        value = self._list(key, size)
+        kinds = set(map(type, value))
+        if (kinds == {float} and math.hypot(*value) < _LARGEST) or (kinds == {int} and max(map(abs, value)) < _LARGEST):
+            return value
+        return [self._number(item, key) for item in value]
+
+    def _list(self, key: str, size: int) -> list[Any]:
+        value = self._get(key)
         if not isinstance(value, list) or len(value) != size:
-            raise self.fail(f"'{key}' must be a list of {size} numbers, not {value!r}.")
-        return np.array([self._number(item, key) for item in value])
+            raise self.fail(f"'{key}' must be a list of {size} numbers, not {shown(value)}.")
+        return value
 
     def numbers(self, key: str) -> NDArray[np.float64]:
         """A list of any number of finite numbers, shape (n,)."""
         value = self._get(key)
         if not isinstance(value, list):
-            raise self.fail(f"'{key}' must be a list of numbers, not {value!r}.")
+            raise self.fail(f"'{key}' must be a list of numbers, not {shown(value)}.")
         return np.array([self._number(item, key) for item in value])
 
     def vectors(self, key: str, size: int) -> NDArray[np.float64]:
@@ -121,8 +171,22 @@ class Table:
         value = self._get(key)
         whole = isinstance(value, list) and value and all(isinstance(row, list) and len(row) == size for row in value)
         if not whole:
-            raise self.fail(f"'{key}' must be a list of lists of {size} numbers each, not {value!r}.")
+            raise self.fail(f"'{key}' must be a list of lists of {size} numbers each, not {shown(value)}.")
         return np.array([[self._number(item, key) for item in row] for row in value])
+
+    def whole_numbers(self, key: str, shape: tuple[int, int]) -> NDArray[np.int64]:
+        """A list of lists of whole numbers."""
+        value, (rows, columns) = self._get(key), shape
+        whole = isinstance(value, list) and len(value) == rows
+        # Types row by row: in a large table, faster than number by number.
+        if not whole or not all(
+            isinstance(r, list) and len(r) == columns and set(map(type, r)) == {int} for r in value
+        ):
+            raise self.fail(f"'{key}' must be {rows} lists of {columns} whole numbers; write the file again.")
+        try:
+            return np.array(value, dtype=np.int64)
+        except OverflowError as error:
+            raise self.fail(f"'{key}' has a number beyond 64 bits; write the file again.") from error
 
     def table(self, key: str) -> "Table":
         """A sub-table `[key]`."""
@@ -131,13 +195,15 @@ class Table:
             raise self.fail(f"'{key}' must be a table, written [{key}].")
         return Table(value, f"{self.where} [{key}]")
 
-    def tables(self, key: str, required: bool = True) -> list["Table"]:
-        """An array of tables `[[key]]`, in file order."""
+    def tables(self, key: str, required: bool = True, most: int = 100_000) -> list["Table"]:
+        """An array of at most `most` tables `[[key]]`, in file order."""
         if not required and not self.has(key):
             return []
         value = self._get(key)
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.fail(f"'{key}' must be an array of tables, written [[{key}]].")
+        if len(value) > most:
+            raise self.fail(f"'{key}' has {len(value)} entries; {most} is the most that is read: leave some out.")
         return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
 
     def unchecked(self, key: str) -> Any:
@@ -162,33 +228,43 @@ class Table:
         if found != version:
             raise self.fail(f"'version' is {found:g}; this program reads version {version}: write the file again.")
         if unit != "mm":
-            raise self.fail(f"'unit' is '{unit}'; {kind} is in millimetres: convert its lengths, write unit = \"mm\".")
+            raise self.fail(f"'unit' is {shown(unit)}; {kind} is in mm: convert its lengths, write unit = \"mm\".")
 
     def finish(self) -> None:
         """Refuse keys that were not read, so that a typing error is not silently ignored."""
         for key in self._content:
             if key not in self._read:
-                close = difflib.get_close_matches(key, sorted(self._read | self._asked_for), 1)
+                close = difflib.get_close_matches(key[:100], sorted(self._read | self._asked_for), 1)
                 remedy = f"did you mean '{close[0]}'?" if close else "remove it."
-                raise self.fail(f"unknown key '{key}'; {remedy}")
+                raise self.fail(f"unknown key {shown(key)}; {remedy}")
 
 
 def read_json(path: str | Path, kind: str, remedy: str = "write it again") -> Table:
     """Open a JSON file as a `Table`.
 
     Raises:
-        BadInputError: the file cannot be read or is not a JSON object; the sentence says that it is not `kind`, and
-            the remedy.
+        BadInputError: the file cannot be read, is not a JSON object, or has a key twice; the sentence says that it is
+            not `kind`, and the remedy.
     """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}); {remedy}.") from error
-    except ValueError as error:
-        raise BadInputError(f"{path}: is not {kind}, or is cut short ({error}); {remedy}.") from error
+    content = parse_json(path, read_text(path, kind, LIMITS.data_bytes, remedy), kind, remedy)
+    return Table(content, str(path))
+
+
+def parse_json(path: str | Path, text: str, kind: str, remedy: str) -> dict[str, Any]:
+    """Parse the text of a JSON object; errors as `read_json`."""
+    with parsing(path, kind, remedy):
+        content = json.loads(text, object_pairs_hook=_without_repetition)
     if not isinstance(content, dict):
         raise BadInputError(f"{path}: is not {kind} (its JSON is not an object); {remedy}.")
-    return Table(content, str(path))
+    return content
+
+
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        ((key, _),) = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {shown(key)} is there twice")
+    return content
 
 
 def read_toml(path: str | Path) -> Table:
@@ -197,15 +273,11 @@ def read_toml(path: str | Path) -> Table:
     Raises:
         BadInputError: the file cannot be read or is not TOML; the sentence has the line.
     """
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: is not a text file, so it is not TOML; name another file.") from error
-    except tomllib.TOMLDecodeError as error:
-        raise BadInputError(f"{path}: is not valid TOML ({error}).") from error
-    return Table(content, str(path))
+    text = read_text(path, "a TOML file")
+    with parsing(path, "a TOML file", "correct it"):
+        if deep := _DEEP_KEY.search(text):
+            raise ValueError(f"a key of 50 parts or more at line {text.count(chr(10), 0, deep.start()) + 1}")
+        return Table(tomllib.loads(text), str(path))
 
 
 def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") -> Path:

@@ -3,11 +3,11 @@
 import time
 from collections.abc import Iterator, Sequence
 
-from benchmarks.scene_source import SceneSource
 from benchmarks.soak.process import CollectorTime, preemptions, resident_mb
 from benchmarks.soak.records import Cost, FrameNote, StreamFrame
-from wlr_render.compositing.backend import ComposedFrame
+from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 
 
 def draw_frames(compositor: Compositor, source: SceneSource, moments: Sequence[StreamFrame]) -> Iterator[FrameNote]:

@@ -1,4 +1,4 @@
-"""Check that a frame's map belongs to its viewpoint: against a cold-started map, and against the previous map.
+"""Check that a frame's map belongs to its viewpoint: against an exact solve, and against the previous map.
 
 Some frames of a stream are drawn again for this, each after the one before it. In the stream itself, fetching maps
 would cost time and memory that no real-time program spends.
@@ -8,12 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.scene_source import SceneSource
 from benchmarks.soak.records import MapCheck, StreamFrame
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_map import NEAREST_M, RayMap
+from wlr_render.rendering.raster_camera import EyePlan
+from wlr_render.rendering.ray_map import NEAREST_M, RayMap, solve_pixels
 
 CHECKED = 5
 """So many frames with the farthest jumps are checked, and about as many without a jump."""
@@ -35,12 +36,23 @@ def check_maps(
 ) -> Iterator[list[MapCheck]]:
     """Draw the frames of these numbers and those before them again; a check per eye and frame."""
     for number in numbers:
-        compositor.forget()
         kept = _maps(compositor, source, moments[number - 1])
         own = _maps(compositor, source, moments[number])
-        compositor.forget()
-        cold = _maps(compositor, source, moments[number])
-        yield [_checked(moments[number], eye, own[eye], kept[eye], cold[eye]) for eye in own]
+        moment = moments[number]
+        yield [
+            _checked(moment, eye, own[eye], kept[eye], _exact(compositor.plan(eye), moment.viewpoints[eye]))
+            for eye in own
+        ]
+
+
+def _exact(plan: EyePlan, viewpoint: FloatArray) -> list[RayMap]:
+    """Every point of the warp grid solved on the CPU, in float64."""
+    axes, pixel = plan.device_from_camera, plan.warp_grid.grid.panel_pixel()
+    solved = [solve_pixels(mappings, axes, pixel, viewpoint) for mappings in plan.channels]
+    return [
+        RayMap(viewpoint, axes, np.moveaxis(each.slope_offset, -1, 0).astype(np.float32), each.status)
+        for each in solved
+    ]
 
 
 def _maps(compositor: Compositor, source: SceneSource, moment: StreamFrame) -> Fields:
@@ -51,12 +63,12 @@ def _maps(compositor: Compositor, source: SceneSource, moment: StreamFrame) -> F
 
 
 def _checked(
-    moment: StreamFrame, eye: str, own: Sequence[RayMap], kept: Sequence[RayMap], cold: Sequence[RayMap]
+    moment: StreamFrame, eye: str, own: Sequence[RayMap], kept: Sequence[RayMap], exact: Sequence[RayMap]
 ) -> MapCheck:
     one_sided = sum(
-        int((np.isnan(a.slope_offset[0]) != np.isnan(b.slope_offset[0])).sum()) for a, b in zip(own, cold, strict=True)
+        int((np.isnan(a.slope_offset[0]) != np.isnan(b.slope_offset[0])).sum()) for a, b in zip(own, exact, strict=True)
     )
-    kept_arcmin, own_arcmin = (max(map(arcmin_apart, fields, cold)) for fields in (kept, own))
+    kept_arcmin, own_arcmin = (max(map(arcmin_apart, fields, exact)) for fields in (kept, own))
     return MapCheck(moment.time_s, eye, moment.eyes[eye].moved_mm, kept_arcmin, own_arcmin, one_sided)
 
 

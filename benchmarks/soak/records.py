@@ -113,7 +113,7 @@ class FrameNote:
 
 @dataclass(frozen=True)
 class MapCheck:
-    """One eye's map in one frame against the map that a start from nothing finds for the same viewpoint.
+    """One eye's map in one frame against the exact solve for the same viewpoint.
 
     Rays are apart by the largest angle under which the viewpoint sees points of both, from 0.25 m away to infinity.
 
@@ -123,7 +123,7 @@ class MapCheck:
         moved_mm: the viewpoint, since the frame before.
         kept_arcmin: how far off the map of the frame before would be.
         own_arcmin: how far off the frame's own map is.
-        one_sided: points at which only one of the frame's own map and the cold one has a ray.
+        one_sided: points at which only one of the frame's own map and the exact one has a ray.
     """
 
     time_s: float

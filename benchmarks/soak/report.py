@@ -111,7 +111,7 @@ def _jumps(stream: Stream) -> ReportTable:
     notes = (
         f"Of {len(jumps)} jumps by more than {SACCADE_MM:g} mm, {whole} have every point converged in the same frame; "
         "the farthest are above.",
-        "Errors are the largest of any point, in arcminutes, against a map solved from nothing for the frame's own "
+        "Errors are the largest of any point, in arcminutes, against the exact solve for the frame's own "
         "viewpoint; the old map is that of the frame before. For this, these frames are drawn again after the stream.",
     )
     return ReportTable("Saccades: is the map that of the viewpoint it was drawn for?", columns, rows, notes)

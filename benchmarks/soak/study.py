@@ -3,9 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-from benchmarks.scene_source import SceneSource
 from benchmarks.soak.drawing import draw_frames
 from benchmarks.soak.map_check import check_maps, frames_to_check
 from benchmarks.soak.picture import draw_stream
@@ -13,6 +12,7 @@ from benchmarks.soak.records import Stream
 from benchmarks.soak.report import frames_csv, tables_of
 from benchmarks.soak.wearer import Wearer
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.headset import headset_path, open_eye
 from wlr_render.jobs.options import (
@@ -60,10 +60,6 @@ class SoakOptions(Options):
         described("Late-warp latency: compose for a head pose this many ms newer than the rendered one."),
         Range(at_least=0, at_most=LATEST_MS),
     ] = 0.0
-    solve: Annotated[
-        Literal["auto", "pixels", "nodes"],
-        described("Solve the map at every pixel (planar models), or on a grid of measured error."),
-    ] = "auto"
     seed: Seed = 1
     backend: Backend = "auto"
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/soak")
@@ -79,7 +75,7 @@ def run(options: SoakOptions, *, progress: ProgressArgument = SILENT) -> Report:
 
     Raises:
         BadInputError: faulty files, or trajectories that are too short.
-        MissingGlError: OpenGL was asked for by name, and does not open.
+        MissingGlError: OpenGL does not open.
     """
     models: dict[str, EyeMappings] = {eye: open_eye(options.headset, eye) for eye in eyes_of(options.eye)}
     folder = output_folder(options.out)
@@ -110,7 +106,7 @@ def draw(options: SoakOptions, models: Mapping[str, EyeMappings], progress: Prog
     panel = next(iter(models.values())).display.panel
     size = options.size or (panel.width_px, panel.height_px)
     numbers = frames_to_check(moments)
-    with Compositor(models, size, context=options.backend, solve=options.solve) as compositor:
+    with Compositor(models, size, context=options.backend) as compositor:
         source = SceneSource(compositor, scene)
         frames = list(progress(draw_frames(compositor, source, moments), len(moments), "frames"))
         checked = progress(check_maps(compositor, source, moments, numbers), len(numbers), "maps checked")

@@ -157,7 +157,7 @@ def frozen_map_table(mappings: EyeMappings) -> ReportTable:
     notes = (
         f"Arcminutes at {_PIXELS} pixels. At its own viewpoint: a map for each depth, seen from where it was computed.",
         f"Frozen: the map for infinity at the eye box's centre, seen from {_VIEWPOINTS} other places in the eye box.",
-        "Ours: a field of rays for each of those places, read between its points as the shader reads it.",
+        "Ours: a field of rays for each of those places, interpolated between its points as the shader does it.",
     )
     return ReportTable(f"What a map computed once gets wrong: {mappings.name}", columns, rows, notes)
 
@@ -178,12 +178,11 @@ def _swim(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
 
 def _followed(mappings: EyeMappings) -> list[Cell]:
     """What is left where the map follows the eye: the reading between the points of the compositor's warp grid."""
-    panel, axes, pixel = mappings.display.panel, middle_axes(mappings), _judged_pixels(mappings)
-    warp_grid = choose_warp_grid(mappings, axes, (panel.width_px, panel.height_px)).grid
-    viewpoints, place = _other_viewpoints(mappings), (pixel - warp_grid.first_px) / warp_grid.step_px
-    slope_offsets = [
-        bilinear(solve_pixels(mappings, axes, warp_grid.panel_pixel(), each).slope_offset, place) for each in viewpoints
-    ]
+    axes, pixel = middle_axes(mappings), _judged_pixels(mappings)
+    warp_grid = choose_warp_grid(mappings, axes).grid
+    viewpoints = _other_viewpoints(mappings)
+    at_points = [solve_pixels(mappings, axes, warp_grid.panel_pixel(), each).slope_offset for each in viewpoints]
+    slope_offsets = [warp_grid.interpolated(np.moveaxis(each, -1, 0), pixel) for each in at_points]
     errors = []
     for depth in DEPTHS_M:
         points = [

@@ -1,18 +1,18 @@
 """Run a compositor on a workload, frame after frame."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from benchmarks.scene_source import SceneSource
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.compositing.backend import ComposedFrame
+from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.eye_camera import EyeCamera
+from wlr_render.compositing.frame_handle import FrameHandle
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
@@ -44,14 +44,13 @@ class Running:
         work: Workload,
         context: Any = "auto",
         size: tuple[int, int] | None = None,
-        solve: str = "auto",
         channels: int = 1,
     ) -> "Running":
         """Start.
 
         Args:
             work: whose eyes are composed.
-            context, solve: as `Compositor`.
+            context: as `Compositor`.
             size: (width, height) of the display; that of the panel if None.
             channels: 3 for a field for each colour, of the same mappings.
 
@@ -60,7 +59,7 @@ class Running:
         """
         panel = work.mappings.display.panel
         models = {eye: (mappings,) * channels for eye, mappings in work.eyes.items()}
-        compositor = Compositor(models, size or (panel.width_px, panel.height_px), context=context, solve=solve)
+        compositor = Compositor(models, size or (panel.width_px, panel.height_px), context=context)
         return cls(work, compositor, SceneSource(compositor, work.scene))
 
     def __enter__(self) -> "Running":
@@ -78,7 +77,7 @@ class Running:
         assert isinstance(context, gl.GlContext), "the caller has seen to it that there is OpenGL"
         return context
 
-    def begin(self, turn: int) -> dict[str, EyeCamera]:
+    def begin(self, turn: int) -> FrameHandle:
         """Begin the frame of a round."""
         return self.compositor.begin_frame(HEAD_POSE, self.work.viewpoint_of_eyes(turn))
 
@@ -89,6 +88,22 @@ class Running:
         frame = self.compositor.compose()
         self.compositor.finish()
         return frame
+
+    def warp_of_a_new_picture(self) -> Run:
+        """Submit the picture of round 0 as a new one, for whose depth nothing is known yet; compose into a target."""
+        size = self.compositor.size_px[0] * len(self.work.eyes), self.compositor.size_px[1]
+        with self.gl_context.drawing():
+            target = self.gl_context.framebuffer([self.gl_context.target(size, 4, "f1")])
+        images = {eye: self.source.submit(camera) for eye, camera in self.begin(0).items()}
+
+        def run(_: int) -> None:
+            self.begin(0)
+            for eye, image in images.items():
+                self.compositor.submit(replace(image), eye=eye)
+            self.compositor.compose(target)
+            self.compositor.finish()
+
+        return run
 
     def then_finished(self, job: Run) -> Run:
         """A job with the wait for its end."""

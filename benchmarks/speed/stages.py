@@ -1,5 +1,6 @@
 """Times of the stages of a real-time frame."""
 
+from benchmarks.speed.figures import Figure, Part
 from benchmarks.speed.running import Running, later_pose
 from benchmarks.speed.timing import Run, alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload
@@ -7,36 +8,34 @@ from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.rendering.pyrender_drawing import PyrenderView
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan
-from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
 
 LARGE_PX = 2048, 2048
 FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS = 2.0, 4.0
 """Whole frames of both eyes on a GPU, at the workload's size and at `LARGE_PX` per eye."""
-_COLUMNS = "stage", "time", "goal"
 
 
-def stage_tables(work: Workload, context: str, large_px: tuple[int, int] = LARGE_PX) -> list[ReportTable]:
-    """The stages of one eye's frame, and whole frames of both eyes; needs OpenGL."""
-    return [_one_eye(work.one_eye, context), _both_eyes(work, context, large_px)]
+def one_eye(work: Workload, context: str) -> Part:
+    """The stages of one eye's frame; needs OpenGL."""
+    return Part(tables=[_one_eye(work.one_eye, context)])
 
 
 def _one_eye(work: Workload, context: str) -> ReportTable:
     with Running.of(work, context) as on, Running.of(work, context, channels=3) as three:
-        runs = _pictures(on) | _fields(on) | _composing(on)
+        runs = _pictures(on) | _ray_maps(on) | _composing(on)
         runs |= {
             "whole frame, three colours": three.frame,
             "warp, three colours": three.finished(three.compositor.compose),
         }
         times = alternately(*runs.values(), rounds=work.rounds)
-        rows: list[list[Cell]] = [[name, in_ms(time), None] for name, time in zip(runs, times, strict=True)]
+        rows: list[list[Cell]] = [[name, in_ms(time)] for name, time in zip(runs, times, strict=True)]
         title = f"One eye in real time, {_by(on.compositor.size_px)}, {work.scene.triangle_count} triangles"
     notes = (
         "Each time includes the wait for the GPU's end; the stages wait one by one, a frame only once.",
         "Newer pose, and a pose for each row: the same picture is composed again along the same rays. Newer pose and "
-        "pupil: along new ones. Three colours: a field for each channel, of one model thrice.",
+        "pupil: along new ones. Three colours: a ray map for each channel, of one model thrice.",
     )
-    return ReportTable(title, _COLUMNS, rows, notes)
+    return ReportTable(title, ("stage", "time"), rows, notes)
 
 
 def _pictures(on: Running) -> dict[str, Run]:
@@ -52,25 +51,23 @@ def _pictures(on: Running) -> dict[str, Run]:
     }
 
 
-def _fields(on: Running) -> dict[str, Run]:
-    """The rays of the pixels, for a new viewpoint, in three ways."""
+def _ray_maps(on: Running) -> dict[str, Run]:
+    """The ray map of a new viewpoint, in two ways."""
     context, mappings, plan = on.gl_context, on.work.mappings, on.compositor.plan("right")
     axes, coarse, viewpoints = plan.device_from_camera, plan.warp_grid.grid, on.work.viewpoints
     count = choose_plan(mappings).node_count
-    pixels = GlPlanarSolver(context, mappings, WarpGrid.of_pixels(mappings.display.panel, plan.size_px), axes)
     points = GlPlanarSolver(context, mappings, coarse, axes)
     nodes = GlNodeSolver(context, mappings, RayMapPlan.onto_grid(coarse, count, axes))
     return {
-        "field: every pixel, shader": on.then_finished(lambda turn: pixels.solve(viewpoints[turn])),
-        f"field: {_by(coarse.size)} points, shader": on.then_finished(lambda turn: points.solve(viewpoints[turn])),
-        f"field: {_by(coarse.size)} points from {count} x {count} nodes, any optics": on.then_finished(
+        f"ray map, {_by(coarse.size)} points, shader": on.then_finished(lambda turn: points.solve(viewpoints[turn])),
+        f"ray map, {_by(coarse.size)} points from {count} x {count} nodes, any optics": on.then_finished(
             lambda turn: nodes.solve(viewpoints[turn])
         ),
     }
 
 
 def _composing(on: Running) -> dict[str, Run]:
-    """The whole frame, and what is made of it again; in this order, because a pupil that moves costs a field."""
+    """The whole frame, and what is made of it again; in this order, because a pupil that moves costs a ray map."""
     compositor, work, later = on.compositor, on.work, later_pose(HEAD_POSE)
     return {
         "whole frame": on.frame,
@@ -84,17 +81,23 @@ def _composing(on: Running) -> dict[str, Run]:
     }
 
 
-def _both_eyes(work: Workload, context: str, large_px: tuple[int, int]) -> ReportTable:
+def both_eyes(work: Workload, context: str, large_px: tuple[int, int] = LARGE_PX) -> Part:
+    """Whole frames of both eyes, a new viewpoint in each; needs OpenGL."""
     with Running.of(work, context) as usual, Running.of(work, context, large_px) as large:
         times = alternately(usual.frame, large.frame, rounds=work.rounds)
         sizes = usual.compositor.size_px, large.compositor.size_px
-        only_there = " (needs a GPU)" if usual.gl_context.is_software else ""
-    rows: list[list[Cell]] = [
-        [f"whole frame, {_by(size)} per eye", in_ms(time), f"<= {in_ms(goal)}{only_there}"]
-        for size, time, goal in zip(sizes, times, (FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS), strict=True)
-    ]
-    notes = (f"{work.scene.triangle_count} triangles, a new viewpoint in every frame, one colour.",)
-    return ReportTable("Both eyes in real time", _COLUMNS, rows, notes)
+        is_software = usual.gl_context.is_software
+    return Part(
+        [
+            Figure(
+                f"whole frame of both eyes, {_by(size)} each, {work.scene.triangle_count} triangles",
+                in_ms(time),
+                goal=f"<= {in_ms(goal)}" + (" on a GPU: not measured" if is_software else ""),
+                is_reached=None if is_software else time <= goal,
+            )
+            for size, time, goal in zip(sizes, times, (FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS), strict=True)
+        ]
+    )
 
 
 def _by(size: tuple[int, int]) -> str:

@@ -2,17 +2,17 @@
 
 import os
 import platform
-from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
-from functools import cache, partial
+from dataclasses import KW_ONLY, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from benchmarks.speed import accuracy_tables, eye_tracking, fixed_maps, growth, stages
+from benchmarks.speed import accuracy_tables, eye_tracking, fixed_maps, host, pictures, stages
+from benchmarks.speed.figures import Measurement, Part, summary_table
 from benchmarks.speed.frozen_map import frozen_map_table
-from benchmarks.speed.offline import map_rows, memory_rows, raster_rows, ray_rows
+from benchmarks.speed.offline import map_rows, memory_rows, raster_part, ray_rows
 from benchmarks.speed.record import record
 from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
 from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
@@ -26,12 +26,7 @@ from wlr_render.rendering.thread_pool import worker_count
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.save import save_report
 
-_NOTES = (
-    "Ray path baseline: embreex's own query of the same rays, shared out over the same threads.",
-    "Raster path baseline: a bare ModernGL pass of the same mesh, warped by a map uploaded once, read back.",
-)
-
-Tables = Callable[[], Sequence[ReportTable]]
+_RAY_NOTE = "Baseline of the rays: embreex's own query of the same rays, shared out over the same threads."
 
 
 @dataclass(frozen=True)
@@ -42,7 +37,7 @@ class StudyPlan:
         panel: pixels of one eye.
         large_px: of the larger display in real time.
         rounds: of a timing; `gpu_rounds` of one in real time on a GPU.
-        sizes: over which growth is measured.
+        submissions: frames whose CPU time is measured.
         devices, scenes: of which accuracy is measured.
         judged_panel: pixels of those devices; their own if None.
     """
@@ -51,7 +46,7 @@ class StudyPlan:
     large_px: tuple[int, int] = stages.LARGE_PX
     rounds: int = ROUNDS
     gpu_rounds: int = GPU_ROUNDS
-    sizes: growth.Sizes = field(default_factory=growth.Sizes)
+    submissions: int = host.FRAMES
     devices: tuple[str, ...] = accuracy_tables.DEVICES
     scenes: tuple[str, ...] = accuracy_tables.SCENES
     judged_panel: Panel | None = None
@@ -93,12 +88,15 @@ def run(
         output_folder(options.record)  # minutes of work must not end at a folder that cannot be written
     machine = _machine(renderer)
     work = workload(plan.panel, plan.rounds)
-    parts: list[Tables] = [partial(_offline, work, options.backend, machine)]
+    measurements = _offline(work, options.backend)
     if renderer is not None:
         rounds = plan.rounds if renderer.is_software else plan.gpu_rounds
-        parts += _in_real_time(work.with_rounds(rounds), options.backend, plan)
-    parts += _accuracy(options.backend, plan, with_gl=renderer is not None)
-    tables = [table for part in progress(iter(parts), len(parts), "benchmarks") for table in part()]
+        in_real_time = _in_real_time(work.with_rounds(rounds), options.backend, plan)
+        measurements = [*in_real_time, *measurements, *_accuracy(options.backend, plan)]
+    parts = [measure() for measure in progress(measurements, len(measurements), "benchmarks")]
+    figures = [figure for part in parts for figure in part.figures]
+    load = f"Its load was {_load()} when the run ended; who else uses it is not known."
+    tables = [summary_table(figures, (*machine, load)), *(table for part in parts for table in part.tables)]
     if options.record is not None and renderer is not None:
         record(tables, options.record, renderer.name)
     return save_report(Report("Speed and accuracy", blocks=tables), folder, "speed")
@@ -125,40 +123,50 @@ def _renderer(backend: str) -> Renderer | None:
         return None
 
 
+def _load() -> str:
+    return f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
+
+
 def _machine(renderer: Renderer | None) -> tuple[str, str]:
-    load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
     return (
         f"{renderer.name if renderer else 'no OpenGL'}; {worker_count()} processors, {platform.machine()}, Python "
         f"{platform.python_version()}.",
-        f"Medians of runs that take turns. The machine's load when it began: {load}; who else uses it is not known.",
+        "Times are medians of runs that take turns in one process; ratios are medians over the turns, with their "
+        f"standard errors. The machine's load when the run began: {_load()}.",
     )
 
 
-def _offline(work: Workload, backend: str, machine: Sequence[str]) -> list[ReportTable]:
-    rows = [*ray_rows(work), *raster_rows(work, backend), *map_rows(work), *memory_rows(backend)]
+def _offline(work: Workload, backend: str) -> list[Measurement]:
     panel = work.mappings.display.panel
-    title = f"Offline, {panel.width_px} x {panel.height_px}, {work.scene.triangle_count} triangles"
-    columns = "what", "ours", "baseline", "ours / baseline", "goal"
-    return [ReportTable(title, columns, rows, (*machine, *_NOTES))]
+
+    def rays() -> Part:
+        rows = [*ray_rows(work), *map_rows(work), *memory_rows(backend)]
+        title = f"Offline, {panel.width_px} x {panel.height_px}, {work.scene.triangle_count} triangles"
+        return Part(tables=[ReportTable(title, ("what", "ours", "baseline", "ratio", "goal"), rows, (_RAY_NOTE,))])
+
+    return [rays]
 
 
-def _in_real_time(work: Workload, backend: str, plan: StudyPlan) -> list[Tables]:
+def _in_real_time(work: Workload, backend: str, plan: StudyPlan) -> list[Measurement]:
     return [
-        lambda: stages.stage_tables(work, backend, plan.large_px),
-        lambda: [eye_tracking.price_table(work, backend)],
-        lambda: [eye_tracking.warm_start_table(work, backend)],
-        lambda: [fixed_maps.warp_table(work, backend)],
-        lambda: [frozen_map_table(work.mappings)],
-        lambda: [growth.growth_table(work, backend, plan.sizes)],
+        lambda: host.submission(work, plan.submissions),
+        lambda: pictures.near_object(work, backend),
+        lambda: raster_part(work, backend),
+        lambda: fixed_maps.warps(work, backend),
+        lambda: eye_tracking.price(work, backend),
+        lambda: host.memory(work, backend),
+        lambda: pictures.linear_light(work, backend),
+        lambda: stages.both_eyes(work, backend, plan.large_px),
+        lambda: stages.one_eye(work, backend),
+        lambda: Part(tables=[frozen_map_table(work.mappings)]),
     ]
 
 
-def _accuracy(backend: str, plan: StudyPlan, with_gl: bool) -> list[Tables]:
+def _accuracy(backend: str, plan: StudyPlan) -> list[Measurement]:
     models = cache(lambda: {device: bench_model(plan.judged_panel, device=device) for device in plan.devices})
     first, scene = plan.devices[0], plan.scenes[0]
-    fields: list[Tables] = [lambda: [accuracy_tables.field_table(models(), backend)]]
     return [
-        *(fields if with_gl else []),
-        lambda: [accuracy_tables.landing_table(models(), plan.scenes, backend)],
-        lambda: [accuracy_tables.late_table(first, models()[first], scene, backend)],
+        lambda: accuracy_tables.landing_part(models(), plan.scenes, backend),
+        lambda: Part(tables=[accuracy_tables.late_table(first, models()[first], scene, backend)]),
+        lambda: Part(tables=[accuracy_tables.ray_map_table(models(), backend)]),
     ]

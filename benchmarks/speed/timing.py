@@ -1,7 +1,7 @@
-"""Times of alternating runs, their ratios, and scaling exponents."""
+"""Times of alternating runs, and their ratios."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,26 +71,3 @@ def ratio(first_ms: FloatArray, second_ms: FloatArray) -> Estimate:
     middle = float(np.median(ratios))
     spread = _SIGMA_OF_MAD * float(np.median(np.abs(ratios - middle)))
     return Estimate(middle, _OF_MEDIAN * spread / float(np.sqrt(ratios.size)))
-
-
-def exponent(sizes: Sequence[float], times: Sequence[float]) -> Estimate:
-    """The p of time ~ size^p: least-squares slope of log time over log size, its error from the scatter about the line.
-
-    A cost that does not grow with the size, such as that of a call, bends the line and makes the slope too small; the
-    standard error knows of scatter only.
-
-    Raises:
-        ValueError: fewer than three sizes, all the same size, or a size or time that is not positive and finite.
-    """
-    x, y = np.asarray(sizes, np.float64), np.asarray(times, np.float64)
-    if x.shape != y.shape or x.size < 3:
-        raise ValueError(f"an exponent with its error needs three sizes or more and a time for each, not {x.size}.")
-    if not (np.isfinite([x, y]).all() and min(x.min(), y.min()) > 0):
-        raise ValueError("sizes and times must be finite and above 0 to have logarithms.")
-    x, y = np.log(x) - np.log(x).mean(), np.log(y) - np.log(y).mean()
-    spread = float(x @ x)
-    if spread == 0:
-        raise ValueError("all sizes are the same: there is no slope.")
-    slope = float(x @ y) / spread
-    residual = y - slope * x
-    return Estimate(slope, float(np.sqrt(residual @ residual / (x.size - 2) / spread)))

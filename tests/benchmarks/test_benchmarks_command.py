@@ -19,7 +19,7 @@ def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(monkeypatch
     assert main(["soak", "northstar", "desk"]) == 0
     files = ["--head", "h.tum", "--eye-track", "e.txt"]
     numbers = ["--frames", "9", "--fps", "72", "--size", "640x480", "--late-ms", "10", "--seed", "4"]
-    choices = ["--eye", "both", "--solve", "pixels", "--backend", "osmesa", "--out", "there"]
+    choices = ["--eye", "both", "--backend", "osmesa", "--out", "there"]
     assert main(["soak", "both.json", "dots", *files, *numbers, *choices]) == 0
     assert given == [
         study.SoakOptions("northstar", "desk"),
@@ -35,7 +35,6 @@ def test_soak_options_reach_the_benchmark_and_its_tables_are_printed(monkeypatch
             late_ms=10.0,
             size=(640, 480),
             backend="osmesa",
-            solve="pixels",
             out=Path("there"),
         ),
     ]
@@ -62,7 +61,6 @@ def test_a_stream_that_cannot_be_is_told_in_one_line_and_leaves_nothing_behind(t
         (["--eye-track", str(track)], "eyes.txt: together they cover 0.100 s, which is 10 frames at 90 per second"),
         (["--eye-track", str(track), "--eye", "left"], "eyes.txt: has no left eye, only the right one"),
         (["--frames", "1"], "it must be a finite number of 2 or more"),
-        (["--solve", "pixels", "--frames", "2", "--size", "16x16"], "only planar models"),
     ):
         assert main(["soak", "northstar", "dots", *arguments, "--out", str(out)]) == 2
         (line,) = capsys.readouterr().err.splitlines()

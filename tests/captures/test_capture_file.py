@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import resource
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from wlr_render.captures.correspondences import (
     DisplayCaptures,
     EyeCaptures,
     SeeThroughCaptures,
+    select,
 )
 from wlr_render.captures.observation_table import observation_table
 from wlr_render.errors import BadInputError
@@ -155,13 +157,13 @@ def rewritten(tmp_path, header, arrays):
         ({}, {"display_motion_capture": None}, "the array 'display_motion_capture' is missing"),
         ({}, {"see_through_motion_size": -MOTION.size}, "capture motions: 'size' has negative"),
         ({}, {"display_motion_log_sigma": np.ones(2)}, "'log_sigma' is"),
-        ({"format": "other"}, {}, "is not a capture file"),
+        ({"format": "other"}, {}, "it must be one of wlr-captures"),
         ({"version": 9}, {}, "has version 9; this program reads versions 1 and 2"),
         ({"frame": "opencv"}, {}, "must be in frame 'openxr'"),
         ({"eye": "middle"}, {}, "'eye' is 'middle'"),
         ({"eye_box": {"centre_m": [0, 0, 0]}}, {}, "key 'size_m' is missing"),
-        ({}, {"header": None}, "without the header"),
-        ({}, {"header": np.array("{")}, "without the header"),
+        ({}, {"header": None}, "the array 'header' is missing"),
+        ({}, {"header": np.array("{")}, "cannot be read as a capture file with a JSON 'header'"),
         ({}, {"display_pixel": None}, "the array 'display_pixel' is missing"),
         ({}, {"display_pixel": np.zeros((3, 2))}, r"'pixel' must have shape \(20, 2\)"),
         ({}, {"see_through_point": None}, "the array 'see_through_point' is missing"),
@@ -170,6 +172,46 @@ def rewritten(tmp_path, header, arrays):
         ({}, {"viewpoint": np.zeros((3, 3))}, "columns differ in length"),
         ({}, {"time_s": np.zeros(3)}, r"'time_s' must have shape \(40,\)"),
         ({}, {"kind": np.full(40, 7)}, "'kind' must be 0"),
+        ({}, {"kind": np.array(["a"] * 40)}, "'kind' holds <U1 values, not numbers"),
+        ({}, {"kind": np.zeros((40, 1), int)}, r"'kind' must have shape \(40,\)"),
+        ({}, {"feature": np.array([{}] * 40)}, "Object arrays cannot be loaded"),
+        ({}, {"viewpoint": np.full((40, 3), 1j)}, "holds complex128 values"),
+        ({}, {"viewpoint": np.full((40, 3), np.nan)}, "'viewpoint' has numbers that are not finite"),
+        ({}, {"viewpoint": np.full((40, 3), 32.0)}, "'viewpoint', from .* is it in millimetres"),
+        ({"eye_box": {"centre_m": [0, 0, 0], "size_m": [10, 8, 6]}}, {}, "'eye_box' has a length of 10 m"),
+        ({"eye_box": {"centre_m": [0, 0, 0], "size_m": [0.01, -0.01, 0]}}, {}, "'eye_box' has a negative size"),
+        ({"panel": {"width_px": 10**9, "height_px": 8}}, {}, "'panel': has 1000000000x8 pixels, more than"),
+        ({"panel": {"width_px": 5, "height_px": 4}}, {}, r"\d% of the panel pixels are outside the panel of 5 x 4"),
+        ({}, {"display_pixel": np.full((20, 2), 1e6)}, "of the panel pixels are outside"),
+        ({}, {"sigma_arcmin": np.full(40, 1e9)}, "'sigma_arcmin' has the value 1e.09; it should be between 0 and 600"),
+        (
+            {"panel": {"width_px": 9, "height_px": 8}},
+            {"display_pixel": np.eye(20, 2) * 99},
+            "10.0% of the panel",
+        ),
+        ({}, {"sigma_arcmin": np.full(40, 1e-12)}, "'sigma_arcmin' has the value 1e-12, less than 1e-06"),
+        ({}, {"sigma_arcmin": np.append(np.ones(39), 1e-5)}, "'sigma_arcmin' is 1e-05 in row 39 and 1 in row 0"),
+        ({}, {"capture": np.zeros(40, int)}, "'capture' is 0 in all rows, and their viewpoints are .* mm apart"),
+        ({"eye_box": {"centre_m": [0, 0, 0], "size_m": [1e-5] * 3}}, {}, "'eye_box' has the size .* in metres"),
+        ({}, {"target_pose": np.full(40, -1)}, "'target_pose' has the value -1; it should be between 0 and"),
+        ({}, {"travel": np.full(40, 0.3)}, "'travel' has values other than -1, 0 and 1"),
+        ({}, {"temperature_c": np.full(40, 72.0)}, "'temperature_c' has the value 72"),
+        ({}, {"display_motion_size": None}, "the array 'display_motion_size' is missing"),
+        ({}, {"sigma_arcmin": np.zeros(40) - 1}, "'sigma_arcmin' must be positive everywhere"),
+        ({}, {"view_dir": np.full((40, 3), -1.0)}, "'view_dir' must be unit vectors"),
+        ({}, {"channel": np.full(40, 3)}, "'channel' has the value"),
+        ({}, {"time_s": np.arange(40) * 1e10}, "'time_s' has the value 1.1e.11; it should be between -1e\\+11"),
+        ({}, {"temperature_c": np.full(40, 293.0)}, "'temperature_c' has the value 293"),
+        ({}, {"stage": np.full((40, 3), 32.0)}, "'stage' has the value 32"),
+        ({}, {"stage": np.zeros((40, 17))}, "'stage' has 17 axes"),
+        ({}, {"device_from_camera": np.full((40, 3, 3), 0.5)}, "matrices that are not rotations"),
+        ({}, {"see_through_motion_size": MOTION.size + 2}, "'see_through_motion_size' has the value"),
+        ({}, {"header": np.array("[" * 100_000)}, "nested too deeply"),
+        ({}, {"header": np.array('{"version": %s}' % ("9" * 5000))}, "cannot be read as a capture file"),
+        ({}, {"header": np.array('{"version": 2, "version": 2}')}, "key 'version' is there twice"),
+        ({}, {"kind": np.array(1)}, "columns differ in length"),
+        ({}, {"stage": np.zeros(1000)}, "'stage' has 1000 axes"),
+        ({}, {"device_from_camera": np.zeros((40, 40))}, "it must be 3 x 3 for each row"),
         ({"see_through_eye_box": None}, {}, "there are real points, but no 'see_through_eye_box'"),
     ],
 )
@@ -180,23 +222,53 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, array
     assert str(caught.value).startswith(str(path))
 
 
+def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path):
+    near = dataclasses.replace(SEE_THROUGH, point=SEE_THROUGH.viewpoint - [0, 0, 1e-3])
+    with pytest.raises(BadInputError, match="real point 1 mm from its viewpoint"):
+        load_captures(save_captures(tmp_path / "near.npz", EyeCaptures(DISPLAY, near)))
+    rows = np.zeros(2001, int)
+    many = dataclasses.replace(select(DISPLAY, rows), capture=np.arange(2001), pixel=np.linspace([0, 0], [5, 4], 2001))
+    with pytest.raises(BadInputError, match="'capture' has 2001 different numbers"):
+        load_captures(save_captures(tmp_path / "many.npz", EyeCaptures(many)))
+
+
 def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
     path = save_captures(tmp_path / "eye.npz", EyeCaptures(DISPLAY))
     path.write_bytes(path.read_bytes()[:700])
-    with pytest.raises(BadInputError, match="cut short or is not a capture file"):
+    with pytest.raises(BadInputError, match="cannot be read as a capture file"):
         load_captures(path)
     path.write_text("u,v,x,y,z\n")
-    with pytest.raises(BadInputError, match="cut short or is not a capture file"):
+    with pytest.raises(BadInputError, match="cannot be read as a capture file"):
         load_captures(path)
     path.write_bytes(b"")
     with pytest.raises(BadInputError, match=str(path)):
         load_captures(path)
-    with pytest.raises(BadInputError, match="No such file"):
+    with pytest.raises(BadInputError, match="no such file"):
         load_captures(tmp_path / "none.npz")
     array = tmp_path / "array.npy"
     np.save(array, np.zeros(3))
-    with pytest.raises(BadInputError, match="is not a capture file"):
+    with pytest.raises(BadInputError, match="cannot be read as a capture file"):
         load_captures(array)
+
+
+def test_a_row_that_is_repeated_is_named(tmp_path):
+    rows = np.append(np.arange(20), 3)
+    path = save_captures(tmp_path / "eye.npz", EyeCaptures(select(DISPLAY, rows)))
+    with pytest.raises(BadInputError, match="row 20 repeats row 3"):
+        load_captures(path)
+
+
+def test_more_rows_than_are_read_are_refused_before_they_take_memory(tmp_path):
+    many = np.zeros((20_000_000, 3), dtype=np.int8)
+    path = rewritten(tmp_path, {}, {})
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez_compressed(path, **content | {"viewpoint": many})
+    del many
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(BadInputError, match=r"'viewpoint' has the shape \(20000000, 3\); at most 2000000 rows"):
+        load_captures(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB: 480 000 in floats
 
 
 def test_other_suffixes_are_refused(tmp_path):

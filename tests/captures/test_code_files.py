@@ -98,6 +98,9 @@ def test_a_manifest_gives_any_file_its_role(tmp_path):
         ('[files]\n"0.png" = "white"\n"1.png" = "white"\n"2.png" = "black"', "2 files have the role 'white'"),
         ('order = "sideways"', "must be one of as shown, opencv"),
         ("[exposures_s]\nshort = 0", "above 0"),
+        ("[exposures_s]\nshort = true", "above 0"),
+        ("[exposures_s]\nshort = inf", "above 0"),
+        ('[files]\n"../a.png" = "white"', r"manifest.toml: '../a.png' leads out of the folder"),
     ],
 )
 def test_manifests_that_cannot_be_right(tmp_path, text, sentence):

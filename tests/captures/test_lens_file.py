@@ -109,6 +109,7 @@ def test_the_camera_info_of_ros_and_other_keys_are_read(tmp_path):
         ({"distortion_model": "double_sphere"}, "'double_sphere' is not supported"),
         ({"image_width": None}, "add image_width and image_height"),
         ({"camera_matrix": None}, "needs a camera matrix"),
+        ({"camera_matrix": _MATRIX + [[0, 0, 0], [0, 0, 0], [0, 0, 4.0]]}, "must be fx 0 cx, 0 fy cy, 0 0 1"),
         ({"camera_matrix": _MATRIX + [[0, 2.0, 0], [0, 0, 0], [0, 0, 0]]}, "skew of 2 pixels"),
         ({"camera_matrix": _MATRIX * [[-1.0], [1], [1]]}, "focal lengths above 0"),
         ({"terms": np.full(5, np.nan)}, "needs finite numbers"),
@@ -133,6 +134,49 @@ def test_what_is_wrong_in_a_file_of_mrcal_is_named(tmp_path, model, count, sente
         load_lens(mrcal_file(tmp_path, model, np.ones(count)))
 
 
+WHOLE = (
+    "%YAML:1.0\n---\nK: [FX, 0., 320., 0., 700., 240., 0., 0., 1.]\nD: [0.1, 0., 0., 0., 0.]\nimage_size: [640, 480]\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "sentence"),
+    [
+        ("a.yaml", WHOLE.replace("FX", "0"), "focal lengths above 0"),
+        ("a.yaml", WHOLE.replace("FX", ".nan"), "needs finite numbers"),
+        ("a.yaml", WHOLE.replace("FX", "1e308"), "the focal length .* is not plausible for a picture of 640 x 480"),
+        ("a.yaml", WHOLE.replace("FX", "4.2"), "give it in pixels, not in millimetres"),
+        ("a.yaml", WHOLE.replace("FX", "700").replace("320.", "1e6"), "the principal point .* lies far outside"),
+        ("a.yaml", WHOLE.replace("FX", "700").replace("0.1", "1e300"), "a distortion term is not finite, or above"),
+        ("a.yaml", WHOLE.replace("FX", "700").replace("640", "1000000000"), "has 1000000000x480 pixels"),
+        ("a.yaml", WHOLE.replace("FX", "700").replace("0.1", "0.1" + ", 1" * 1000), "a list of 1005 numbers"),
+        (
+            "a.yaml",
+            WHOLE.replace("FX", "700").replace("0.1", "0.1" + ", 1" * 1000_000),
+            "more numbers than a file of a lens",
+        ),
+        ("a.yaml", WHOLE.replace("[FX", "[" * 100_000), "line 3 is nested too deeply"),
+        ("a.json", '{"K": ' + '{"a":' * 100_000, "line 1 is nested too deeply"),
+        ("a.xml", '<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 100_000, "line 2 is nested too deeply"),
+        ("a.cameramodel", "[" * 100_000, "line 1 is nested too deeply"),
+        (
+            "a.cameramodel",
+            "{'lensmodel': 'LENSMODEL_PINHOLE', 'imagersize': [9, 9], 'intrinsics': [[1]]}",
+            "a list of num",
+        ),
+    ],
+)
+def test_lenses_that_no_camera_has_and_files_that_parsers_choke_on(tmp_path, name, text, sentence):
+    assert load_lens(write(tmp_path / "whole.yaml", WHOLE.replace("FX", "700"))).focal_px.tolist() == [700, 700]
+    with pytest.raises(BadInputError, match=rf"{name}: .*{sentence}"):
+        load_lens(write(tmp_path / name, text))
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
 @pytest.mark.parametrize(
     ("name", "text"), [("a.yaml", "K: [ 1., \n"), ("a.cameramodel", "{'lensmodel': 3}"), ("b", "")]
 )
@@ -140,5 +184,5 @@ def test_other_files_are_refused(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(BadInputError, match=name):
         load_lens(tmp_path / name)
-    with pytest.raises(BadInputError, match="cannot be read"):
+    with pytest.raises(BadInputError, match="there is no such file; give a file of a calibrated lens"):
         load_lens(tmp_path / "missing.yaml")

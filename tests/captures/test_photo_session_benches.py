@@ -476,7 +476,7 @@ def drop(*names):
         (three_axes, put("stage", {"directions_in": "bench"}), "'directions_in' is 'bench'; it must be one of"),
         (three_axes, put("stage", {"directions_in": "camera"}), "'directions_in' is given, but no axis"),
         (three_axes, put("stage", {"axes": [{"direction": [1, 0, 0], "direction_sigma_deg": 0}]}), "must be above 0"),
-        (three_axes, put("stage", {"place_tolerance_um": -1}), "'place_tolerance_um' must be 0 or more"),
+        (three_axes, put("stage", {"place_tolerance_um": -1}), "'place_tolerance_um' must be 0 to 1000"),
         (three_axes, put("bare", 0, "stage", [0.0, 0.0, 0.0]), "give either 'stage' or 'stage_mm'"),
         (three_axes, each_of("bare", place="one"), "place 'one' has entries of several stage readings or orientations"),
         (three_axes, without("bare", "stage_mm"), "key 'stage_mm' is missing"),

@@ -108,7 +108,16 @@ def test_a_tag_of_orientation_does_not_turn_the_pixels(tmp_path):
 
 def test_files_that_are_none(tmp_path):
     (tmp_path / "a.npy").write_bytes(b"no array")
-    with pytest.raises(BadPhotographError, match="cut short"):
+    with pytest.raises(BadPhotographError, match=r"a\.npy: cannot be read as a photograph"):
+        read_photograph(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.array([{}]))
+    with pytest.raises(BadPhotographError, match="Object arrays cannot be loaded"):
+        read_photograph(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.zeros((0, 5), np.uint8))
+    with pytest.raises(BadPhotographError, match="has no pixels"):
+        read_photograph(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", np.zeros((1, 100_000), np.uint8))
+    with pytest.raises(BadInputError, match="has 100000x1 pixels, more than"):
         read_photograph(tmp_path / "a.npy")
     np.save(tmp_path / "b.npy", np.zeros(SHAPE))
     with pytest.raises(BadInputError, match="float64"):
@@ -147,7 +156,8 @@ def test_the_keys_are_read_as_they_are_written(tmp_path):
         ({"bits": 8, "saturation": 300}, "at most 255"),
         ({"bits": 8, "gamma": 22}, "'gamma' is 22"),
         ({"bits": 8, "gamma": 2.2, "linearisation": "a.txt"}, "either 'gamma' or"),
-        ({"bits": 8, "linearisation": "a.txt"}, "a.txt: cannot be read"),
+        ({"bits": 8, "linearisation": "a.txt"}, "a.txt: there is no such file"),
+        ({"bits": 8, "linearisation": "../a.txt"}, "'linearisation': '../a.txt' leads out of the folder"),
         ({"bits": 8, "interpolate": False}, "'interpolate' is for raw files"),
         ({"bits": 8, "mosaic": "rgb"}, "must be one of"),
     ],

@@ -1,5 +1,6 @@
 """Photographs on disk: depth, order, size, and what is said of faulty ones."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -44,6 +45,13 @@ def test_photographs_of_a_set_must_have_one_size(tmp_path):
     first = write_photograph(tmp_path / "1.png", np.zeros((10, 20), np.uint8))
     other = write_photograph(tmp_path / "2.png", np.zeros((10, 21), np.uint8))
     with pytest.raises(BadInputError, match=r"2\.png: is 21 x 10 pixels of 8 bits, but 1\.png is 20 x 10"):
+        list(read_each([first, other]))
+
+
+def test_a_colour_photograph_among_grey_ones_is_refused(tmp_path):
+    first = write_photograph(tmp_path / "1.png", np.zeros((10, 20), np.uint8))
+    cv2.imwrite(str(other := tmp_path / "2.png"), np.zeros((10, 20, 3), np.uint8))
+    with pytest.raises(BadInputError, match=r"2\.png: is 20 x 10 pixels of 8 bits in colour, but 1\.png is"):
         list(read_each([first, other]))
 
 

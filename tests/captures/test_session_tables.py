@@ -1,12 +1,14 @@
 """Tables of a bench session: written and read alike, turned into our conventions, and faults named with their line."""
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wlr_render.captures import session_tables
 from wlr_render.captures.session_schema import DISPLAY, RUN_TIME, SCHEMAS, SEE_THROUGH, Kind
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
@@ -26,7 +28,7 @@ def random_columns(schema, rng, captures=4):
     """Columns of a session as a bench could deliver them."""
     count = captures * ROWS_PER_CAPTURE
     of_kind = {
-        Kind.NUMBER: lambda: rng.normal(0.0, 100.0, count),
+        Kind.NUMBER: lambda: rng.uniform(-20.0, 20.0, count),
         Kind.INDEX: lambda: np.arange(count) // ROWS_PER_CAPTURE + 0.0,
         Kind.SIGN: lambda: rng.choice([-1.0, 1.0], count),
         Kind.POSITIVE: lambda: rng.uniform(0.05, 0.3, count),
@@ -135,6 +137,17 @@ FAULTS = {
     "fraction": ("\n1,40.0", "\n1.5,40.0", "line 4: 'capture' is 1.5"),
     "capture moved": ("\n1,40.0", "\n0,40.0", "line 4: capture 0 has another setup"),
     "capture twice": ("1,40.0,-1,30", "1,0.0,1,32", "line 4: the capture in line 2 has the same setup"),
+    "metres of micrometres": (
+        "\n1,40.0,-1,30",
+        "\n1,40.0,-1,30000",
+        "'stage_x_mm' is 30000; it must be 10000 mm at most: ch",
+    ),
+    "milliseconds": ("\n1,40.0", "\n1,4e11", "line 4: 'time_s' is 4e+11; it must be 1e+11 s at most: check its unit"),
+    "huge index": ("\n1,40.0", "\n1e9,40.0", "line 4: 'capture' is 1e+09; it must be 1e+06 at most"),
+    "beyond floats": ("101.0", "1e999", "line 4: 'pixel_u' is inf"),
+    "huge": ("101.0", "1e308", "line 4: 'pixel_u' is 1e+308"),
+    "control characters": ("101.0", "\x1b[31m" + "9" * 99, r"line 4: 'pixel_u' is '\x1b[31m999"),
+    "many columns": ("capture,", "capture," + "," * 20_000, "line 1: has 2009"),
     "row twice": ("60.0,50.0,120.0", "40.0,50.0,100.0", "line 3: is the same row as line 2"),
 }
 
@@ -174,6 +187,22 @@ def test_a_sigma_that_is_not_positive_is_refused_with_its_line(tmp_path, sigma):
     path.write_text("\n".join(f"{line},{next(sigmas)}" for line in ROWS.splitlines()), encoding="utf-8")
     demand = "above 0" if np.isfinite(float(sigma)) else "finite"
     with pytest.raises(BadInputError, match=rf"display\.csv line 4: 'sigma_px' is {sigma}; it must be .*{demand}"):
+        read_table(path, DISPLAY)
+
+
+def test_a_table_has_a_largest_number_of_rows_and_size_decompressed(tmp_path, monkeypatch):
+    path = tmp_path / "display.csv"
+    path.write_text(ROWS, encoding="utf-16")
+    with pytest.raises(BadInputError, match="is not UTF-8 text, so this is not a table"):
+        read_table(path, DISPLAY)
+    path = tmp_path / "display.csv.gz"
+    path.write_bytes(gzip.compress(bytes(2_000_000)))
+    limits = replace(session_tables.LIMITS, table_bytes=1_000_000, rows=3)
+    monkeypatch.setattr(session_tables, "LIMITS", limits)
+    with pytest.raises(BadInputError, match="decompresses to more than 1 MB"):
+        read_table(path, DISPLAY)
+    path.write_bytes(gzip.compress(ROWS.encode()))
+    with pytest.raises(BadInputError, match="has more than 3 rows"):
         read_table(path, DISPLAY)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
 
-from benchmarks.scene_source import SceneSource
 from benchmarks.speed.accuracy import near_silhouettes
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import transforms
@@ -21,7 +21,7 @@ from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.warp_grid import WarpGrid
 
-CONTEXTS = [pytest.param("egl", marks=pytest.mark.gl), pytest.param("osmesa", marks=pytest.mark.gl), "cpu"]
+CONTEXTS = [pytest.param("egl", marks=pytest.mark.gl), pytest.param("osmesa", marks=pytest.mark.gl)]
 HEAD = gl_scenes.at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3) @ transforms.rotation_about("x", -0.1))
 SMALL = 72, 60
 

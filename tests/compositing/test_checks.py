@@ -68,16 +68,45 @@ def test_a_pose_is_a_rotation_and_a_translation():
     good[:3, 3] = [5.0, -3.0, 2.0]
     np.testing.assert_array_equal(checked_pose(good), good)
     mirrored, scaled, transposed, lost = good.copy(), good.copy(), good.T.copy(), good.copy()
-    mirrored[0, 0], scaled[:3, :3], lost[1, 2] = -1.0, 1.001 * np.eye(3), np.nan
+    far = good.copy()
+    mirrored[0, 0], scaled[:3, :3], lost[1, 2], far[2, 3] = -1.0, 1.001 * np.eye(3), np.nan, 1e9
     for bad, words in (
         (mirrored, "rotation"),
         (scaled, "rotation"),
         (transposed, "transpose"),
         (lost, "finite"),
         (np.eye(3), "4 x 4"),
+        (good.astype(str), "4 x 4"),
+        (np.eye(4, dtype=bool), "4 x 4"),
+        (np.eye(4).astype(complex), "4 x 4"),
+        (None, "4 x 4"),
+        (np.full((4, 4), 10**400), "4 x 4"),
+        (far, "metres"),
     ):
         with pytest.raises(BadInputError, match=words):
             checked_pose(bad, "pose")
+
+
+def test_a_faulty_pose_is_told_with_its_remedy():
+    lost, mirrored = np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0])
+    lost[1, 3] = np.nan
+    turned = transforms.rigid(transforms.rotation_about("y", 0.3), np.ones(3))
+    turned[:3, :3] *= 2
+    for pose, words in (
+        (lost, "the pose has nan in row 1, column 3; give finite"),
+        (turned, "the pose is not a rotation and a translation: it scales by 2; divide"),
+        (mirrored, "the pose is not a rotation and a translation: it mirrors, .*; convert on both, F @ pose @ F"),
+    ):
+        with pytest.raises(BadInputError, match=words):
+            checked_pose(pose)
+
+
+def test_a_far_viewpoint_is_told_how_to_come_near(flat_image_headset):
+    models = checked_models(flat_image_headset)
+    for far, asks in ((np.array([0.0, 0.0, 0.5]), False), (np.array([0.0, 0.0, 10.0]), True)):
+        with pytest.raises(BadInputError, match="within_reach") as told:
+            checked_viewpoints(far, models)
+        assert ("is it in metres?" in str(told.value)) == asks
 
 
 def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_headset):
@@ -93,12 +122,13 @@ def test_viewpoints_may_lie_a_little_outside_the_eye_box_and_no_more(flat_image_
         nearest_in_reach(edge * np.nan, box)
 
 
-def test_viewpoints_are_wanted_of_every_eye(flat_image_headset):
+def test_viewpoints_are_given_by_eye(flat_image_headset):
     models = checked_models({"right": flat_image_headset, "left": left_of(flat_image_headset)})
     centre = flat_image_headset.eye_box.centre
+    assert [*checked_viewpoints({"right": centre}, models)] == ["right"]
     for viewpoint, words in (
         (centre, "two eyes"),
-        ({"left": centre}, "the right eye"),
+        ({}, "no viewpoint of the left eye"),
         ({"left": centre, "right": [0, 0, np.nan]}, "finite"),
     ):
         with pytest.raises(BadInputError, match=words):
@@ -125,7 +155,7 @@ def test_what_is_not_made_of_numbers_is_told_in_a_sentence(flat_image_headset):
         (checked_background, None),
         (lambda given: checked_viewpoints(given, checked_models(flat_image_headset)), "here"),
     ):
-        with pytest.raises(BadInputError, match=r"number|codes"):
+        with pytest.raises(BadInputError, match=r"number|codes|pixels"):
             check(given)
 
 

@@ -1,13 +1,14 @@
 """Three models of one eye: each colour is bent as its own model says."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from composing import CONTEXTS, HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
 
-from benchmarks.scene_source import SceneSource
-from wlr_render.geometry import transforms
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.geometry import directions, transforms
+from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_tracing import RayRenderer
 
 
@@ -31,7 +32,7 @@ def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_hea
         difference = np.abs(picture - truth.colour)[clear].max(axis=0)
         assert clear.mean() > 0.5
         assert difference[channel] <= 2
-        assert np.delete(difference, channel).max() > 40
+        assert np.delete(difference, channel).max() > 20
 
 
 def composed(compositor, model):
@@ -49,13 +50,28 @@ def test_three_models_alike_are_one(compositor, flat_image_headset, context, kin
     assert together.unsolved()["right"] == {name: 3 * count for name, count in alone.unsolved()["right"].items()}
 
 
+@dataclass(frozen=True)
+class Rippled:
+    """A display whose directions swing to and fro along the panel's rows."""
+
+    whole: object
+
+    @property
+    def panel(self):
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel, at, warm_start=None):
+        answer = self.whole.view_dir_of_pixel(pixel, at)
+        swing = 1e-4 * np.sin(40 * np.asarray(pixel)[..., 0] / self.panel.width_px)
+        value = directions.normalised(answer.value + swing[..., None] * [1.0, 0.0, 0.0])
+        return replace(answer, value=value)
+
+
 @pytest.mark.parametrize("place", range(3))
-def test_the_most_curved_colour_says_how_fine_the_lattice_is(compositor, flat_image_headset, place):
-    near = replace(flat_image_headset, display=replace(flat_image_headset.display, distance_m=0.8))
+def test_the_most_curved_colour_says_how_fine_the_lattice_is(flat_image_headset, place):
     colours = [flat_image_headset] * 3
-    colours[place] = near
+    colours[place] = replace(flat_image_headset, display=Rippled(flat_image_headset.display))
     flat, together = (
-        compositor({"right": models}, context="cpu").plan("right").warp_grid.cell_px
-        for models in (flat_image_headset, colours)
+        EyePlan.of(models, (72, 60), 1.0).warp_grid.cell_px for models in ((flat_image_headset,), tuple(colours))
     )
     assert (together < 0.95 * flat).all()

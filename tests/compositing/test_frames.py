@@ -12,8 +12,8 @@ from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
 from gl_caller import Caller
 from gl_scenes import at
 
-from benchmarks.scene_source import SceneSource
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
 
@@ -31,21 +31,24 @@ def scaled(pose, factor):
 def test_calls_out_of_order_are_told_in_a_sentence(compositor, pair, context):
     made = compositor(pair, context=context)
     source, seen = SceneSource(made, scene()), dict.fromkeys(pair, pair["left"].eye_box.centre)
-    expected = None
+    expected, first = None, True
     for call, words in ((made.submit, "call begin_frame"), (made.compose, "call begin_frame")):
         with pytest.raises(BadInputError, match=words):
             call(None) if call == made.submit else call()
     for _ in range(2):
         cameras = made.begin_frame(HEAD, seen)
-        with pytest.raises(BadInputError, match="left eye has not been submitted"):
-            made.compose()
+        if first:
+            with pytest.raises(BadInputError, match="left eye has not been submitted"):
+                made.compose()
         source.submit(cameras["left"])
         with pytest.raises(BadInputError, match="left eye was submitted already"):
             source.submit(cameras["left"])
-        with pytest.raises(BadInputError, match="right eye has not been submitted"):
-            made.compose()
-        for eye in (None, "middle"):
-            with pytest.raises(BadInputError, match="name one of left, right"):
+        if first:
+            with pytest.raises(BadInputError, match="right eye has not been submitted"):
+                made.compose()
+        first = False
+        for eye in (None, "middle", 1, ["left"]):
+            with pytest.raises(BadInputError, match=r"(name one of|choose from) left, right"):
                 made.submit(None, eye=eye)
         source.submit(cameras["right"])
         frame = made.compose()
@@ -98,20 +101,19 @@ def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
         lambda: made.begin_frame(HEAD, seen),
         lambda: made.submit(np.zeros(3)),
         made.compose,
-        made.forget,
+        made.__enter__,
         made.finish,
     ):
         with pytest.raises(BadInputError, match="has been released; make another one"):
             call()
     assert made.renderer
-    if made.context is not None:
-        for call in (frame.eyes["right"].read, frame.eyes["right"].read_ray_maps):
-            with pytest.raises(BadInputError, match="context has been released with all its pictures"):
-                call()
+    for call in (frame.eyes["right"].read, frame.eyes["right"].read_ray_maps):
+        with pytest.raises(BadInputError, match="context has been released with all its pictures"):
+            call()
 
 
 def test_a_frame_of_two_eyes_asks_which_one_is_meant(flat_image_headset, compositor):
-    made = compositor({eye: replace(flat_image_headset, eye=eye) for eye in ("left", "right")}, context="cpu")
+    made = compositor({eye: replace(flat_image_headset, eye=eye) for eye in ("left", "right")})
     seen = viewpoint(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, {"left": seen, "right": seen})
     frame = made.compose()
@@ -127,22 +129,29 @@ def test_choices_that_are_none_are_told_in_a_sentence(compositor, flat_image_hea
     for options, words in (
         ({"size": (0, 60)}, "size"),
         ({"size": (72, 60.5)}, "size"),
-        ({"solve": "pixels"}, "planar models"),
-        ({"solve": "exact"}, "choose from auto, pixels, nodes"),
         ({"resolution": 0.0}, "resolution"),
         ({"resolution": np.nan}, "resolution"),
-        ({"raster_camera": "pupil"}, "raster_camera 'pupil': choose from nearest, viewpoint"),
+        ({"raster_camera": "pupil"}, "raster_camera is 'pupil'; choose from nearest, viewpoint"),
+        ({"raster_camera": np.array(["nearest", "viewpoint"])}, "raster_camera"),
+        ({"resolution": "1"}, "resolution is '1'"),
+        ({"resolution": True}, "resolution is True"),
+        ({"late_margin_deg": None}, "late_margin_deg is None"),
+        ({"size": (40000, 25000)}, "pixels, 134217728 of them at most"),
+        ({"size": ("72", "60")}, "size is .'72', '60'.; give .width, height. in whole pixels"),
+        ({"size": (9000, 9000), "resolution": 4}, "the right eye's camera would have .* make size, resolution"),
+        ({"models": {"right": None}}, "NoneType is not a model"),
+        ({"models": {"left": flat_image_headset, "right": flat_image_headset}}, "model of the right eye"),
         ({"late_margin_deg": -1.0}, "late_margin_deg"),
         ({"background": (0, 0, 300)}, "background"),
         ({"models": {"left": flat_image_headset}}, "model of the right eye"),
-        ({"context": "vulkan"}, "choose from auto, egl, osmesa, cpu, current"),
+        ({"context": "vulkan"}, "choose from auto, egl, osmesa, current"),
     ):
         with pytest.raises(BadInputError, match=words):
             Compositor(**{"models": flat_image_headset, "size": SMALL, "context": context} | options)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (300, 5)])
-@pytest.mark.parametrize("context", ["cpu", pytest.param("egl", marks=pytest.mark.gl)])
+@pytest.mark.parametrize("context", CONTEXTS)
 def test_pictures_of_any_size_and_shape(compositor, flat_image_headset, context, size):
     made, seen = compositor(flat_image_headset, size, context=context), viewpoint(flat_image_headset)
     draw(made, SceneSource(made, scene()), HEAD, seen)
@@ -199,29 +208,14 @@ def test_three_hundred_frames_leave_nothing_behind(compositor, gl_context):
             made.compose(with_source=frame % 5 == 0).unsolved()
 
     run(range(60))  # all ways of drawing have been met
-    objects = caller.objects()
+    objects = [*map(len, caller.objects())]
     assert grown_bytes(run, 60, 210, 360) < 150 * 112  # less than an array a frame
-    assert caller.objects() == objects
+    assert [*map(len, caller.objects())] == objects
     made.release()
     caller.ctx.release()
 
 
-def test_frames_without_opengl_leave_nothing_behind(compositor, flat_image_headset):
-    made = compositor(flat_image_headset, (24, 20), context="cpu")
-    source = SceneSource(made, scene())
-
-    def run(frames):
-        for frame in frames:
-            pose, unit = moved(frame)
-            draw(made, source, pose, viewpoint(flat_image_headset, *unit))
-            made.compose()
-
-    run(range(3))
-    assert grown_bytes(run, 3, 40, 80) < 40 * 256  # less than a row of a field each
-
-
 def test_the_context_that_is_asked_for_is_used(compositor, flat_image_headset, gl_context):
-    assert compositor(flat_image_headset, context="cpu").renderer == "cpu"
     assert compositor(flat_image_headset, context="auto").renderer == gl_context.renderer
     theirs = moderngl.create_context(standalone=True, require=430, backend=gl_context.backend)
     current = compositor(flat_image_headset, context="current")
@@ -230,12 +224,24 @@ def test_the_context_that_is_asked_for_is_used(compositor, flat_image_headset, g
     theirs.release()
 
 
-def test_without_opengl_auto_works_on_the_cpu_and_a_name_does_not(flat_image_headset, monkeypatch):
-    def refuse(backend="auto"):
-        raise MissingGlError(f"No OpenGL ({backend}).")
+def test_without_opengl_there_is_no_compositor(flat_image_headset, monkeypatch):
+    def refuse():
+        raise ValueError("no driver")
 
-    monkeypatch.setattr(gl, "open_context", refuse)
-    with Compositor(flat_image_headset, SMALL) as made:
-        assert (made.renderer, made.context) == ("cpu", None)
-    with pytest.raises(MissingGlError, match="egl"):
-        Compositor(flat_image_headset, SMALL, context="egl")
+    with pytest.raises(BadInputError, match=r"A compositor needs OpenGL; .* or draw ray-traced frames"):
+        Compositor(flat_image_headset, SMALL, context="cpu")
+    monkeypatch.setattr(gl, "_OPENERS", {"egl": refuse, "osmesa": refuse})
+    for context in ("auto", "egl"):
+        with pytest.raises(MissingGlError, match=r"no driver.*install libegl1 .* or draw ray-traced frames"):
+            Compositor(flat_image_headset, SMALL, context=context)
+
+
+@pytest.mark.gl
+def test_a_shared_context_outlives_its_compositors(flat_image_headset, gl_context):
+    seen, pictures = viewpoint(flat_image_headset), []
+    for _ in range(2):
+        with Compositor(flat_image_headset, SMALL, context=gl_context) as made:
+            draw(made, SceneSource(made, scene()), HEAD, seen)
+            pictures.append(made.compose().read())
+    assert pictures[0].any()
+    np.testing.assert_array_equal(*pictures)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from composing import HEAD, SMALL, scene, viewpoint
 
-from benchmarks.scene_source import SceneSource
 from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 
 pytestmark = pytest.mark.gl

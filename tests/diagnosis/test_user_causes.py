@@ -67,6 +67,7 @@ def test_an_installed_package_adds_its_causes(bench, tmp_path, monkeypatch):
         ("CAUSES = [", "CAUSES = ['lens']\nTHINGS = [", r"own.py: CAUSES holds 'lens', which is no "),
         ("CAUSES = [", "1 / 0\nCAUSES = [", r"own.py: cannot be loaded .ZeroDivisionError: division by zero"),
         ("CAUSES = [", "exit(3)\nCAUSES = [", r"own.py: cannot be loaded .SystemExit: 3"),
+        ("CAUSES = [", "raise GeneratorExit\nCAUSES = [", r"own.py: cannot be loaded .GeneratorExit"),
         ("CAUSES = [", "CAUSES = [(", r"own.py: cannot be loaded .SyntaxError"),
         ('"lens_hood"', '"latency"', r"own.py: there is a cause 'latency' already; choose another name"),
         ('"camera", (', '"bracket", (', r"'lens_hood' has the part 'bracket'; choose from device, camera"),

@@ -13,10 +13,10 @@ from wlr_render.report.blocks import Plot
 
 
 @pytest.fixture(scope="module")
-def comparison(tmp_path_factory, model_file, scene_file):
+def comparison(opened_gl_context, tmp_path_factory, model_file, scene_file):
     """A bent headset off the centre of its eye box, before a ball that hides a part of a wall."""
     folder = tmp_path_factory.mktemp("compare")
-    options = CompareOptions(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), backend="cpu", out=folder)
+    options = CompareOptions(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), out=folder)
     return compare(options), folder
 
 
@@ -81,7 +81,7 @@ def test_the_error_plot_shows_the_error_map(comparison):
 
 
 def test_the_chosen_way_of_rasterising_is_drawn_and_leads_the_table(comparison, model_file, scene_file, tmp_path):
-    options = CompareOptions(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), backend="cpu", out=tmp_path)
+    options = CompareOptions(model_file, scene_file, viewpoint_offset_mm=(3.0, -2.0, 1.0), out=tmp_path)
     report = compare(replace(options, raster_camera="viewpoint", map_from="mesh"))
     name = "camera at the viewpoint, map from the mesh (paper)"
     assert report.tables[0].rows[0][0] == name
@@ -93,14 +93,22 @@ def test_the_chosen_way_of_rasterising_is_drawn_and_leads_the_table(comparison, 
     assert name in plot.caption
 
 
+def test_without_opengl_there_is_nothing_to_compare(straight_device, scene_file, tmp_path):
+    with pytest.raises(BadInputError, match=r"no raster frames to compare with --backend cpu, .*; leave --backend out"):
+        compare(CompareOptions(straight_device, scene_file, backend="cpu", out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
 @needs_browser
 def test_the_page_opens_with_its_error_map(comparison, tmp_path):
     page = open_page(comparison[1] / "report.html", tmp_path)
     assert (page.console, page.plots) == ([], 1)
 
 
-def test_without_optics_both_eyes_and_all_methods_show_the_same_points(straight_device, scene_file, tmp_path):
-    report = compare(CompareOptions(straight_device, scene_file, eye="both", backend="cpu", out=tmp_path))
+def test_without_optics_both_eyes_and_all_methods_show_the_same_points(
+    gl_context, straight_device, scene_file, tmp_path
+):
+    report = compare(CompareOptions(straight_device, scene_file, eye="both", out=tmp_path))
     assert len(report.tables) == 2
     for table in report.tables:
         rows = rows_by_method(table)
@@ -119,13 +127,13 @@ def test_without_optics_both_eyes_and_all_methods_show_the_same_points(straight_
             r"--viewpoint-offset-mm: the viewpoint \(0\.00, 4\.50, 0\.00\) mm lies",
         ),
         ({"scene": "desc"}, "Did you mean desk"),
-        ({"headset": "missing.json"}, r"missing\.json: cannot be read"),
+        ({"headset": "missing.json"}, r"missing\.json: there is no such file"),
         ({"eye": "left", "headset": "no_optics"}, "no left eye"),
     ],
     ids=str,
 )
 def test_faults_are_refused_before_anything_is_written(straight_device, scene_file, tmp_path, change, sentence):
-    options = CompareOptions(straight_device, scene_file, backend="cpu", out=tmp_path / "out")
+    options = CompareOptions(straight_device, scene_file, out=tmp_path / "out")
     with pytest.raises(BadInputError, match=sentence):
         compare(replace(options, **change))
     assert not (tmp_path / "out").exists()

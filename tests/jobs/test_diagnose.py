@@ -280,8 +280,8 @@ def test_a_restricted_list_of_causes_is_warned_of(options, warnings):
         (["--causes", "combiner_tlt"], "There is no cause 'combiner_tlt'; did you mean combiner_tilt"),
         (["--exclude", "ghosts"], "There is no cause 'ghosts'; choose from combiner_tilt, "),
         (["--causes", "latency", "--exclude", "latency"], "Every cause is excluded"),
-        (["--max-causes", "-1"], "--max-causes is -1; it must be a finite number of 0 or more"),
-        (["--add-causes", "none.py"], "none.py: does not exist"),
+        (["--max-causes", "-1"], "--max-causes is -1; it must be between 0 and 100"),
+        (["--add-causes", "none.py"], "none.py: there is no such file"),
         (["--add-causes", "no_such_module"], "no_such_module: cannot be loaded (ModuleNotFoundError"),
     ],
 )

@@ -34,7 +34,7 @@ def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path
     short, newer = tmp_path / "short.json", tmp_path / "newer.json"
     short.write_text(text[: len(text) // 2], encoding="utf-8")
     newer.write_text(json.dumps(json.loads(text) | {"version": 4}), encoding="utf-8")
-    with pytest.raises(BadInputError, match=r"short\.json: is not a model file, or is cut short"):
+    with pytest.raises(BadInputError, match=r"short\.json: cannot be read as a model file"):
         open_eye(short)
     with pytest.raises(BadInputError, match=r"newer\.json: has version 4; this program reads versions 1 to 3"):
         open_eye(newer)

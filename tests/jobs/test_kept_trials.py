@@ -1,11 +1,15 @@
 """Outcomes of trials that are kept: what is run again, what is deleted, seeds apart."""
 
+import hashlib
+import json
+import os
 from dataclasses import dataclass
 
 import pytest
 
+from wlr_render.errors import BadInputError
 from wlr_render.jobs import kept_trials
-from wlr_render.jobs.kept_trials import finished_trials
+from wlr_render.jobs.kept_trials import damaged_outcomes, finished_trials
 
 
 @dataclass(frozen=True)
@@ -56,3 +60,39 @@ def test_without_resume_all_is_run_again(runs, tmp_path):
 def test_outcomes_of_another_seed_are_not_used(runs, tmp_path):
     finished(runs, tmp_path, 1, resume=False)
     assert finished(runs, tmp_path, 2, resume=True) == [NamedOutcome(task, 2) for task in TASKS]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[:-9],
+        lambda text: text.replace('"seed": 1', '"seed": 7'),
+        str.upper,
+        lambda text: "[" * 100_000,
+        lambda text: json.dumps({"outcome": 1, "sha256": hashlib.sha256(b"1").hexdigest()}),
+    ],
+)
+def test_an_outcome_that_is_not_as_it_was_written_is_run_again_and_named(runs, tmp_path, damage):
+    first = finished(runs, tmp_path, 1, resume=False)
+    path = tmp_path / "seed-1" / "b.json"
+    assert damaged_outcomes(tmp_path, 1) == []
+    path.write_text(damage(path.read_text()))
+    assert damaged_outcomes(tmp_path, 1) == [path]
+    assert finished(runs, tmp_path, 1, resume=True) == first
+    assert runs == [("a.json", 1), ("b.json", 1), ("b.json", 1)]
+    assert damaged_outcomes(tmp_path, 1) == []
+
+
+def test_an_outcome_of_other_values_is_named_and_a_pipe_is_replaced(runs, tmp_path):
+    finished(runs, tmp_path, 1, resume=False)
+    path = tmp_path / "seed-1" / "b.json"
+    content = {"sort": 1}
+    path.write_text(
+        json.dumps({"sha256": hashlib.sha256(json.dumps(content).encode()).hexdigest(), "outcome": content})
+    )
+    with pytest.raises(BadInputError, match=r"b\.json: cannot be read as the outcome of a trial .*; remove it"):
+        finished(runs, tmp_path, 1, resume=True)
+    path.unlink()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(path)
+    assert finished(runs, tmp_path, 1, resume=True) == [NamedOutcome(task, 1) for task in TASKS]

@@ -1,13 +1,23 @@
 """Options check themselves: the command line and scripts are refused the same values in the same words."""
 
-from dataclasses import KW_ONLY, dataclass, replace
-from typing import Annotated, Literal
+import importlib
+from dataclasses import KW_ONLY, dataclass, is_dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 
+from wlr_render.cli import VERBS, main
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import shown
 from wlr_render.jobs.options import OnlyWith, Options, Range, described
+from wlr_render.jobs.targets import BoardOptions
+
+
+@dataclass(frozen=True)
+class FewOptions(Options):
+    depth: Annotated[int, described("Depth."), Range(0, 5)] = 1
 
 
 @dataclass(frozen=True)
@@ -19,6 +29,9 @@ class DrawOptions(Options):
     rate: Annotated[float, described("Rate.", name="--fps"), Range(above=0)] = 30.0
     depths_m: Annotated[tuple[float, ...], described("Depths."), Range(at_least=0.1, at_most=10)] = (1.0, 2.0)
     limit: Annotated[int | None, described("Limit."), Range(at_least=1)] = None
+    size: Annotated[tuple[int, int], described("Size."), Range(1, 5000, product=1_000_000)] = (640, 480)
+    fit: FewOptions = FewOptions()
+    out: Annotated[Path, described("Output.")] = Path("out")
 
 
 @pytest.mark.parametrize(
@@ -27,6 +40,7 @@ class DrawOptions(Options):
         ({"rate": 0.0}, "--fps is 0.0; it must be a finite number above 0."),
         ({"rate": np.nan}, "--fps is nan; it must be a finite number above 0."),
         ({"depths_m": (1.0, 11.0)}, "--depths-m is 11.0; it must be between 0.1 and 10."),
+        ({"limit": -(10**400)}, f"--limit is {shown(-(10**400))}; it must be a finite number of 1 or more."),
         ({"limit": 0}, "--limit is 0; it must be a finite number of 1 or more."),
         ({"shadows": True}, "--shadows is used with --method rays only; leave it out, or give --method rays."),
     ],
@@ -35,6 +49,102 @@ def test_values_out_of_range_and_unused_options_are_refused(values, sentence):
     with pytest.raises(BadInputError) as refused:
         DrawOptions("desk", **values)
     assert str(refused.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"rate": "fast"}, "--fps is 'fast'; it must be a number."),
+        ({"rate": True}, "--fps is True; it must be a number."),
+        ({"rate": None}, "--fps is None; it must be a number."),
+        ({"limit": 2.5}, "--limit is 2.5; it must be a whole number."),
+        ({"shadows": "no"}, "--shadows is 'no'; it must be True or False."),
+        ({"depths_m": 1.0}, "--depths-m is 1.0; it must be a tuple."),
+        ({"depths_m": ("near",)}, "--depths-m is ('near',); it must be a number."),
+        ({"depths_m": "12"}, "--depths-m is '12'; it must be a tuple."),
+        ({"size": (2, 3, 4)}, "--size is (2, 3, 4); it must be a tuple of 2."),
+        ({"size": (4000, 3000)}, "--size is 4000x3000; it must be at most 1000000 in all."),
+        ({"scene": 5}, "--scene is 5; it must be text."),
+        ({"out": b"x"}, "--out is b'x'; it must be a path."),
+        ({"out": ""}, "--out is ''; it must be a path, not empty."),
+        ({"scene": " "}, "--scene is ' '; it must be text, not empty."),
+        ({"fit": "good"}, "--fit is 'good'; it must be FewOptions."),
+    ],
+)
+def test_values_of_another_type_are_refused(values, sentence):
+    with pytest.raises(BadInputError) as refused:
+        DrawOptions(**{"scene": "desk"} | values)
+    assert str(refused.value) == sentence
+
+
+def test_numbers_of_numpy_lists_and_paths_as_text_are_taken():
+    options = DrawOptions(
+        Path("desk"), rate=np.float32(2), limit=np.int64(3), shadows=np.bool_(False), depths_m=[1, 2], out="a/b"
+    )
+    assert (options.scene, options.rate, options.limit, options.out) == ("desk", 2.0, 3, Path("a/b"))
+    assert (options.shadows, options.depths_m) == (False, (1, 2))
+
+
+def options_of(verb):
+    """The dataclass of a verb's options, and those inside it."""
+    module, name = verb.function.split(":")
+    function = getattr(importlib.import_module(f"wlr_render.jobs.{module}"), name)
+    found = [hint for hint in get_type_hints(function).values() if isinstance(hint, type) and is_dataclass(hint)]
+    for each in found:
+        found += [hint for hint in get_type_hints(each).values() if isinstance(hint, type) and is_dataclass(hint)]
+    return [each for each in found if issubclass(each, Options)]
+
+
+def holds_numbers(hint):
+    return hint in (int, float) or (get_origin(hint) is not Literal and any(map(holds_numbers, get_args(hint))))
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
+def test_every_number_of_every_verb_has_limits_at_both_ends(verb):
+    for options in options_of(verb):
+        for name, hint in get_type_hints(options, include_extras=True).items():
+            if get_origin(hint) is Annotated and holds_numbers(get_args(hint)[0]):
+                (limits,) = (note for note in hint.__metadata__ if isinstance(note, Range))
+                low = max(limits.at_least, limits.above)
+                assert np.isfinite([low, limits.at_most]).all(), (options.__name__, name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["demo", "--viewpoints", "1000000000"], "--viewpoints is 1000000000; it must be between 5 and 1000"),
+        (["render", "northstar", "dots", "--fps", "1e9"], "--fps is 1000000000.0; it must be a finite number above 0"),
+        (["pattern", "--panel", "10000000x10000000"], "--panel is 10000000; it must be between 1 and 32766"),
+        (["pattern", "--panel", "32000x32000"], "--panel is 32000x32000; it must be at most 134217728 in all"),
+        (["board", "--columns", "1000", "--rows", "999"], "999000 shapes; it must be at most 100000"),
+        (["simulate", "northstar", "s", "--pupil-mm", "0"], "--pupil-mm is 0.0; it must be between 0.01 and 50"),
+        (["simulate", "northstar", "s", "--depths-m", "0.5", "1e9"], "--depths-m is 1000000000.0; it must be between"),
+        (
+            ["simulate", "s", "--depths-m", *map(str, range(1, 22))],
+            "--depths-m 21 are 21 distances; it must be at most",
+        ),
+        (["simulate", "s", "--viewpoints", "1000", "--depths-m", *map(str, range(1, 11))], "are 10000 photographs"),
+        (["plan", "northstar", "--camera", "1x1"], "--camera is 1; it must be between 64 and"),
+        (["plan", "northstar", "--depths-m", *map(str, range(1, 22))], "--depths-m 21 are 21 distances"),
+        (["capture", "s", "--panel", "8x8", "--trigger", "nowhere {path}"], "there is no program 'nowhere'"),
+        (["decode", "s", "--panel", "8x8", "--bits", "12", "--camera", "c.toml"], "both state the bits"),
+        (["verify", "session", "s", "--viewpoints", "1000", "--depths-m", *map(str, range(1, 21))], "photographs"),
+    ],
+)
+def test_requests_out_of_range_are_refused_before_work_begins(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_the_output_folder_in_use_must_be_usable(tmp_path, monkeypatch, capsys):
+    (tmp_path / "out").write_text("a file")
+    monkeypatch.chdir(tmp_path)
+    BoardOptions()  # as import of the job does, for its default argument
+    assert main(["board", "--out", "elsewhere"]) == 0
+    assert main(["board"]) == 2
+    assert "out/board: cannot write to this output folder" in capsys.readouterr().err
 
 
 def test_good_values_pass():

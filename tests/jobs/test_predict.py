@@ -216,7 +216,7 @@ def test_faults_are_one_sentence(corrected, second, tmp_path, capsys):
             [report, second],
             f"report: is the report folder of a diagnosis; its corrected bench is in {report / 'corrected'}",
         ),
-        ([second / "display.csv.gz", second], "display.csv.gz: is not a text file"),
+        ([second / "display.csv.gz", second], "display.csv.gz: line 1 is not UTF-8 text"),
         ([empty, second], "bench.toml: does not exist; name a bench file, or a folder with bench.toml"),
         ([corrected, empty], "empty: has no bench.toml, so it is not a bench session"),
         ([corrected], "--session requires an argument"),

@@ -1,5 +1,5 @@
-import itertools
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
+from wlr_render.jobs.demo import DemoOptions, demo
+from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, planned_frames, read_trajectories, render
+from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.mappings import EyeBox
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.rendering import gl
-from wlr_render.rendering.image_files import read_map, read_png
-from wlr_render.rendering.painters import WarpedPainter
+from wlr_render.rendering.image_files import read_map, read_png, write_png
 from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory, ViewpointTrack
@@ -44,12 +46,12 @@ def pictures(folder):
 
 
 @pytest.fixture
-def options(tmp_path, straight_device, scene_file):
-    return RenderOptions(straight_device, scene_file, backend="cpu", out=tmp_path / "frames")
+def options(tmp_path, straight_device, scene_file, gl_context):
+    return RenderOptions(straight_device, scene_file, out=tmp_path / "frames")
 
 
 @pytest.fixture
-def moving(tmp_path, model_file, scene_file):
+def moving(tmp_path, model_file, scene_file, gl_context):
     """Five frames of a fitted headset whose wearer moves head and eyes."""
     centre = open_eye(model_file).eye_box.centre
     return RenderOptions(
@@ -58,7 +60,6 @@ def moving(tmp_path, model_file, scene_file):
         head=still_head(tmp_path / "head.tum", [0.0, 0.3, 0.6]),
         eye_track=moving_pupil(tmp_path / "eyes.txt", "right", [0.1, 0.5], centre),
         frames_per_second=10.0,
-        backend="cpu",
         out=tmp_path / "whole",
     )
 
@@ -113,24 +114,26 @@ def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_ag
     assert pictures(again.out) == pictures(moving.out)
 
 
-def test_each_frame_starts_from_the_last_one_of_its_eye(options, tmp_path, monkeypatch):
+@pytest.mark.gl
+@pytest.mark.usefixtures("gl_context")
+def test_no_frame_depends_on_the_frames_before_it(options, tmp_path, monkeypatch):
     painted = []
     paint = WarpedPainter.paint
 
-    def spy(painter, viewpoint, world_from_device, warm_start=None, with_geometry=False):
-        frame = paint(painter, viewpoint, world_from_device, warm_start, with_geometry)
-        painted.append((painter, warm_start, frame.warm_start))
-        return frame
+    def spy(painter, *given, **options):
+        painted.append(painter)
+        return paint(painter, *given, **options)
 
     monkeypatch.setattr(WarpedPainter, "paint", spy)
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
-    render(replace(options, head=head, eye="both", frames_per_second=10.0))
-    assert len(painted) == 6
-    for eye in (0, 1):
-        own = painted[eye::2]
-        assert len({painter for painter, _, _ in own}) == 1
-        assert own[0][1] is None
-        assert all(later[1][0] is earlier[2][0] for earlier, later in itertools.pairwise(own))
+    both = replace(options, head=head, eye="both", frames_per_second=10.0, backend="auto")
+    render(both)
+    assert (len(painted), len(set(painted))) == (6, 2)
+    whole = pictures(both.out)
+    for name in list(whole)[1::2]:
+        (both.out / name).unlink()
+    render(both)
+    assert pictures(both.out) == whole
 
 
 def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
@@ -143,7 +146,12 @@ def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
     both = replace(options, eye="both")
     with pytest.raises(KeyboardInterrupt):
         render(both, progress=interrupt)
-    assert {path.name for path in both.out.iterdir()} == {"sequence.json", "left-000000.png", "right-000000.png"}
+    assert {path.name for path in both.out.iterdir()} == {
+        "sequence.json",
+        "finished.jsonl",
+        "left-000000.png",
+        "right-000000.png",
+    }
     assert read_png(both.out / "left-000000.png").shape == (36, 64, 3)
 
 
@@ -155,59 +163,142 @@ def test_both_eyes_see_the_scene_from_their_own_side(options, tmp_path, ball_z_m
     device.write_text(text.replace("centre_mm = [0.0, 0.0, 0.0]", "centre_mm = [32.0, 0.0, 0.0]"), encoding="utf-8")
     scene = tmp_path / "scene.toml"
     ball = Path(options.scene).read_text(encoding="utf-8")
-    scene.write_text(ball.replace("[0.03, 0.01, -0.5]", f"[0.0, 0.0, {ball_z_m}]"), encoding="utf-8")
+    # The silhouette of a larger ball is not symmetric about its centre.
+    small = ball.replace("[0.03, 0.01, -0.5]", f"[0.0, 0.0, {ball_z_m}]").replace("radius_m = 0.06", "radius_m = 0.02")
+    scene.write_text(small, encoding="utf-8")
     job = replace(options, headset=str(device), scene=str(scene), eye="both", maps="tiff")
     assert counts(render(job)) == (2, 0)
     column = {}
     for eye in ("left", "right"):
         inverse_depth = read_map(options.out / f"{eye}-000000.tiff")[..., 2]
         column[eye] = np.nonzero(inverse_depth > 1.0)[1].mean()
-    assert column["left"] - column["right"] == pytest.approx(crossed_px, abs=0.7)
+    assert column["left"] - column["right"] == pytest.approx(crossed_px, abs=0.3)
+
+
+def test_frames_that_show_nothing_of_the_scene_are_named(options, tmp_path):
+    assert not [each for each in render(options).warnings if "nothing of the scene" in each]
+    ball = Path(options.scene).read_text(encoding="utf-8").split("[[object]]")
+    scene = tmp_path / "behind.toml"
+    scene.write_text(ball[0] + "[[object]]" + ball[1].replace("-0.5]", "0.5]"), encoding="utf-8")
+    behind = replace(options, scene=str(scene), out=tmp_path / "behind")
+    for drawn in (1, 0):  # the second run keeps the frame
+        report = render(behind)
+        (warning,) = report.warnings
+        assert warning.startswith("right-000000.png shows nothing of the scene")
+        assert report.record["frames_drawn"] == drawn
+
+
+def test_more_frames_than_a_disk_holds_are_refused(moving, tmp_path):
+    long = still_head(tmp_path / "long.tum", [0.0, 1e6])
+    with pytest.raises(BadInputError, match=r"--fps 10 over 1e\+06 s are 10000001 frames; draw at most 1000000"):
+        render(replace(moving, head=long, eye_track=None))
+    assert not moving.out.exists()
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "reason"),
     [
-        {"method": "raytrace", "backend": "auto"},
-        {"frames_per_second": 5.0},
-        {"maps": "tiff"},
-        {"per_colour": True},
-        {"head": "changed"},
-        {"headset": "changed"},
+        ({"method": "raytrace", "backend": "auto"}, "--method has changed from raster to raytrace"),
+        ({"frames_per_second": 5.0}, "--fps has changed from 10.0 to 5.0"),
+        ({"maps": "tiff"}, "--maps has changed from None to tiff"),
+        ({"per_colour": True}, "--per-colour has changed from False to True"),
     ],
     ids=lambda change: next(iter(change)),
 )
-def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path, change):
-    device = Path(shutil.copy(options.headset, tmp_path / "device.toml"))
+def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path, change, reason):
     head = still_head(tmp_path / "head.tum", [0.0, 0.2])
-    job = replace(options, headset=str(device), head=head, frames_per_second=10.0)
+    job = replace(options, head=head, frames_per_second=10.0)
     render(job)
+    refuses(replace(job, **change), reason)
+
+
+def refuses(job, reason):
+    """The folder of a job is refused for a reason, and left as it is."""
     before = {path.name: path.read_bytes() for path in job.out.iterdir()}
-    if "head" in change:  # the same file name, but the head has turned
-        still_head(job.head, [0.0, 0.2], turn_rate=1.0)
-        change = {}
-    if "headset" in change:  # the same, but another device
-        device.write_text(device.read_text(encoding="utf-8").replace("[0.0, 0.0, 500.0]", "[0.0, 0.0, 501.0]"))
-        change = {}
-    with pytest.raises(BadInputError, match="frames: holds the frames of another job; choose another folder"):
-        render(replace(job, **change))
+    with pytest.raises(BadInputError, match=r"frames: holds the frames of another job .*; choose another") as got:
+        render(job)
+    assert reason in str(got.value)
     assert {path.name: path.read_bytes() for path in job.out.iterdir()} == before
 
 
-@pytest.mark.parametrize("record", ["no json", "[]", "{}", None])
-def test_frames_of_unknown_origin_are_refused(options, record):
+@pytest.mark.parametrize("name", ["device.toml", "scene.toml", "square.obj", "square.mtl", "square.png", "head.tum"])
+def test_a_file_that_has_changed_under_its_old_name_is_named(options, tmp_path, name):
+    shutil.copy(options.headset, tmp_path / "device.toml")
+    scene = Path(options.scene).read_text(encoding="utf-8")
+    (tmp_path / "scene.toml").write_text(scene + '\n[[object]]\nmesh = "square.obj"\nposition_m = [0.0, 0.0, -1.0]\n')
+    corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n"
+    (tmp_path / "square.obj").write_text(f"mtllib square.mtl\n{corners}usemtl m\nf 1/1 2/2 3/3\n")
+    (tmp_path / "square.mtl").write_text("newmtl m\nKd 1 1 1\nmap_Kd square.png\n")
+    write_png(tmp_path / "square.png", np.full((4, 4, 3), 200, np.uint8))
+    head = still_head(tmp_path / "head.tum", [0.0, 0.2])
+    files = {"headset": str(tmp_path / "device.toml"), "scene": str(tmp_path / "scene.toml"), "head": head}
+    job = replace(options, **files, frames_per_second=10.0)
+    assert counts(render(job)) == (3, 0)
+    assert counts(render(job)) == (0, 3)
+    changed = tmp_path / name
+    if name == "head.tum":
+        still_head(changed, [0.0, 0.2], turn_rate=1.0)
+    elif name == "square.png":
+        write_png(changed, np.full((4, 4, 3), 201, np.uint8))
+    else:
+        changed.write_text(changed.read_text(encoding="utf-8") + "\n# the same, but another file\n")
+    refuses(job, f"{changed} has changed since they were drawn")
+
+
+@pytest.mark.parametrize(
+    ("record", "sentence"),
+    [
+        ("no json", r"sequence\.json: cannot be read as the record of a sequence"),
+        ("[]", r"sequence\.json: is not the record of a sequence"),
+        ("{}", r"sequence\.json: cannot be read as the record of a sequence"),
+        ('{"version": 2, "job": [], "inputs": 1, "frames": null}', "cannot be read as the record of a sequence"),
+        ('{"version": ' + "[" * 100_000, "is nested too deeply to be the record of a sequence"),
+        (1_000_000_000, r"sequence\.json: has more than 64 MB"),
+        ("a pipe", r"sequence\.json: is a pipe"),
+        (None, "holds the frames of another job"),
+    ],
+    ids=lambda each: str(each)[:40],
+)
+def test_frames_of_unknown_origin_are_refused(options, record, sentence):
     options.out.mkdir()
     (options.out / "right-000000.png").write_bytes(b"a picture")
-    if record is not None:
-        (options.out / "sequence.json").write_text(record)
-    with pytest.raises(BadInputError, match="holds the frames of another job"):
+    path = options.out / "sequence.json"
+    if record == "a pipe":
+        if not hasattr(os, "mkfifo"):
+            pytest.skip("makes a pipe")
+        os.mkfifo(path)
+    elif isinstance(record, int):
+        with path.open("wb") as file:
+            file.truncate(record)
+    elif record is not None:
+        path.write_text(record)
+    with pytest.raises(BadInputError, match=rf"{sentence}.*; choose another folder or empty it"):
         render(options)
     assert (options.out / "right-000000.png").read_bytes() == b"a picture"
 
 
-def test_backend_and_video_may_change_between_runs(options):
+def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_one_goes_on(moving, file_size_limit):
+    render(moving)
+    whole = pictures(moving.out)
+    listed = moving.out / "finished.jsonl"
+    second = listed.read_text().splitlines(keepends=True)[:2]
+    listed.write_text("".join(second) + "\n" * 1_000_000)
+    with (
+        file_size_limit(listed.stat().st_size + 50),
+        pytest.raises(BadInputError, match=r"finished\.jsonl: cannot be written .*; free space"),
+    ):
+        render(moving)
+    assert counts(render(moving)) == (3, 2)
+    assert pictures(moving.out) == whole
+
+
+@pytest.mark.gl
+def test_backend_and_video_may_change_between_runs(options, gl_context):
+    options = replace(options, backend="auto")
     render(options)
-    assert counts(render(replace(options, backend="auto", video=False))) == (0, 1)
+    assert counts(render(replace(options, backend=gl_context.backend, video=False))) == (0, 1)
+    with pytest.raises(BadInputError, match="--method has changed from raster to raytrace"):
+        render(replace(options, backend="cpu"))
 
 
 def test_map_from_the_mesh_shows_the_same_picture(options):
@@ -237,9 +328,67 @@ def test_a_folder_of_a_version_without_raster_camera_is_continued(options):
     record = json.loads((options.out / "sequence.json").read_text())
     del record["job"]["raster_camera"]
     (options.out / "sequence.json").write_text(json.dumps(record))
-    with pytest.raises(BadInputError, match="holds the frames of another job"):
-        render(replace(options, raster_camera="viewpoint"))
+    refuses(replace(options, raster_camera="viewpoint"), "--raster-camera has changed from nearest to viewpoint")
     assert counts(render(options)) == (0, 1)
+
+
+def test_frames_of_version_1_are_drawn_again(options, tmp_path):
+    """It listed no finished files, and the hashes of the headset and the scene only."""
+    device = Path(shutil.copy(options.headset, tmp_path / "device.toml"))
+    job = replace(options, headset=str(device))
+    render(job)
+    whole = pictures(job.out)
+    record = json.loads((job.out / "sequence.json").read_text())
+    record["version"] = 1
+    record["job"]["sha256"] = list(record.pop("inputs").values())
+    text = json.dumps(record)
+    (job.out / "sequence.json").write_text(text)
+    (job.out / "finished.jsonl").unlink()
+    before = device.read_text(encoding="utf-8")
+    device.write_text(before + "\n# changed\n", encoding="utf-8")
+    refuses(job, "the headset or the scene has changed")
+    device.write_text(before, encoding="utf-8")
+    (job.out / "right-000000.png").write_bytes(b"cut")
+    report = render(job)
+    assert (counts(report), len(report.warnings)) == ((1, 0), 1)
+    assert "earlier version" in report.warnings[0]
+    assert pictures(job.out) == whole
+    assert (counts(render(job)), render(job).warnings) == ((0, 1), [])
+
+
+def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving):
+    job = replace(moving, maps="tiff")
+    render(job)
+    whole = {path.name: path.read_bytes() for path in job.out.glob("right-*")}
+    assert len(whole) == 15
+    cut, flipped, map_of = (job.out / name for name in ("right-000001.png", "right-000002.png", "right-000003.tiff"))
+    cut.write_bytes(cut.read_bytes()[:-100])
+    flipped.write_bytes(flipped.read_bytes()[:-20] + b"x" + flipped.read_bytes()[-19:])
+    map_of.write_bytes(b"")
+    (job.out / "right-000004.json").unlink()
+    finished = job.out / "finished.jsonl"
+    lines = finished.read_text().splitlines(keepends=True)
+    assert len(lines) == 15
+    finished.write_text("".join(lines[1:]) + '{"file": "right-0000')  # as of a killed run, and one line lost
+    report = render(job)
+    assert counts(report) == (5, 0)
+    (sentence,) = report.warnings
+    names = "right-000001.png, right-000002.png, right-000003.png"
+    assert sentence == f"{job.out}: frames had changed since they were drawn, and were drawn again: {names}."
+    assert {path.name: path.read_bytes() for path in job.out.glob("right-*")} == whole
+    assert (counts(render(job)), render(job).warnings) == ((0, 5), [])
+
+
+def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
+    def second(items, total, label):
+        with pytest.raises(
+            BadInputError, match=rf"frames: render \(process {os.getpid()}\) is writing into this folder"
+        ):
+            demo(DemoOptions(out=options.out))
+        yield from items
+
+    assert counts(render(options, progress=second)) == (1, 0)
+    assert not [path for path in options.out.iterdir() if path.name.startswith(".")]
 
 
 @pytest.mark.parametrize(
@@ -261,7 +410,7 @@ def test_a_folder_of_a_version_without_raster_camera_is_continued(options):
         ({"frames_per_second": 0.0}, "--fps is 0.0; it must be a finite number above 0"),
         ({"frames_per_second": np.inf}, "--fps is inf; it must be a finite number above 0"),
         ({"frame_limit": 3}, "--frames is used with --head or --eye-track only"),
-        ({"frame_limit": 0}, "--frames is 0; it must be a finite number of 1 or more"),
+        ({"frame_limit": 0}, "--frames is 0; it must be between 1 and 1000000"),
         ({"method": "paint"}, "--method is paint; choose from raster, raytrace"),
         ({"maps": "png"}, "--maps is png; choose from tiff, pfm"),
         ({"map_from": "thin air"}, "--map-from is thin air; choose from depth, mesh"),
@@ -271,7 +420,9 @@ def test_a_folder_of_a_version_without_raster_camera_is_continued(options):
         ({"headset": "norhtstar"}, "Did you mean northstar"),
         ({"scene": "dosts"}, "Did you mean dots"),
         ({"eye": "both", "headset": "no_optics"}, "no left eye"),
-        ({"materials": "gltf"}, "glTF materials need OpenGL"),
+        ({"materials": "gltf", "backend": "cpu"}, "glTF materials need OpenGL"),
+        ({"map_from": "mesh", "backend": "cpu"}, "--map-from has no use with --backend cpu: frames are ray traced"),
+        ({"maps": "tiff", "backend": "cpu"}, "--maps has no use with --backend cpu"),
     ],
     ids=str,
 )
@@ -296,17 +447,44 @@ def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
     monkeypatch.setattr(gl, "open_context", refuse)
     with pytest.raises(MissingGlError):
         render(replace(options, backend="egl"))
-    assert list(options.out.iterdir()) == []
+    with pytest.raises(BadInputError, match="--maps needs OpenGL, because ray-traced frames have no warp map"):
+        render(replace(options, backend="auto", maps="tiff"))
+    assert not options.out.exists()
 
 
-def test_a_viewpoint_outside_the_eye_box_names_file_time_and_eye(options, tmp_path):
-    track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.zeros(3), step_m=(0.02, 0.0, 0.0))
+@pytest.mark.parametrize(("backend", "sentence"), [("cpu", "--backend cpu: frames are"), ("auto", "No OpenGL 4.1")])
+def test_without_opengl_frames_are_ray_traced_and_the_report_says_so(options, tmp_path, monkeypatch, backend, sentence):
+    def refuse(backend="auto"):
+        raise MissingGlError("No OpenGL.")
+
+    monkeypatch.setattr(gl, "open_context", refuse)
+    report = render(replace(options, backend=backend))
+    assert [warning.startswith(sentence) and "ray traced" in warning for warning in report.warnings] == [True]
+    traced = render(replace(options, method="raytrace", backend="auto", out=tmp_path / "traced"))
+    assert not traced.warnings
+    assert pictures(options.out) == pictures(tmp_path / "traced")
+
+
+def test_a_pupil_outside_the_eye_box_is_held_marked_and_counted(options, tmp_path):
+    # 20 mm/s enter the box, 10 mm wide, at 0.25 s and leave it after 0.75 s.
+    track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.array([-0.01, 0, 0]), step_m=(0.02, 0.0, 0.0))
     job = replace(options, eye_track=track, frames_per_second=10.0)
-    # 20 mm/s reach the box's edge, 5 mm out, after 0.25 s.
+    report = render(job)
+    assert counts(report) == (11, 0)
+    frames = json.loads((job.out / "sequence.json").read_text())["frames"]
+    at_mm = [1e3 * frame["viewpoint_in_device_m"][0] for frame in frames]
+    np.testing.assert_allclose(at_mm, [-5, -5, -5, -4, -2, 0, 2, 4, 4, 4, 4], atol=1e-9)
+    assert [frame.get("held", False) for frame in frames] == [True] * 3 + [False] * 5 + [True] * 3
+    (sentence,) = report.warnings
+    assert f"{track}: the right pupil is outside the eye box in 6 of 11 frames, first at 0.0000 s" in sentence
+
+
+def test_pupils_that_are_all_outside_the_eye_box_are_refused(options, tmp_path):
+    track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.array([0.006, 0.0, 0.0]))
     with pytest.raises(
-        BadInputError, match=r"eyes\.txt at 0\.3000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"
+        BadInputError, match=r"eyes\.txt at 0\.0000 s, right eye: the viewpoint \(6\.00, 0\.00, 0\.00\)"
     ):
-        render(job)
+        render(replace(options, eye_track=track, frames_per_second=10.0))
     assert not options.out.exists()
 
 
@@ -385,10 +563,13 @@ def test_a_head_trajectory_in_milliseconds_is_asked_about(options, tmp_path):
     job = replace(options, head=still_head(tmp_path / "head.tum", times), frame_limit=1)
     assert render(job).warnings == []
     head = still_head(tmp_path / "milliseconds.tum", 1e3 * times, turn_rate=5e-5)
+    with pytest.raises(BadInputError, match=r"milliseconds\.tum: has a row every 11.1 s, .* times in milliseconds\?"):
+        render(replace(job, head=head, out=tmp_path / "refused"))
+    head = still_head(tmp_path / "gap.tum", np.append(times[:10], times[10:] + 11.0), turn_rate=5e-5)
     eyes = moving_pupil(tmp_path / "eyes.txt", "right", 10 * times, open_eye(options.headset).eye_box.centre)
     report = render(replace(job, head=head, eye_track=eyes, out=tmp_path / "slow"))
     (sentence,) = report.warnings
-    assert sentence.startswith(f"{head}: neighbouring samples are up to 11.1 s apart")
+    assert sentence.startswith(f"{head}: neighbouring samples are up to 11 s apart")
     assert sentence.endswith("are the times in seconds?")
     assert sentence in (tmp_path / "slow" / "report.md").read_text()
 
@@ -396,7 +577,7 @@ def test_a_head_trajectory_in_milliseconds_is_asked_about(options, tmp_path):
 def test_the_report_lists_frames_inputs_and_files(moving):
     report = render(moving)
     assert report.tables[0].rows == [["right", 5, 0.1, 0.5]]
-    written = ["sequence.json", "report.html", "report.md", "report.json"]
+    written = ["sequence.json", "finished.jsonl", "report.html", "report.md", "report.json"]
     assert list(report.files) == [moving.out / name for name in written]
     inputs = json.loads((moving.out / "report.json").read_text())["provenance"]["inputs"]
     assert [file["name"] for file in inputs] == [moving.headset, moving.scene, str(moving.head), str(moving.eye_track)]
@@ -442,9 +623,11 @@ def test_a_video_shows_the_frames(options, tmp_path):
     assert not reader.read()[0]
 
 
+@pytest.mark.gl
+@pytest.mark.usefixtures("gl_context")
 def test_ray_traced_frames_agree_with_rasterised_ones_and_can_be_refined(options, tmp_path):
     jobs = {
-        "raster": options,
+        "raster": replace(options, backend="auto"),
         "raytrace": replace(options, method="raytrace", backend="auto", out=tmp_path / "traced"),
         "fine": replace(options, method="raytrace", backend="auto", supersample=3, shadows=True, out=tmp_path / "fine"),
     }

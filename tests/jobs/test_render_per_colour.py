@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.evaluation.lateral_colour import lateral_colour
 from wlr_render.geometry import directions
 from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.rendering.image_files import read_map, read_png
-from wlr_render.rendering.painters import WarpedPainter
-from wlr_render.rendering.raster_backends import open_raster_backend
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.scene_raster import SceneRaster
 from wlr_render.rendering.srgb import decode_srgb
 
 WHITE_DISC = """
@@ -33,7 +33,7 @@ def colourful(tmp_path, prism_of_plastic):
     """A white disc near a corner of what a prism shows."""
     scene = tmp_path / "disc.toml"
     scene.write_text(WHITE_DISC, encoding="utf-8")
-    return RenderOptions(prism_of_plastic, str(scene), backend="cpu", out=tmp_path / "colours")
+    return RenderOptions(prism_of_plastic, str(scene), out=tmp_path / "colours")
 
 
 def seen_middles(picture, channels):
@@ -75,16 +75,16 @@ def test_a_white_disc_has_no_fringe_where_each_colour_has_its_map(colourful, way
 
 
 @pytest.mark.parametrize("maps", [None, "tiff"])
-def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, maps):
+def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, gl_context, maps):
     render(replace(colourful, per_colour=True, maps=maps))
-    channels, raster_backend = open_colours(colourful.headset), open_raster_backend(load_scene(colourful.scene), "cpu")
+    channels, raster = open_colours(colourful.headset), SceneRaster(gl_context, load_scene(colourful.scene))
     drawn = read_png(colourful.out / "right-000000.png")
-    painter = WarpedPainter(channels, raster_backend)
+    painter = WarpedPainter(channels, raster)
     frame = painter.paint(channels[0].eye_box.centre, np.eye(4), with_geometry=True)
     np.testing.assert_array_equal(drawn, frame.colour)
     assert (drawn[..., 0] != drawn[..., 2]).any()
     if maps is not None:
         for colour, source in zip(("red", "green", "blue"), frame.sources, strict=True):
             np.testing.assert_array_equal(read_map(colourful.out / f"right-000000-{colour}.tiff"), source)
-    # Frame, record and the report as three files; maps and from where they were drawn.
-    assert len(list(colourful.out.iterdir())) == (5 if maps is None else 9)
+    # Frame, record, list of finished files and the report as three files; maps and from where they were drawn.
+    assert len(list(colourful.out.iterdir())) == (6 if maps is None else 10)

@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 
@@ -55,3 +56,12 @@ def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path):
     assert traced("birdbath28", tmp_path / "right").warnings == []
     (warning,) = traced(str(wrong), tmp_path / "wrong").warnings
     assert warning.startswith("Only 8% of the nominal field of the right eye meets the panel: check the sign")
+
+
+def test_a_device_whose_panel_is_not_in_its_field_is_refused(tmp_path):
+    text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text(re.sub(r"field_deg = .*", "field_deg = [60, 70, 60, 70]", text))
+    with pytest.raises(BadInputError, match=r"wrong\.toml: no direction of the nominal field of the right eye meets"):
+        traced(str(wrong), tmp_path / "out")
+    assert not (tmp_path / "out").exists()

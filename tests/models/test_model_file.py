@@ -97,12 +97,30 @@ def forward(record):
         (lambda r: forward(r)["terms"][0].update(orders=[0, 0, 0.5, 0]), "'orders' must be whole numbers from 0 to 50"),
         (lambda r: forward(r)["terms"][0].update(orders=[0, -1, 0, 0]), "'orders' must be whole numbers from 0 to 50"),
         (lambda r: forward(r)["terms"].clear(), "'terms' is empty"),
+        (lambda r: forward(r).update(degree=10**9), "'degree' must be a whole number from 0 to 50"),
+        (lambda r: forward(r).update(degree=50), "must be all 316251 of total degree up to 50"),
+        (lambda r: [t.update(values=[0.0, 0.0]) for t in forward(r)["terms"]], "'forward' shows all pixels in one"),
+        (lambda r: forward(r).update(low=[0.0, 0.0, -1e17, 0.0]), r"'forward' has an input up to 1e\+17"),
+        (
+            lambda r: first(r)["display"]["panel"].update(width_px=32_000),
+            r"'forward' is fitted to pixels .* a panel of 32000x",
+        ),
+        (lambda r: forward(r)["terms"][0].update(values=[1e17, 0.0]), r"'forward' reaches 1e\+17 within its own box"),
+        (lambda r: forward(r).update(low=[0] * 4, high=[1, 1, 1, 0]), "'low' must be less than 'high'"),
+        (lambda r: first(r)["display"]["panel"].update(width_px=10**9), r"has 1000000000x\d+ pixels, more than"),
+        (lambda r: first(r)["display"]["panel"].update(width_px=0), "'width_px' must be a whole number from 1 to"),
+        (lambda r: first(r)["display"]["base_plane"].update(z_m=1e9), r"'z_m' has a length of 1e\+09 m, more than"),
+        (lambda r: first(r)["eye_box"].update(size_m=[0.01, -0.01, 0.01]), "'size_m' has a negative size"),
+        (lambda r: first(r)["eye_box"].update(size_m=[10, 8, 6]), "is it in millimetres"),
+        (lambda r: first(r)["eye_box"].update(centre_m=[32, 0, 0]), "is it in millimetres"),
+        (lambda r: first(r)["eye_box"].update(colour="red"), "unknown key 'colour'"),
         (lambda r: forward(r)["terms"].append(forward(r)["terms"][3]), "'terms' has the same 'orders' twice"),
         (
             lambda r: forward(r)["terms"][0].update(values=[1.0]),
             "'values' must be a list of 2 numbers",
         ),
         (lambda r: forward(r)["terms"][0].update(values=[1.0, np.nan]), "'values' must be finite"),
+        (lambda r: forward(r)["terms"][0].update(values=[1.0, 1e308]), "'values' must be finite and below"),
         (
             lambda r: forward(r).update(low=forward(r)["high"]),
             "'low' must be less than",
@@ -112,7 +130,8 @@ def forward(record):
         (lambda r: first(r).update(colour="red"), r"\[\[eyes\]\] number 1: unknown key 'colour'"),
         (lambda r: first(r).update(report=[1]), "'report' must be an object"),
         (lambda r: r["eyes"].clear(), "'eyes' must hold one model, or one of each eye"),
-        (lambda r: r["eyes"].append(first(r)), "'eyes' must hold one model, or one of each eye"),
+        (lambda r: r["eyes"].append(first(r)), "'eyes' must hold one model, or one of each eye, not left, left"),
+        (lambda r: r.update(eyes=3 * [first(r)]), "'eyes' has 3 entries; 2 is the most"),
     ],
 )
 def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentence):
@@ -124,7 +143,12 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, edit, sentenc
 
 @pytest.mark.parametrize(
     ("content", "sentence"),
-    [(None, "cut short"), (b"", "cut short"), (b"\x93NUMPY\xff", "is not a model file"), (b"[1, 2]", "not an object")],
+    [
+        (None, r"cannot be read as a model file \(.*line"),
+        (b"", "cannot be read as a model file"),
+        (b"\x93NUMPY\xff", "this is not a model file"),
+        (b"[1, 2]", "not an object"),
+    ],
 )
 def test_truncated_and_other_files_are_refused(tmp_path, content, sentence):
     path = save_eye_models(tmp_path / "eye.json", [model()])
@@ -134,7 +158,7 @@ def test_truncated_and_other_files_are_refused(tmp_path, content, sentence):
 
 
 def test_missing_files_and_foreign_mappings_are_refused(tmp_path):
-    with pytest.raises(BadInputError, match="cannot be read"):
+    with pytest.raises(BadInputError, match="there is no such file; write it again"):
         load_eye_model(tmp_path / "none.json")
     foreign = dataclasses.replace(model().mappings, display=Polynomial)
     with pytest.raises(BadInputError, match="cannot be written to a model file"):
@@ -182,12 +206,14 @@ def test_an_eye_is_added_to_the_other_one_of_its_device_and_replaces_itself(tmp_
     read = load_eye_models(path)
     assert list(read) == ["left", "right"]
     assert_same(read["left"], again)
-    # Models of another device do not stay beside it, nor does a file that cannot be read.
+    # Models of another device do not stay beside it.
     assert add_eye_models(path, [of_eye("left", "other")]) == ()
     assert list(load_eye_models(path)) == ["left"]
+    # The other eye's model may be saved from a file that is damaged.
     path.write_text("{")
-    assert add_eye_models(path, [of_eye("right")]) == ()
-    assert list(load_eye_models(path)) == ["right"]
+    with pytest.raises(BadInputError, match="cannot be read as a model file"):
+        add_eye_models(path, [of_eye("right")])
+    assert path.read_text() == "{"
 
 
 def test_any_table_of_terms_comes_back(tmp_path):
@@ -328,10 +354,12 @@ def spread_of(record):
         (lambda s: s.update(rank=4), "unknown key 'rank'"),
         (lambda s: s["joint"]["unit"].pop(), r"\[joint\]: 'unit' must hold positive numbers, 2 for each variable"),
         (lambda s: s["apart"]["unit"].__setitem__(0, 0.0), r"\[apart\]: 'unit' must hold positive numbers"),
-        (lambda s: s["joint"]["values"].pop(), "'values' must be 15 lists of 6 whole numbers: terms by factors"),
+        (lambda s: s["joint"]["unit"].__setitem__(0, 1e9), r"\[joint\]: 'unit' makes factors above 100"),
+        (lambda s: s["joint"]["values"].pop(), "'values' must be 15 lists of 6 whole numbers"),
         (lambda s: s["joint"]["values"][3].pop(), "'values' must be 15 lists of 6 whole numbers"),
         (lambda s: s["joint"]["values"][3].__setitem__(0, 0.5), "'values' must be 15 lists of 6 whole numbers"),
-        (lambda s: s["joint"].pop("values"), "'values' must be 15 lists of 6 whole numbers"),
+        (lambda s: s["joint"]["values"][3].__setitem__(0, 10**30), "'values' has a number beyond 64 bits"),
+        (lambda s: s["joint"].pop("values"), "key 'values' is missing"),
         (lambda s: s["joint"].update(orders=[[0, 0, 0, 0]] * 15), "has the same 'orders' twice"),
         (lambda s: s["joint"].update(orders=[[0, 0, 0, -1]]), "'orders' must be whole numbers from 0 to 50"),
         (lambda s: s["joint"].update(low=[0.0]), "unknown key 'low'"),

@@ -1,5 +1,7 @@
 """Prescriptions: the shipped ones are whole, units and frames are right, and faults are named in one sentence."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from wlr_render.optics.device import Interaction
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Offset
+from wlr_render.optics.traced_mappings import traced_eye
 
 GOOD = """
 name = "toy"
@@ -188,11 +191,41 @@ def test_other_eye_is_mirrored(tmp_path):
         (_RAISED[0], 'shape = "raised"\nof = "front"', "'error' is missing"),
         ('frame = "opencv"', 'frame = "opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
         ("index = 1.5", "index = -1.5", "'index' must be positive"),
-        ("index = 1.5", "index = 1.5\nindex_shift = -1.6", "'index_shift' makes the refractive index negative"),
+        ("index = 1.5", "index = 1.5\nindex_shift = -0.6", "the index with 'index_shift' is 0.9; a refractive"),
+        ("index = 1.5", "index = 15", "'index' is 15; a refractive index lies between 1 and 5"),
+        ("index = 1.5", "index = 1e400", "'index' must be finite"),
+        ("radius_mm = -80", "radius_mm = 1e15", r"'radius_mm' has a length of 1e\+15 mm, more than the plausible"),
+        (
+            'shape = "conic"\nradius_mm = -80\nconic = -0.5',
+            'shape = "xy_polynomial"\nsag_mm = { y6 = -1 }',
+            r"surface\]\] number 1: rises .* mm per mm within its aperture, more than the plausible 20",
+        ),
+        ("origin_mm = [30, 2, 50]", "origin_mm = [30, 2, 30000]", "has a length of 30000 mm, .*is it in micrometres"),
+        ("aperture_x_mm = [-30, 30]", "aperture_x_mm = [-30, 30000]", "is it in micrometres"),
+        ("size_mm = [10, 8, 6]", "size_mm = [10000, 8, 6]", r"\[eye_box\]: 'size_mm' has a length of 10000 mm"),
+        ("size_mm = [10, 8, 6]", "size_mm = [0.01, 0.008, 0.006]", r"'size_mm' is below 0.1 mm .*; is it in metres"),
+        ("size_mm = [40, 20]", "size_mm = [40000, 20]", r"\[panel\]: 'size_mm' has a length of 40000 mm"),
+        (
+            "pixels = [800, 400]",
+            "pixels = [1000000000, 400]",
+            r"\[panel\] 'pixels': has 1000000000x400 pixels, more than",
+        ),
+        (
+            "eye_box = {",
+            "field_deg = [-130, 130, -10, 10]\neye_box = {",
+            "'field_deg' must lie between -89 and 89 degrees",
+        ),
+        ('source = "test"', f'source = "{9000 * "x"}"', "'source' has 9000 characters; shorten it"),
+        (
+            'display_path = [{ at = "front", do = "reflect" }]',
+            "display_path = [" + 101 * '{ at = "front", do = "reflect" }, ' + "]",
+            "'display_path' has 101 entries; 100 is the most that is read",
+        ),
         ("index = 1.5", "index = 1.5\nindex_shift = nan", "'index_shift' must be finite"),
         ("pixels = [800, 400]", "pixels = [800, 400.5]", "'pixels' must be two whole numbers"),
-        ("size_mm = [40, 20]", "size_mm = [40, 0]", "'size_mm' must be positive"),
-        ("size_mm = [10, 8, 6]", "size_mm = [10, 8, -6]", "'size_mm' must be positive"),
+        ("size_mm = [40, 20]", "size_mm = [40, 0]", r"'size_mm' is \[40.0, 0.0\]; the sides of a panel are 0.5"),
+        ("size_mm = [40, 20]", "size_mm = [0.04, 0.02]", "is it in metres"),
+        ("size_mm = [10, 8, 6]", "size_mm = [10, 8, -6]", "'size_mm' has the value -6; it must be above 0"),
         ("v_axis = [0, 0, -1]", "v_axis = [1, 0, -1]", "'u_axis' and 'v_axis' must be perpendicular"),
         ("aperture_x_mm = [-30, 30]", "aperture_x_mm = [30, -30]", "low below high"),
         ('name = "back"', 'name = "front"', "there is already a surface 'front'"),
@@ -228,7 +261,10 @@ def test_unused_surfaces_double_eyes_and_no_eye_are_refused(tmp_path):
         load(tmp_path, GOOD[: GOOD.index("[[medium]]")] + "eye = []\n")
 
 
-@pytest.mark.parametrize(("term", "sentence"), [("{ z2 = 1.0 }", "'z2' is no term"), ("{}", "no coefficient")])
+@pytest.mark.parametrize(
+    ("term", "sentence"),
+    [("{ z2 = 1.0 }", "'z2' is no term"), ("{}", "no coefficient"), ("{ x99999y = 1 }", "is of order 100000; 20 is")],
+)
 def test_terms_of_a_polynomial_are_checked(tmp_path, term, sentence):
     text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', f'shape = "xy_polynomial"\nsag_mm = {term}')
     with pytest.raises(BadInputError, match=sentence):
@@ -238,3 +274,27 @@ def test_terms_of_a_polynomial_are_checked(tmp_path, term, sentence):
 def test_unknown_name_lists_the_shipped_ones():
     with pytest.raises(BadInputError, match="northstar"):
         load_device("northstat")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("radius_mm = -80", "radius_mm = 1e-9", "toy: every see-through ray .* is lost .81 "),
+        ("origin_mm = [30, 2, 50]", "origin_mm = [30, 2, -50]", "toy: every see-through ray"),
+        ("centre_mm = [30, -40, 50]", "centre_mm = [30, -40, -1500]", "toy: no ray from the middle of the eye box"),
+    ],
+)
+def test_a_device_that_loses_every_ray_says_so(tmp_path, old, new, sentence):
+    assert old in GOOD
+    device = load(tmp_path, GOOD.replace(old, new))
+    with pytest.raises(BadInputError, match=sentence):
+        traced_eye(device).display.view_dir_of_pixel(np.array([400.0, 200.0]), np.array([0.03, -0.001, -0.002]))
+
+
+def test_surfaces_stated_by_one_another_end_somewhere(tmp_path):
+    more = "".join(
+        f'[[eye.surface]]\nname = "{name}"\nshape = "offset"\nof = "{base}"\ndistance_mm = 1\n'
+        for base, name in itertools.pairwise(["front", *"abcdefg"])
+    )
+    with pytest.raises(BadInputError, match="'of' leads through more than 6 surfaces"):
+        load(tmp_path, GOOD + more)

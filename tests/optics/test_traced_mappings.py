@@ -246,3 +246,18 @@ def test_a_panel_that_no_ray_reaches_is_refused(tmp_path):
     eye = traced_eye(load_device(hidden))
     with pytest.raises(BadInputError, match="no ray from the middle of the eye box reaches the panel"):
         eye.display.view_dir_of_pixel(np.zeros(2), np.zeros(3))
+
+
+def test_a_display_whose_pixels_are_not_found_is_refused(tmp_path):
+    text = resource("devices", "freeform40.toml").read_text(encoding="utf-8")
+    path = tmp_path / "wavy.toml"
+    path.write_text(text.replace("y6 = -7.73169236e-10", "y6 = -2e-6"))
+    eye = traced_eye(load_device(path))
+    with pytest.raises(BadInputError, match=r"no ray was found from the middle of the eye box to \d+% of the panel's"):
+        eye.display.view_dir_of_pixel(eye.display.panel.grid(3, 3), eye.eye_box.centre)
+
+
+@pytest.mark.parametrize("wavelength_um", [0.0, -0.5, 550.0, np.nan])
+def test_a_wavelength_that_is_no_light_is_refused(wavelength_um):
+    with pytest.raises(BadInputError, match=r"the wavelength is .*; give micrometres from 0\.3 to 3"):
+        traced_eye(load_device("no_optics"), "right", wavelength_um)

@@ -1,14 +1,15 @@
+import cpu_warp
 import numpy as np
 import pytest
+from cpu_raster import raster_on_cpu
+from cpu_warp import warp_on_cpu
 from gl_scenes import at, cube, lit, quad, unlit, view
+from warping import warp_pixels
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering import cpu_warp
-from wlr_render.rendering.cpu_warp import inverse_depth_at, warp_on_cpu
 from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.raster_backends import EmbreeRaster
+from wlr_render.rendering.painters import inverse_depth_at
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warp import WarpStatus
@@ -144,15 +145,21 @@ def test_it_warps_as_opengl_does(gl_context):
     slope_offset = bend_over()
     slope_offset[:, 10:14, 30:50] = np.nan
     image = GlRaster(gl_context, scene).draw_on_gpu(view(CAMERA))
-    theirs = GlWarp(gl_context).warp(image, slope_offset, with_source=True)
+    theirs = warp_pixels(gl_context, image, [slope_offset])
     ours = warp_on_cpu(image.read(), CAMERA, [slope_offset])
-    same = ours.status == theirs.status
-    assert same.mean() > 0.999
+    beside_hole = np.zeros(ours.status.shape, bool)
+    beside_hole[9:15, 29:51] = True  # OpenGL's hole has its border between pixels
+    beside_hole[10:14, 30:50] = False
+    same = (ours.status == theirs.status) & ~beside_hole
+    assert same[~beside_hole].mean() > 0.999
     assert {int(WarpStatus.SEEN), int(WarpStatus.DISOCCLUDED), int(WarpStatus.NO_RAY)} <= set(ours.status[same])
     found = same & (ours.status <= WarpStatus.DISOCCLUDED)
     apart = np.abs(ours.source[found] - theirs.source[found]).max(axis=-1)
-    # A search that ends within rounding of an edge may end on its other side.
-    assert (apart < 1e-3).mean() > 0.999
+    # A search that ends within rounding of an edge may end on its other side; what stands in for a hidden point is
+    # found to a fraction of a step.
+    seen = ours.status[found] == WarpStatus.SEEN
+    assert (apart[seen] < 1e-3).mean() > 0.999
+    assert (apart < 0.05).mean() > 0.999
     alike = np.abs(ours.colour[found].astype(int) - theirs.colour[found])[apart < 1e-3]
     assert alike.max() <= 1
 
@@ -160,7 +167,7 @@ def test_it_warps_as_opengl_does(gl_context):
 def test_raster_and_warp_give_the_traced_picture_of_a_plane():
     scene = unlit((quad((-3, -3), (3, 3), texture=TEXTURE), at(0, 0, -2)))
     slope_offset = bend_over()
-    warped = warp_on_cpu(EmbreeRaster(scene).draw(view(CAMERA)), CAMERA, [slope_offset])
+    warped = warp_on_cpu(raster_on_cpu(scene, view(CAMERA)), CAMERA, [slope_offset])
     a, b, c, d = slope_offset
     origin = np.stack([c, d, 0 * c], axis=-1)
     direction = np.stack([a, b, -np.ones_like(a)], axis=-1)

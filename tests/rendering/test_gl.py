@@ -18,7 +18,7 @@ def test_missing_gl_is_one_sentence_with_the_remedy(backend, monkeypatch):
         monkeypatch.setenv(name, value)
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     monkeypatch.setattr("ctypes.CDLL", lambda name: (_ for _ in ()).throw(OSError(f"{name}: not found")))
-    with pytest.raises(MissingGlError, match=r"install libegl1 and libgl1, or libosmesa6, or draw with the CPU"):
+    with pytest.raises(MissingGlError, match=r"install libegl1 and libgl1, or libosmesa6, or draw ray-traced"):
         gl.open_context(backend)
 
 

@@ -1,14 +1,34 @@
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import Status
+from wlr_render.mappings import EyeMappings, QueryResult, Status
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, middle_axes, solve_every_pixel
 from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
+
+
+@dataclass(frozen=True)
+class BlindAtRight:
+    """A display whose solve fails for viewpoints beyond the eye box's right side."""
+
+    whole: object
+
+    @property
+    def panel(self):
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        answer = self.whole.view_dir_of_pixel(pixel, viewpoint)
+        if viewpoint[0] <= 0.005:
+            return answer
+        failed = np.full(answer.status.shape, Status.NOT_CONVERGED, np.uint8)
+        return QueryResult(np.full_like(answer.value, np.nan), failed)
 
 
 def plan_of(eye, columns=21, rows=31, count=None):
@@ -44,20 +64,40 @@ def test_planar_models_agree_with_the_shader(gl_context):
     assert error[~inside].max() < 3e-5
 
 
-def test_around_an_unsolved_node_every_point_is_solved_and_keeps_its_status(gl_context, toy_headset_with_hole):
+def test_nodes_without_an_answer_are_filled_and_the_hole_stays(gl_context, toy_headset, toy_headset_with_hole):
     eye = toy_headset_with_hole
-    plan, viewpoint = plan_of(eye, 49, 41, 9), eye.eye_box.centre
-    field = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)
-    exact = solve_every_pixel(eye, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel())
-    assert 0 < (exact.status == Status.MISS).sum() < 50
-    np.testing.assert_array_equal(field.read_status(), exact.status)
-    np.testing.assert_array_equal(field.read_slope_offset(), exact.slope_offset)
+    plan = plan_of(eye, 49, 41, 9)
+    solver = GlNodeSolver(gl_context, eye, plan)
+    for unit in ([0, 0, 0], [0.8, -0.7, 0.9], [1.4, 1.2, -1]):
+        viewpoint = eye.eye_box.at(np.array(unit, float))
+        whole = solve_every_pixel(toy_headset, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel())
+        in_hole = solve_every_pixel(eye, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel()).status > 0
+        assert 0 < in_hole.sum() < 50
+        field = solver.solve(viewpoint)
+        found = field.read_slope_offset()
+        np.testing.assert_array_equal(np.isnan(found).all(axis=0), in_hole)
+        np.testing.assert_allclose(found[:, ~in_hole], whole.slope_offset[:, ~in_hole], atol=2e-4)
+        status = field.read_status()
+        assert (status[in_hole] == Status.MISS).all()
+        # Points around filled nodes are counted too.
+        assert in_hole.sum() <= (status == Status.MISS).sum() < 0.2 * status.size
+
+
+def test_where_no_node_has_an_answer_the_last_map_is_kept(gl_context, toy_headset):
+    blind = EyeMappings(
+        "blind", "right", BlindAtRight(toy_headset.display), toy_headset.see_through, toy_headset.eye_box
+    )
+    nodes = GlNodeSolver(gl_context, blind, plan_of(toy_headset, count=9))
+    last = nodes.solve(toy_headset.eye_box.at(np.array([0.3, 0.5, 0]))).read()
+    field = nodes.solve(toy_headset.eye_box.at(np.array([1.2, 0, 0]))).read()
+    np.testing.assert_array_equal(field.slope_offset, last.slope_offset)
+    assert (field.status == Status.NOT_CONVERGED).all()
 
 
 def test_a_viewpoint_that_is_none_is_refused_and_the_field_stays(gl_context, toy_headset):
     nodes = GlNodeSolver(gl_context, toy_headset, plan_of(toy_headset))
     field = nodes.solve(toy_headset.eye_box.centre)
     before = field.read_slope_offset()
-    with pytest.raises(BadInputError, match="not three finite numbers"):
+    with pytest.raises(BadInputError, match=r"is \[0.0, nan, 0.0\]; give three finite numbers"):
         nodes.solve(np.array([0.0, np.nan, 0.0]))
     np.testing.assert_array_equal(field.read_slope_offset(), before)

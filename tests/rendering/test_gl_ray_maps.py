@@ -9,10 +9,8 @@ from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangen
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import Status
 from wlr_render.numerics.polynomial import Box
-from wlr_render.rendering import gl
-from wlr_render.rendering.cpu_ray_maps import CpuPixelSolver
-from wlr_render.rendering.gl_ray_maps import MAX_ITERATIONS, GlPlanarSolver
-from wlr_render.rendering.ray_map import NEAREST_M, middle_axes
+from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
+from wlr_render.rendering.ray_map import NEAREST_M, middle_axes, solve_every_pixel
 from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
@@ -32,7 +30,7 @@ def gl_solve(context, eye):
 
 
 def float64_field(eye, viewpoint, warp_grid=None):
-    return CpuPixelSolver(eye, warp_grid or picture(eye), middle_axes(eye)).solve(viewpoint)
+    return solve_every_pixel(eye, viewpoint, middle_axes(eye), (warp_grid or picture(eye)).panel_pixel())
 
 
 def at(eye, unit):
@@ -101,20 +99,6 @@ def test_the_points_are_those_of_the_warp_grid(gl_context, make):
     np.testing.assert_allclose(solved.read_slope_offset(), exact.slope_offset, atol=2e-6)
 
 
-def view_tangents(context, solved):
-    with context.drawing():
-        return gl.read(solved.view_tangents, np.float32)
-
-
-def test_view_tangents_are_those_of_the_display(gl_context):
-    eye = fitted_eye("northstar", 3)
-    viewpoint = at(eye, [0.5, -0.7, 1])
-    solved = gl_solve(gl_context, eye).solve(viewpoint)
-    seen = eye.display.view_dir_of_pixel(picture(eye).panel_pixel(), viewpoint)
-    tangents = view_tangents(gl_context, solved).astype(float)
-    assert arcmin_between(dir_of_tangents(tangents), seen.value).max() < 0.01
-
-
 @pytest.mark.parametrize("which", ["display", "see_through", "eye_box"])
 def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, which):
     eye = fitted_eye("birdbath28", 3)
@@ -133,62 +117,14 @@ def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, w
     assert np.isfinite(field.slope_offset).all()
 
 
-@pytest.mark.parametrize("moved", [(1e-4, 0, 0), (-6e-4, 5e-4, -6e-4)], ids=["0.1 mm", "1 mm"])
-@pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("placed", [lambda eye: eye, with_planes_tilted], ids=["untilted", "tilted"])
-def test_warm_start_halves_the_iterations_and_changes_nothing_else(gl_context, device, moved, placed):
-    eye = placed(fitted_eye(device, 5))
-    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
-    cold = solve.solve(viewpoint + moved)
-    cold_field, cold_count = cold.read(), cold.read_iterations().mean()
-    solve.forget()
-    solve.solve(viewpoint)
-    warm = solve.solve(viewpoint + moved)
-    print(f"{device}: {cold_count:.2f} iterations from cold, {warm.read_iterations().mean():.2f} after a step")
-    assert warm.read_iterations().mean() <= 0.55 * cold_count
-    assert_same(warm.read(), cold_field)
-
-
-def test_a_jump_of_the_viewpoint_is_recovered_in_one_solve(gl_context):
-    eye = fitted_eye("northstar", 5)
-    solve, half = gl_solve(gl_context, eye), np.array([2.5e-3, 0, 0])
-    before = at(eye, [0, 0.2, 0.9])
-    solve.solve(before - half)
-    after = solve.solve(before + half)
-    exact = float64_field(eye, before + half)
-    np.testing.assert_array_equal(after.read().status, exact.status)
-    assert worst_arcmin(after.read(), exact) < 0.01
-    assert after.read_iterations().max() <= 2
-
-
-def test_forgetting_makes_the_next_solve_the_first(gl_context):
-    eye = fitted_eye("freeform40", 3)
-    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
-    first = solve.solve(viewpoint)
-    slope_offset, iterations = first.read().slope_offset, first.read_iterations()
-    assert (solve.solve(viewpoint).read_iterations() == 1).all()
-    solve.forget()
-    again = solve.solve(viewpoint)
-    np.testing.assert_array_equal(again.read().slope_offset, slope_offset)
-    np.testing.assert_array_equal(again.read_iterations(), iterations)
-
-
-@pytest.mark.parametrize("spoilt", [1e38, np.inf, np.nan])
-def test_a_start_that_leads_nowhere_is_followed_by_the_cold_one(gl_context, spoilt):
+def test_a_frame_does_not_depend_on_the_last(gl_context):
     eye = fitted_eye("northstar", 5)
     solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
-    cold = solve.solve(viewpoint)
-    expected, iterations = cold.read(), cold.read_iterations()
-    tangents = view_tangents(gl_context, cold)
-    every_other = np.s_[20:60:2, 31:70:2]  # what a pixel needs must not touch its neighbours
-    tangents[every_other] = spoilt
-    with gl_context.drawing():
-        cold.view_tangents.write(tangents)
-    again = solve.solve(viewpoint)
-    expected_count = np.ones_like(iterations)
-    expected_count[every_other] = iterations[every_other] + (MAX_ITERATIONS if np.isfinite(spoilt) else 0)
-    np.testing.assert_array_equal(again.read_iterations(), expected_count)
-    assert_same(again.read(), expected)
+    first = solve.solve(viewpoint).read()
+    solve.solve(viewpoint + [5e-3, 0, 0])
+    again = solve.solve(viewpoint).read()
+    np.testing.assert_array_equal(again.slope_offset, first.slope_offset)
+    np.testing.assert_array_equal(again.status, first.status)
 
 
 @pytest.mark.parametrize("away", [[0, 0, 0.3], [0.5, -0.2, 0.1], [0, 1e4, 1e6]])
@@ -204,15 +140,14 @@ def test_a_viewpoint_far_away_gives_statuses_and_spoils_nothing(gl_context, away
 
 
 @pytest.mark.parametrize("viewpoint", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
-def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_warm(gl_context, viewpoint):
+def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_right(gl_context, viewpoint):
     eye = fitted_eye("freeform40", 3)
     solve = gl_solve(gl_context, eye)
     expected = solve.solve(at(eye, [0.6, 0.3, 0.9])).read()
-    with pytest.raises(BadInputError, match="not three finite numbers; give"):
+    with pytest.raises(BadInputError, match="; give three finite numbers"):
         solve.solve(np.array(viewpoint))
     again = solve.solve(at(eye, [0.6, 0.3, 0.9]))
     assert_same(again.read(), expected)
-    assert (again.read_iterations() == 1).all()
 
 
 def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
 from gl_caller import assert_same, run
+from warping import field_of_pixels
 
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
@@ -43,8 +44,11 @@ def test_odd_values_are_odd(caller):
     }
 
 
-def test_all_state_is_found_again_after_each_kind_of_block(caller):
-    caller.set_odd_values()
+@pytest.mark.parametrize("is_odd", [True, False])
+def test_all_state_is_found_again_after_each_kind_of_block(caller, is_odd):
+    """From odd values, and from OpenGL's own, which need not be restored unless our drawing changes them."""
+    if is_odd:
+        caller.set_odd_values()
     before = caller.state()
     context = gl.adopt_context(caller.ctx)
     assert_same(caller.state(), before)
@@ -54,7 +58,9 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller):
     assert_same(caller.state(), before)
     picture.read()
     assert_same(caller.state(), before)
-    GlWarp(context).warp(picture, np.zeros((4, 6, 7), np.float32))
+    rays = field_of_pixels(context, np.zeros((4, 6, 7), np.float32))
+    assert_same(caller.state(), before)
+    GlWarp(context).draw(picture, [rays], np.eye(4), (7, 6))
     assert_same(caller.state(), before)
     eye = fitted_eye("northstar", 3)
     field = GlPlanarSolver(context, eye, WarpGrid.of_pixels(eye.display.panel, (8, 9)), np.eye(3)).solve(
@@ -175,7 +181,33 @@ def test_a_version_below_is_refused_and_stays_usable(caller):
         assert frame.read() == bytes([51, 102, 153]) * 16
     """
     told = run(script, MESA_GL_VERSION_OVERRIDE="3.3")
-    assert told.count("The OpenGL context has version 3.3, the renderer needs 4.3: ask for a 4.3 core profile") == 2
+    assert told.count("The OpenGL context has version 3.3, the renderer needs 4.1: ask for a 4.1 core profile") == 2
+
+
+def test_a_context_of_version_4_1_is_adopted(caller):
+    script = """
+        import moderngl, gl_scenes, numpy as np
+        from fitted_eyes import fitted_eye
+        from wlr_render.compositing.compositor import Compositor
+        from wlr_render.rendering.gl_raster import GlRaster
+        from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
+        ctx = moderngl.create_context(standalone=True, require=410, backend="egl")
+        assert ctx.version_code == 410, ctx.version_code
+        eye = fitted_eye("northstar", 3)
+        with Compositor(eye, (72, 60), context=ctx) as compositor:
+            (camera,) = compositor.begin_frame(np.eye(4), eye.eye_box.centre).values()
+            frame = ctx.simple_framebuffer(camera.size_px)
+            frame.clear(0.2, 0.4, 0.6, depth=0.5)
+            compositor.submit(frame, stored=StoredDepth(DepthKind.WINDOW, 0.5, 4.0))
+            assert (compositor.compose().read().max(axis=(0, 1)) == [51, 102, 153]).all()
+            scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
+            picture = GlRaster(compositor.context, scene).draw(gl_scenes.view(), ("position", "ids"))
+            assert (picture.inverse_depth > 0).sum() > 100
+        assert ctx.error == "GL_NO_ERROR"
+        print("composed")
+    """
+    environment = {"MESA_GL_VERSION_OVERRIDE": "4.1", "MESA_GLSL_VERSION_OVERRIDE": "410"}
+    assert run(script, **environment) == "composed\n"
 
 
 def test_inside_a_plain_pyrender_program(gl_context):

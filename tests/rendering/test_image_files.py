@@ -56,6 +56,34 @@ def test_a_browser_plays_the_video(tmp_path):
     assert 'title="48 x 32, 0.5 s"' in open_page(page, tmp_path).dom
 
 
+@pytest.mark.parametrize(
+    ("write", "name"),
+    [
+        (lambda path: image_files.write_png(path, np.zeros((4, 6, 3))), "a.png"),
+        (lambda path: image_files.write_png(path, np.zeros((4, 6, 4), np.uint8)), "a.png"),
+        (lambda path: image_files.write_png(path, np.zeros((0, 6, 3), np.uint8)), "a.png"),
+        (lambda path: image_files.write_png(path, None), "a.png"),
+        (lambda path: image_files.write_map(path, np.zeros((4, 6), np.float32)), "a.tiff"),
+        (lambda path: image_files.write_map(path, np.zeros((4, 6, 3), complex)), "a.tiff"),
+        (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3), np.uint8)], 0.0), "a.mp4"),
+        (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3), np.uint8)], np.nan), "a.mp4"),
+        (lambda path: image_files.write_video(path, [np.zeros((n, 48, 3), np.uint8) for n in (32, 16)], 9.0), "a.mp4"),
+        (lambda path: image_files.write_video(path, [np.zeros((32, 48, 3))], 9.0), "a.mp4"),
+    ],
+)
+def test_what_opencv_would_convert_or_crash_on_is_refused(tmp_path, write, name):
+    with pytest.raises(BadInputError, match=name):
+        write(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_map_of_one_channel_is_no_map(tmp_path):
+    path = tmp_path / "m.tiff"
+    cv2.imwrite(str(path), np.ones((3, 4), np.float32))
+    with pytest.raises(BadInputError, match=r"m\.tiff: is not a float map of three channels"):
+        image_files.read_map(path)
+
+
 def test_faults_name_the_file(tmp_path):
     with pytest.raises(BadInputError, match="no frames"):
         image_files.write_video(tmp_path / "v.mp4", [], 30.0)

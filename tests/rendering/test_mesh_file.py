@@ -1,5 +1,6 @@
 import base64
 import json
+import re
 import struct
 import zlib
 from dataclasses import replace
@@ -10,6 +11,8 @@ import pytest
 from glb_writer import save_glb
 
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import InputLimits, outside_references
+from wlr_render.rendering import mesh_checks
 from wlr_render.rendering.mesh_file import load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_positions
 from wlr_render.rendering.shapes import construction, objects
@@ -191,6 +194,66 @@ def test_triangles_without_area_are_dropped(tmp_path):
     assert len(mesh.triangles) == 1
 
 
+def chain(count):
+    return [{"children": [i + 1]} for i in range(count)] + [{"mesh": 0}]
+
+
+def accessors(**changes):
+    """Those of `gltf`, the first one changed."""
+    rows = ((5126, "VEC3"), (5125, "SCALAR"), (5126, "VEC2"))
+    stated = [{"bufferView": i, "componentType": c, "count": 3, "type": t} for i, (c, t) in enumerate(rows)]
+    return [stated[0] | changes, *stated[1:]]
+
+
+def binary_ply(folder, corners):
+    """A PLY of one triangle, whose faces say that they have so many corners."""
+    header = ply(folder).read_bytes().partition(b"end_header\n")[0].replace(b"ascii", b"binary_little_endian")
+    header = re.sub(rb"property uchar \w+\n", b"", header).replace(b"face 1", b"face %d" % len(corners))
+    faces = b"".join(bytes([count]) + struct.pack("<4i", 0, 1, 2, 0)[: 4 * min(count, 4)] for count in corners)
+    path = folder / "wedge.ply"
+    path.write_bytes(header + b"end_header\n" + np.float32([0, 0, 0, 1, 0, 0, 0, 1, 0]).tobytes() + faces)
+    return path
+
+
+def changed(path, old, new):
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new))
+    return path
+
+
+def bomb():
+    """A small PNG that claims to be a large one."""
+    small, large = (b"IHDR" + struct.pack(">IIBBBBB", n, n, 8, 2, 0, 0, 0) for n in (2, 50_000))
+    return png(CORNERS).replace(
+        small + struct.pack(">I", zlib.crc32(small)), large + struct.pack(">I", zlib.crc32(large))
+    )
+
+
+def glb(folder, length):
+    """That of `gltf`, its buffer of a stated length."""
+    content = json.loads(gltf(folder).read_text())
+    blob = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
+    text = json.dumps(content | {"buffers": [{"byteLength": length}]}).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    path = folder / "wedge.glb"
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    return path
+
+
+def half():
+    """A PNG with two rows of four."""
+    whole, two = (b"IHDR" + struct.pack(">IIBBBBB", 2, n, 8, 2, 0, 0, 0) for n in (4, 2))
+    crc = [struct.pack(">I", zlib.crc32(each)) for each in (two, whole)]
+    return png(CORNERS).replace(two + crc[0], whole + crc[1])
+
+
+HALF = "data:image/png;base64," + base64.b64encode(half()).decode()
+PLACE = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+LAST_LIGHT = {"KHR_lights_punctual": {"light": -1}}
+GLOSSY = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [5, 0, 0, 1]}}
+BOMB = "data:image/png;base64," + base64.b64encode(bomb()).decode()
 SPOT = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
 SPOT_NODES = [{"mesh": 0, "name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 0}}}]
 TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}], "textures": [{"source": 0}]}
@@ -210,6 +273,72 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: gltf(d, extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compression"),
         (lambda d: gltf(d, nodes=SPOT_NODES, extensions=SPOT), "light 'bulb' is of kind 'spot'"),
         (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "gone.bin"}]), "its file gone.bin is missing"),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "children": [0]}]), "nodes 0 is its own child"),
+        (lambda d: gltf(d, nodes=chain(300)), "nests its nodes more than 200 deep"),
+        (lambda d: gltf(d, nodes=[{"mesh": 7}]), "refers to number 7 of 'meshes', which has 1 entries"),
+        (lambda d: gltf(d, nodes=[{"mesh": -1}]), "refers to number -1 of 'meshes'"),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "matrix": [1e30] * 16}]), "nodes 0: 'matrix' is [1e+30,"),
+        (
+            lambda d: gltf(d, nodes=[{"mesh": 0, "translation": [0, 0, float("nan")]}]),
+            "nodes 0: 'translation' is [0, 0, nan], not 3",
+        ),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "rotation": [0, 0, 0, 0]}]), "nodes 0: 'rotation' has length 0, not 1"),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "scale": [1, 0, 1]}]), "has no size or no finite place"),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "scale": [1e8, 1, 1]}]), "has no size or no finite place"),
+        (lambda d: gltf(d, positions=[[0, 0, 0], [1, 0, 0], [0, 1e30, 0]]), "a vertex that is not finite in 32 bits"),
+        (lambda d: gltf(d, accessors=[{"componentType": 5126, "count": 10**9, "type": "VEC3"}]), "which is not read"),
+        (lambda d: gltf(d, accessors=accessors(count=4)), "accessors 0 ends at byte 48, beyond bufferViews 0"),
+        (lambda d: gltf(d, accessors=accessors(count=10**10)), "accessors 0: 'count' is 10000000000, not a whole"),
+        (lambda d: gltf(d, accessors=accessors(sparse={"count": 1})), "accessors 0 is sparse"),
+        (lambda d: gltf(d, accessors=accessors(componentType=5125)), "POSITION is not of type VEC3 in floats"),
+        (lambda d: gltf(d, accessors=accessors(type="VEC2")), "POSITION is not of type VEC3 in floats"),
+        (
+            lambda d: gltf(d, accessors=[accessors()[0], accessors()[0], accessors()[2]]),
+            "its indices are not of type SCALAR",
+        ),
+        (lambda d: glb(d, 80), "buffers 0 has 72 bytes, not 80"),
+        (lambda d: glb(d, 60), "bufferViews 2 ends at byte 72, beyond buffers 0"),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "matrix": [1, 0, 0, 0.5, *PLACE[4:]]}]), "the last row of 'matrix'"),
+        (lambda d: gltf(d, nodes=[{"mesh": 0, "extensions": LAST_LIGHT}], extensions=SPOT), "'light' is -1"),
+        (lambda d: gltf(d, materials=[{"extensions": GLOSSY}]), "its 'diffuseFactor' is [5, 0, 0, 1]"),
+        (lambda d: gltf(d, images=[{"uri": HALF}], **TEXTURED), "texture of mesh 'wedge': cannot be read"),
+        (
+            lambda d: gltf(d, materials=[{"pbrMetallicRoughness": {"baseColorFactor": [-1, 0, 0, 1]}}]),
+            "'baseColorFactor'",
+        ),
+        (lambda d: gltf(d, images=[{"uri": "../t.png"}], **TEXTURED), "'../t.png' leads out of the folder"),
+        (
+            lambda d: gltf(d, images=[{"uri": "data:image/png;base64,AAAA"}], **TEXTURED),
+            "images 0: cannot be read as",
+        ),
+        (lambda d: gltf(d, images=[{"uri": BOMB}], **TEXTURED), "it has more than 134 million pixels"),
+        (lambda d: gltf(d, **TEXTURED), "refers to number 0 of 'images', which has 0 entries"),
+        (lambda d: obj(d, mtl="newmtl m\nmap_Kd ../t.png\n"), "'../t.png' leads out of the folder"),
+        (lambda d: obj(d, mtl="newmtl n\n"), "uses the material 'm', which 'wedge.mtl' lacks"),
+        (lambda d: obj(d, faces="f 0/1 2/2 3/3\n"), "line 9: has vertex 0"),
+        (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "data:,base64,AAAA"}]), "has 3 bytes, not 72"),
+        (lambda d: obj(d, faces="f 1/1 2/2 0/3\n"), "line 9: has vertex 0, but they are counted from 1"),
+        (lambda d: obj(d, mtl="newmtl m\nKd -1 0 0\n"), "'Kd' is '-1 0 0', not three numbers from 0 to 1"),
+        (lambda d: obj(d, mtl="newmtl m\nKd red\n"), "'Kd' is 'red', not three numbers from 0 to 1"),
+        (lambda d: obj(d, faces="f 1/1 2/2\n"), "line 9: has fewer than three numbers"),
+        (lambda d: obj(d, faces="f 1/1 2/2 3/9\n"), "refers to 'vt' number 9 of 3"),
+        (lambda d: obj(d, faces="f 1//1 2//1 3//1\n"), "refers to 'vn' number 1 of 0"),
+        (lambda d: obj(d, faces="v\nf 1 2 3\n"), "line 9: has fewer than three numbers"),
+        (lambda d: obj(d, faces="f 1 2 3\n"), "has a texture but no texture coordinates"),
+        (lambda d: changed(ply(d), b"face 1", b"face 2"), "promises 5 rows but has 4"),
+        (lambda d: changed(ply(d), b"vertex 3", b"vertex -3"), "'element vertex -3' has no count"),
+        (lambda d: changed(ply(d), b"0 1 0 0", b"0 x 0 0"), "has 'x' among its numbers"),
+        (lambda d: changed(ply(d), b"end_header", b"end"), "no 'end_header'"),
+        (
+            lambda d: changed(changed(ply(d), b"ascii", b"binary_little_endian"), b"vertex 3", b"vertex 1000000000"),
+            "promises at least 15000000000 bytes but has",
+        ),
+        (lambda d: binary_ply(d, (3, 4)), "the lists of 'face' have [3, 4] entries"),
+        (lambda d: binary_ply(d, (200,)), "promises at least 837 bytes but has 53"),
+        (lambda d: changed(ply(d), b"255 188 0", b"300 188 0"), "row 1 of 'vertex': 'red' is '300', not a byte"),
+        (lambda d: changed(ply(d), b"3 0 1 2", b"3 0 1 2 2"), "row 1 of 'face' has 5 numbers"),
+        (lambda d: changed(ply(d), b"0 255 188 0", b"0 1 255 188 0"), "row 1 of 'vertex' has 7 numbers"),
+        (lambda d: changed(ply(d), b"property uchar green\nproperty uchar blue\n", b""), "'vertex' has red alone"),
         (lambda d: obj(d, texture=False), "its file t.png is missing"),
         (lambda d: obj(d, mtl=""), "its file wedge.mtl is missing"),
         (lambda d: obj(d, faces="f 1/1 2/2 9/3\n"), "cannot be read"),
@@ -226,6 +355,21 @@ def test_a_faulty_file_is_refused_with_its_name(tmp_path, make, complaint):
     assert complaint in str(caught.value)
 
 
+def test_bytes_that_are_used_many_times_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(mesh_checks, "LIMITS", InputLimits(mesh_bytes=100))
+    load_meshes(gltf(tmp_path))
+    with pytest.raises(BadInputError, match=r"wedge\.gltf: uses the same bytes for more than 0\.0001 MB"):
+        load_meshes(gltf(tmp_path, accessors=2 * accessors()))
+
+
+def test_a_file_elsewhere_is_read_if_the_user_trusts_the_mesh(tmp_path):
+    (tmp_path / "t.png").write_bytes(png(CORNERS))
+    (tmp_path / "in").mkdir()
+    path = gltf(tmp_path / "in", images=[{"uri": "../t.png"}], **TEXTURED)
+    with outside_references():
+        assert load_meshes(path).meshes[0].texture.shape == (2, 2, 3)
+
+
 @pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj", ".ply"])
 def test_rubbish_and_empty_files_are_refused(tmp_path, suffix):
     for content in (b"", b"rubbish", bytes(range(256))):
@@ -238,5 +382,5 @@ def test_rubbish_and_empty_files_are_refused(tmp_path, suffix):
 def test_a_broken_texture_is_refused(tmp_path):
     path = obj(tmp_path)
     (tmp_path / "t.png").write_bytes(b"not a picture")
-    with pytest.raises(BadInputError, match=r"t\.png is missing or broken"):
+    with pytest.raises(BadInputError, match=r"wedge\.obj: its file t\.png: cannot be read as a picture"):
         load_meshes(path)

@@ -3,7 +3,8 @@ import pytest
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel
-from wlr_render.rendering.raster_camera import MAX_SAMPLES, SPACING_PX, largest_minification, samples_for
+from wlr_render.rendering.raster_camera import MAX_SAMPLES, largest_minification, samples_for
+from wlr_render.rendering.warp import SPACING_PX
 from wlr_render.rendering.warp_grid import WarpGrid
 
 CAMERA = Pinhole(300, 200, np.array([-0.6, -0.4]), np.array([0.6, 0.4]))

@@ -7,6 +7,7 @@ from glb_writer import save_glb
 from wlr_render.errors import BadInputError
 from wlr_render.files import shipped_names
 from wlr_render.geometry import transforms
+from wlr_render.rendering import scene_file
 from wlr_render.rendering.scene import Instance, LightSource, Scene, world_positions
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.shapes import construction
@@ -141,7 +142,10 @@ def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path, box_glb):
         (HEADER + "[[object]]\nshape = 'teapot'\n", "'shape' is 'teapot'; it must be one of ball, book"),
         (HEADER + "[[object]]\nname = 'x'\n", "needs either 'mesh', a file, or 'shape'"),
         (HEADER + BOX + "mesh = 'x.glb'\n", "needs either 'mesh', a file, or 'shape'"),
-        (HEADER + "[[object]]\nmesh = 'gone.glb'\n", "gone.glb: there is no such file"),
+        (HEADER + "[[object]]\nmesh = 'gone.glb'\n", "number 1: 'mesh' is 'gone.glb', and there is no such file"),
+        (HEADER + "[[object]]\nmesh = ''\n", "number 1: 'mesh' is ''; it must be a file with .glb"),
+        (HEADER + "object = []\n", "'object' is empty"),
+        (HEADER + BOX + "rotation_deg = [1e17, 0, 0]\n", "'rotation_deg' has the value 1e+17"),
         (HEADER + "[[object]]\nmesh = 'gone.glb'\nsize_m = [1, 1, 1]\n", "unknown key 'size_m'"),
         (HEADER + BOX + "size_m = [1, 1]\n", "'size_m' must be a list of 3 numbers"),
         (HEADER + BOX + "size_m = [1, 1, -1]\n", "'size_m' must not be negative"),
@@ -154,6 +158,23 @@ def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path, box_glb):
         (HEADER + BOX + "scale = 1\nscale_xyz = [1, 1, 1]\n", "has both 'scale' and 'scale_xyz'"),
         (HEADER + BOX + "rotation_deg = [0, 0, 0]\nquaternion_xyzw = [0, 0, 0, 1]\n", "has both 'rotation_deg'"),
         (HEADER + BOX + "quaternion_xyzw = [0, 0, 0, 2]\n", "'quaternion_xyzw' has length 2"),
+        (HEADER + BOX + "scale = 1e9\n", "a scale must be positive, from 1e-06 to 1e+06"),
+        (HEADER + BOX + "size_m = [200, 30, 170]\n", "'size_m' has a length of 200 m, more than the plausible 50 m"),
+        (HEADER + BOX + "position_m = [0, 0, -1500]\n", "'position_m' has a length of 1500 m"),
+        (HEADER + BOX + "scale = 5e4\n", "number 1 ('box' in the world) has a length of 5000 m"),
+        (HEADER + BOX + "colour = [0, 0, 1e9]\n", "'colour' must lie between 0 and 1e+06"),
+        (HEADER + "ambient = [0, 0, -1]\n" + BOX, "'ambient' must lie between 0 and 1e+06, not [0.0, 0.0, -1.0]"),
+        (HEADER + "background = [0, 0, 1e17]\n" + BOX, "'background' must lie between 0 and 1e+06"),
+        (
+            HEADER + BOX + "[[light]]\nkind = 'point'\nposition_m = [0, 0, 0]\ncolour = [1, -1, 1]\n",
+            "'colour' must lie",
+        ),
+        (HEADER + "[[object]]\nshape = 'sphere'\nsegments = 1000000000\n", "'segments' is 1e+09; 2000 is the most"),
+        (HEADER + "[[object]]\nshape = 'sculpture'\naround = 1999\nalong = 1999\n", "asks for 3996001 parts"),
+        (HEADER + "[[object]]\nshape = 'dot_board'\ncolumns = 500\nrows = 500\n", "number 1: A dot board of 500 x 500"),
+        (HEADER + 1001 * BOX, "'object' has 1001 entries; 1000 is the most"),
+        (HEADER + "[[object]]\nmesh = '../gone.glb'\n", "number 1: 'mesh': '../gone.glb' leads out of the folder"),
+        (HEADER + "[[object]]\nmesh = '/gone.glb'\n", "number 1: 'mesh': '/gone.glb' leads out of the folder"),
         (HEADER + BOX + "[[light]]\nkind = 'spot'\n", "[[light]] number 1: 'kind' is 'spot'"),
         (HEADER + BOX + "[[light]]\nkind = 'directional'\ndirection = [0, 0, 0]\n", "'direction' has no length"),
         (HEADER + BOX + "[[light]]\nkind = 'point'\nposition_m = [0, 0, 0]\ncolor = [1, 1, 1]\n", "found 'color' inst"),
@@ -163,6 +184,12 @@ def test_a_faulty_scene_is_refused_with_its_file(tmp_path, text, complaint):
     with pytest.raises(BadInputError, match=r"mine\.toml|gone\.glb") as caught:
         scene_of(tmp_path, text)
     assert complaint in str(caught.value)
+
+
+def test_a_scene_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(scene_file, "_MOST_TRIANGLES", 20)
+    with pytest.raises(BadInputError, match=r"number 2: brings the scene to more than 20 triangles"):
+        scene_of(tmp_path, HEADER + BOX + BOX)
 
 
 def test_an_unknown_name_lists_the_shipped_scenes():

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from warping import BACKENDS, uploaded, uploaded_field, warped
+from cpu_warp import warp_on_cpu
+from warping import uploaded, uploaded_field
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -55,96 +56,110 @@ def assert_alike(one, other, share=0.999):
     assert np.abs(one.colour[found].astype(int) - other.colour[found])[close].max() <= 1
 
 
-def same_by_both(request, *args, **options):
+CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 21, 16)
+FINE_CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 81, 61)
+
+
+def at_points(warp_grid, offset=0.02):
+    """`smooth_bend` at the points of a warp grid."""
+    u, v = np.moveaxis(warp_grid.panel_pixel() / warp_grid.panel.size_px, -1, 0)
+    return smooth_bend(u, v, offset)
+
+
+def by_opengl(context, image, offsets, transform, hole=None, **options):
+    """Along `smooth_bend` rays of each channel; the first has no ray at the corners of a pixel (row, column)."""
+    fields = [at_points(FINE_CELLS, offset) for offset in offsets]
+    if hole is not None:
+        fields[0][:, hole[0] : hole[0] + 2, hole[1] : hole[1] + 2] = np.nan
+    textures = [uploaded_field(context, field, FINE_CELLS) for field in fields]
+    warp, picture = GlWarp(context, len(offsets)), uploaded(context, image, CAMERA)
+    return warp.draw(picture, textures, transform, (WIDTH, HEIGHT), with_source=True, **options).read()
+
+
+def same_by_both(context, image, offsets, transform, **options):
     """The CPU's picture, after it was found to be that of OpenGL."""
-    ours, theirs = (warped(backend, request, *args, **options) for backend in BACKENDS)
-    assert_alike(ours, theirs)
+    ours = warp_on_cpu(image, CAMERA, [pixel_bend(offset) for offset in offsets], transform, **options)
+    assert_alike(ours, by_opengl(context, image, offsets, transform, **options))
     return ours
 
 
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
-def test_rays_transformed_to_another_frame(request, image, samples_per_axis):
-    result = same_by_both(request, image, CAMERA, [pixel_bend()], motion(0.15), samples_per_axis=samples_per_axis)
+def test_rays_transformed_to_another_frame(gl_context, image, samples_per_axis):
+    result = same_by_both(gl_context, image, [0.02], motion(0.15), samples_per_axis=samples_per_axis)
     assert {WarpStatus.SEEN, WarpStatus.DISOCCLUDED, WarpStatus.OUTSIDE} <= set(result.status.ravel())
 
 
-def test_each_row_has_its_own_transform(request, image):
-    slope_offset = pixel_bend()
+def test_each_row_has_its_own_transform(gl_context, image):
     by_row = np.stack([motion(0.1 * k / HEIGHT, (0.02 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
-    result = same_by_both(request, image, CAMERA, [slope_offset], by_row)
+    result = same_by_both(gl_context, image, [0.02], by_row)
     for row in (0, 31, HEIGHT - 1):
-        alone = warped("cpu", request, image, CAMERA, [slope_offset], by_row[row])
+        alone = warp_on_cpu(image, CAMERA, [pixel_bend()], by_row[row])
         np.testing.assert_array_equal(result.source[row], alone.source[row])
         np.testing.assert_array_equal(result.colour[row], alone.colour[row])
 
 
+def test_rows_between_coarse_grid_points_take_their_own_transform(gl_context, image):
+    by_row = np.stack([motion(0.02 * k / HEIGHT, (0.005 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
+    field = uploaded_field(gl_context, at_points(CELLS), CELLS)
+    picture = uploaded(gl_context, image, CAMERA)
+    drawn = GlWarp(gl_context).draw(picture, [field], by_row, (WIDTH, HEIGHT), with_source=True).read()
+    expected = warp_on_cpu(image, CAMERA, [pixel_bend()], by_row)
+    same = (drawn.status == 0) & (expected.status == 0)
+    assert same.mean() > 0.7
+    assert np.percentile(np.abs(drawn.source - expected.source)[same], 99) < 0.005
+
+
 @pytest.mark.parametrize("samples_per_axis", [1, 2])
-def test_each_colour_follows_its_own_rays(request, image, samples_per_axis):
-    slope_offsets = [pixel_bend(offset) for offset in (0.018, 0.02, 0.025)]
-    slope_offsets[0][:, 3, 4] = np.nan
-    result = same_by_both(
-        request, image, CAMERA, slope_offsets, motion(0.02), background=(9, 8, 7), samples_per_axis=samples_per_axis
-    )
-    for channel, slope_offset in enumerate(slope_offsets):
-        alone = warped(
-            "gl",
-            request,
-            image,
-            CAMERA,
-            [slope_offset],
-            motion(0.02),
-            background=(9, 8, 7),
-            samples_per_axis=samples_per_axis,
-        )
-        assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.999
-        assert (result.status >= alone.status).mean() > 0.999
-    green = warped("cpu", request, image, CAMERA, [slope_offsets[1]], motion(0.02))
+def test_each_colour_follows_its_own_rays(gl_context, image, samples_per_axis):
+    offsets, hole = (0.018, 0.02, 0.025), (3, 4)
+    options = {"background": (9, 8, 7), "samples_per_axis": samples_per_axis}
+    result = same_by_both(gl_context, image, offsets, motion(0.02), **options)
+    holed = by_opengl(gl_context, image, offsets, motion(0.02), hole=hole, **options)
+    for channel, offset in enumerate(offsets):
+        alone = by_opengl(gl_context, image, [offset], motion(0.02), **options)
+        assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.998
+        assert (result.status >= alone.status).mean() > 0.998
+    green = warp_on_cpu(image, CAMERA, [pixel_bend(offsets[1])], motion(0.02))
     np.testing.assert_array_equal(result.source, green.source)
-    assert result.status[3, 4] == WarpStatus.NO_RAY
-    assert result.colour[3, 4, 0] == 9
-    assert green.status[3, 4] == WarpStatus.SEEN
+    assert holed.status[hole] == WarpStatus.NO_RAY
+    assert holed.colour[hole][0] == 9
+    assert (
+        holed.colour[hole][1:] == by_opengl(gl_context, image, offsets, motion(0.02), **options).colour[hole][1:]
+    ).all()
 
 
-def coarse(step_px, columns=21, rows=16):
-    """A warp grid from edge to edge of a panel that it samples every `step_px` pixels."""
-    panel = Panel((columns - 1) * step_px, (rows - 1) * step_px)
-    warp_grid = WarpGrid.edge_to_edge(panel, columns, rows)
-    u, v = np.moveaxis(warp_grid.panel_pixel() / panel.size_px, -1, 0)
-    return warp_grid, smooth_bend(u, v, offset=0.0)
+@pytest.mark.parametrize("times", [1, 2])
+def test_between_grid_points_the_shader_interpolates_as_the_warp_grid_does(gl_context, image, times):
+    size = (80 * times, 60 * times)
+    slope_offset = at_points(CELLS, offset=0.0)
+    field = uploaded_field(gl_context, slope_offset, CELLS)
+    drawn = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
+    pixel = (np.stack(np.meshgrid(*map(np.arange, size)), axis=-1) + 0.5) / times
+    rays = CELLS.interpolated(slope_offset, pixel.reshape(-1, 2)).reshape(*pixel.shape[:2], 4)
+    np.testing.assert_allclose(drawn.read().source, CAMERA.pixel_of_tangents(rays[..., :2]), atol=1e-3)
 
 
-@pytest.mark.parametrize("as_many_pixels_as_points", [False, True])
-@pytest.mark.parametrize("software", [True, False])
-def test_all_backends_interpolate_linearly_between_grid_points(
-    gl_context, image, software, as_many_pixels_as_points, monkeypatch
-):
-    # A GPU's filter has weights of 8 bits; there the shader weighs the points itself.
-    monkeypatch.setattr(type(gl_context), "is_software", software)
-    step_px = 4
-    warp_grid, slope_offset = coarse(step_px)
-    panel = warp_grid.panel
-    size = warp_grid.size if as_many_pixels_as_points else (panel.width_px, panel.height_px)
-    field = uploaded_field(gl_context, slope_offset, warp_grid)
-    source = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
-    pixel = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1) + 0.5
-    place = pixel * (panel.size_px / size) / step_px
-    base = place.astype(int)
-    weight = (place - base)[..., None, :]
-    corner = [[np.moveaxis(slope_offset[:, base[..., 1] + j, base[..., 0] + i], 0, -1) for i in (0, 1)] for j in (0, 1)]
-    upper, lower = (left + weight[..., 0] * (right - left) for left, right in corner)
-    expected = CAMERA.pixel_of_tangents((upper + weight[..., 1] * (lower - upper))[..., :2])
-    np.testing.assert_allclose(source.read().source, expected, atol=1e-3)
+def test_second_differences_make_a_coarse_grid_exact(gl_context, image):
+    field = uploaded_field(gl_context, at_points(CELLS), CELLS)
+    picture = uploaded(gl_context, image, CAMERA)
+    drawn = GlWarp(gl_context).draw(picture, [field], np.eye(4), (WIDTH, HEIGHT), with_source=True).read()
+    expected = warp_on_cpu(image, CAMERA, [pixel_bend()])
+    same = (drawn.status == 0) & (expected.status == 0)
+    assert same.mean() > 0.7
+    assert np.percentile(np.abs(drawn.source - expected.source)[same], 99) < 0.003
 
 
-def test_an_unsolved_grid_point_makes_a_hole_around_it(gl_context, image):
-    warp_grid, slope_offset = coarse(4)
+def test_an_unsolved_grid_point_makes_a_hole_of_its_triangles(gl_context, image):
+    slope_offset = at_points(CELLS, offset=0.0)
     slope_offset[:, 7, 9] = np.nan
-    size = (warp_grid.panel.width_px, warp_grid.panel.height_px)
-    field = uploaded_field(gl_context, slope_offset, warp_grid)
-    status = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size).read().status
-    expected = np.full(size[::-1], WarpStatus.SEEN)
-    expected[24:32, 32:40] = WarpStatus.NO_RAY
-    np.testing.assert_array_equal(status, expected)
+    field = uploaded_field(gl_context, slope_offset, CELLS)
+    picture = uploaded(gl_context, image, CAMERA)
+    status = GlWarp(gl_context).draw(picture, [field], np.eye(4), (80, 60)).read().status
+    v, u = np.indices((60, 80)) + 0.5 - np.array([28, 36])[:, None, None]
+    within = (np.abs(u) < 4) & (np.abs(v) < 4) & (np.abs(u + v) < 4)
+    on_border = np.abs(u + v) == 4
+    np.testing.assert_array_equal(status[~on_border] == WarpStatus.NO_RAY, within[~on_border])
+    assert (status[status != WarpStatus.NO_RAY] == WarpStatus.SEEN).all()
 
 
 @pytest.mark.parametrize("top_row_first", [True, False])
@@ -153,11 +168,8 @@ def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
         canvas = gl_context.target((WIDTH + 30, HEIGHT + 20), 4, "f1")
         canvas.write(np.full((HEIGHT + 20, WIDTH + 30, 4), 77, np.uint8))
         framebuffer = gl_context.framebuffer([canvas])
-    warp, picture, field = (
-        GlWarp(gl_context),
-        uploaded(gl_context, image, CAMERA),
-        uploaded_field(gl_context, pixel_bend()),
-    )
+    warp, picture = GlWarp(gl_context), uploaded(gl_context, image, CAMERA)
+    field = uploaded_field(gl_context, at_points(CELLS), CELLS)
     viewport = framebuffer.viewport
     target = WarpTarget(framebuffer, (20, 5), (WIDTH, HEIGHT), top_row_first)
     by_row = np.stack([motion(0.1 * k / HEIGHT) for k in range(HEIGHT)])
@@ -176,12 +188,11 @@ def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
 
 
 def test_mismatched_ray_maps_and_transforms_are_refused(gl_context, image):
-    warp, picture, field = (
-        GlWarp(gl_context, 3),
-        uploaded(gl_context, image, CAMERA),
-        uploaded_field(gl_context, pixel_bend()),
-    )
-    with pytest.raises(BadInputError, match="one ray map for each channel"):
-        warp.draw(picture, [field], np.eye(4), (WIDTH, HEIGHT))
+    warp, picture = GlWarp(gl_context, 3), uploaded(gl_context, image, CAMERA)
+    field = uploaded_field(gl_context, at_points(CELLS), CELLS)
+    other = WarpGrid.edge_to_edge(CELLS.panel, 5, 6)
+    for fields in ([field], [field, field, uploaded_field(gl_context, at_points(other), other)]):
+        with pytest.raises(BadInputError, match="one ray map for each channel, all of one warp grid"):
+            warp.draw(picture, fields, np.eye(4), (WIDTH, HEIGHT))
     with pytest.raises(BadInputError, match="one transform for each row"):
         warp.draw(picture, [field] * 3, np.zeros((HEIGHT - 1, 4, 4)), (WIDTH, HEIGHT))

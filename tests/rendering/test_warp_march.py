@@ -66,6 +66,21 @@ def test_a_thin_pole_before_a_wall_is_never_skipped(backend, request, width_px, 
     np.testing.assert_allclose(result.source[0, hidden, 0], at_pole[hidden], atol=2e-3)
 
 
+@pytest.mark.parametrize("shift_px", [20.0, -20.0])
+def test_a_thin_pole_is_not_lost_when_a_corner_shows_something_very_near(backend, request, shift_px):
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120:122] = NEAR
+    image = columns(depth)
+    image.inverse_depth[:4, :4] = 10 * NEAR  # paths of 200 px
+    at_infinity = np.arange(90.0, 150.0, 0.0731)
+    result = warped(backend, request, image, CAMERA, [rays(at_infinity, shift_px)])
+    at_pole = at_infinity + shift_px
+    on_pole = (at_pole > 120.01) & (at_pole < 121.99)
+    assert on_pole.sum() > 20
+    assert (result.status[0, on_pole] == WarpStatus.SEEN).all()
+    np.testing.assert_allclose(result.source[0, on_pole, 0], at_pole[on_pole], atol=2e-3)
+
+
 def test_a_ray_that_passes_behind_a_pole_and_comes_out_sees_the_wall(backend, request):
     depth = np.full(CAMERA.width_px, FAR)
     depth[120:123] = NEAR

@@ -10,10 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
+from matplotlib.figure import Figure
 
 from wlr_render import __version__
+from wlr_render.files import write_figure
 from wlr_render.rendering.image_files import write_png
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.plots import bars
 from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
 
@@ -90,8 +93,44 @@ def test_a_cell_of_several_lines_stays_in_its_row():
 def test_markdown_links_pictures_and_escapes_bars(saved):
     text = saved.files[1].read_text()
     assert "](../dots.png)" in text
-    assert "| b\\|<i> | - |" in text
+    assert "| b\\|\\<i> | - |" in text
     assert "1. Type `scale = 0.997`." in text
+
+
+HOSTILE = "a</script><img src=x>|[b](javascript:c)\x1b\u202e`<i>\udc80$\\frac$"
+
+
+def test_text_of_files_forges_no_markup_anywhere(tmp_path):
+    picture = write_png(tmp_path / "a (b).png", np.full((4, 5, 3), 77, np.uint8)) or tmp_path / "a (b).png"
+    blocks = [
+        Section(HOSTILE),
+        Text(HOSTILE, [HOSTILE]),
+        ReportTable(HOSTILE, [HOSTILE], [[HOSTILE], ["x\ny"]], [HOSTILE]),
+        Picture(HOSTILE, picture, HOSTILE),
+        bars(HOSTILE, [HOSTILE], {HOSTILE: [1.0]}, HOSTILE, caption=HOSTILE),
+    ]
+    saved = save_report(Report(HOSTILE, HOSTILE, [HOSTILE], [HOSTILE], blocks), tmp_path, "report")
+    page, text, record = (path.read_text() for path in saved.files)
+    assert "<img src=x" not in page
+    assert "&lt;/script&gt;" in page
+    figure = json.loads(page.split('data-plot="plot1">')[1].split("</script>")[0])
+    assert figure["data"][0]["name"].startswith("a&lt;/script&gt;&lt;img")
+    assert "<" not in json.dumps(figure)
+    assert not set("\x1b\u202e\udc80") & set(page + text)
+    assert not re.search(r"(?<!\\)<|(?<![\\!])\[", text)
+    assert "(a%20%28b%29.png)" in text
+    assert json.loads(record)["title"] == HOSTILE
+
+
+def test_words_of_a_figure_are_no_formula(tmp_path):
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set(title=HOSTILE, xlabel=HOSTILE, yscale="log")
+    axes.plot([1, 2], [1, 1000], label=HOSTILE)
+    axes.legend()
+    written = write_figure(tmp_path / "figure.svg", figure).read_bytes()
+    assert len(written) > 1000
+    assert axes.yaxis.get_ticklabels()[1].get_parse_math()
 
 
 def test_the_page_escapes_text_of_files(saved):

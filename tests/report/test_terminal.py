@@ -34,7 +34,15 @@ def test_tables_are_escaped_wherever_the_text_stands(capsys, place):
     assert not set("\x1b\x9b\a\r\u202e") & set(printed)
 
 
+def test_progress_is_for_terminals_only(capsys):
+    with terminal_progress() as progress:
+        assert list(progress(range(2), 2, "label")) == [0, 1]
+        progress.say("words")
+    assert capsys.readouterr().err == ""
+
+
 def test_progress_is_escaped(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
     with terminal_progress() as progress:
         assert list(progress(range(2), 2, CONTROLS + MARKUP)) == [0, 1]

@@ -28,7 +28,7 @@ WORST_ARCMIN = 60.0
 @pytest.fixture(autouse=True)
 def _small_budgets(monkeypatch):
     ticks = itertools.count()
-    monkeypatch.setattr(time, "process_time", lambda: 0.05 * next(ticks))
+    monkeypatch.setattr(time, "process_time", lambda: 0.03 * next(ticks))
     monkeypatch.setattr(networks, "_DECODER_ITERATIONS", 10)
 
 
@@ -62,8 +62,9 @@ def test_a_method_gives_finite_answers(name):
     assert rival.numbers > 0
     view_dir = rival.see_through.view_dir_of_real_point(seen.point, seen.viewpoint)
     pixel = rival.display.pixel_of_view_dir(view_dir.value, seen.viewpoint)
-    answered = view_dir.usable & pixel.usable
-    assert answered.mean() > 0.9  # a network of a small budget is not everywhere smooth enough for its inverse
+    on_panel = ((pixel.value > 0) & (pixel.value < truth.display.panel.size_px)).all(axis=1)
+    answered = view_dir.usable & pixel.usable & on_panel
+    assert answered.mean() > 0.85  # a network of a small budget is not everywhere smooth enough for its inverse
     error = misalignment_arcmin(truth, seen.viewpoint, pixel.value, seen.point)[answered]
     assert np.sqrt(np.mean(error**2)) < WORST_ARCMIN
 

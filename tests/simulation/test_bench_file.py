@@ -164,7 +164,7 @@ def test_priors_are_pairs_or_tables(tmp_path):
 
 
 FAULTS = {
-    "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in millimetres"),
+    "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in mm"),
     "version": ("version = 1", "version = 2", "'version' is 2"),
     "format": ('"bench-session"', '"scene"', "'format' is 'scene'"),
     "frame": ('"opencv"', '"opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
@@ -183,11 +183,24 @@ FAULTS = {
     "bow": ("[[0.1, 0.2]]", "[[0, 1], [1, 0]]", "'bow_per_m' in [target] must be one pair, or 1"),
     "unknown key": ("[stage]", "[stage]\nbacklash = [0, 0]", "unknown key 'backlash'; did you mean 'backlash_mm'?"),
     "unknown table": ("[stage]", "[clocks]\n[stage]", "unknown key 'clocks'; did you mean 'clock'?"),
-    "prior's sigma": ("[target]", "[prior.a]\nb = [1, 0]\n[target]", "the sigma of 'b' is 0; it must be above 0"),
+    "prior's sigma": (
+        "[target]",
+        "[prior.a]\nb = [1, 0]\n[target]",
+        "the mean and sigma of 'b' are 1 and 0; they must",
+    ),
     "prior's pair": ("[target]", "[prior.a]\nb = 1.0\n[target]", "'b' must be a list of 2 numbers"),
     "prior's key": ("[target]", "[prior.a]\nb = {sgma = 1}\n[target]", "'sigma' is missing (found 'sgma' instead)"),
     "prior's mean": ("[target]", "[prior.a]\nb = {sigma = 1, men = 1}\n[target]", "key 'men'; did you mean 'mean'?"),
     "prior": ("[target]", "[prior]\na = 3\n[target]", "'a' must be a table"),
+    "nanometres": ("[target]", "[light]\ntarget_um = 550\n[target]", "'target_um' is 550.0; it must be 0.2 to 2 micro"),
+    "micrometres": ("origin = [32, 1, 33]", "origin = [32000, 1, 33]", "10000 is the most (stage reading at which"),
+    "huge size": ("width = 1280", "width = 1000000000", "32766 is the most (image size, pixels): check its unit"),
+    "singular": (
+        "origin = [32, 1, 33]",
+        "origin = [32, 1, 33]\naxes = [[1,0,0],[1,0,0],[0,0,1]]",
+        "a matrix of determ",
+    ),
+    "device elsewhere": ('"northstar"', '"../mine.toml"', "'../mine.toml' leads out of the folder"),
     "no stage": ("[stage]\norigin = [32, 1, 33]", "", "key 'stage' is missing"),
 }
 

@@ -165,6 +165,8 @@ def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_
     with pytest.raises(BadInputError, match=r"is of 'mine', which is no shipped device; name its prescription by --de"):
         load_measurements(other)
     assert load_measurements(other, None, "northstar")[0].device.name == "northstar"
+    with pytest.raises(BadInputError, match="is of a panel of 1440 x 1600 pixels, but birdbath28 has"):
+        load_measurements(other, None, "birdbath28")
 
 
 def _other_device(printed, folder):

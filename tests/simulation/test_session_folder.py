@@ -145,10 +145,83 @@ def test_a_folder_without_tables_or_with_one_twice_is_refused(tmp_path, bench, s
         load_session(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (
+            lambda display: {"stage": display.stage * 30},
+            "the distance of the stage from 'origin' in the display table has",
+        ),
+        (
+            lambda display: {"stage": 1e-3 * display.stage + [0.032, 0, -0.033]},
+            "mm in the display table; are its readings",
+        ),
+        (
+            lambda display: {"stage": display.stage * [1e-3, 1, 1]},
+            "stage_x_mm in the display table is 0.03.* in metres",
+        ),
+        (lambda display: {"camera_pixel": display.camera_pixel + 5000}, "the display table has the camera pixel"),
+        (
+            lambda display: {"camera_pixel": 0 * display.camera_pixel + 500},
+            "the camera pixels in the display table are",
+        ),
+        (lambda display: {"sigma_px": 1e-12 * display.sigma_px}, "'sigma_px' is .*; it must be 1e-06 px or more"),
+    ],
+    ids=["micrometres", "metres", "one axis in metres", "camera pixel", "one camera pixel", "sigma"],
+)
+def test_readings_that_the_bench_cannot_have_taken_are_refused(tmp_path, bench, session, damage, sentence):
+    damaged = replace(session.plan.display, **damage(session.plan.display))
+    save_session(tmp_path, bench, replace(session, plan=replace(session.plan, display=damaged)))
+    with pytest.raises(BadInputError, match=sentence):
+        load_session(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "sentence"),
+    [
+        ("camera", {"focal_px": np.array([1350.0, 135.0])}, r"focal length \(fx, fy\) is .* no camera's two differ"),
+        ("camera", {"focal_px": np.array([8.0, 8.0])}, "not in millimetres"),
+        ("camera", {"centre_px": np.array([64050.0, 512.0])}, r"principal point \(cx, cy\) .* far outside"),
+        ("camera", {"point_sigma_px": 1e-12}, "'point_sigma_px' is 1e-12; 1e-06 is the least"),
+        (
+            "target",
+            {"pitch": np.array([2e-5, 2e-5])},
+            r"\[\[target_pose\]\] number 1 .* 'pitch_mm' is 0.02, but the dots",
+        ),
+        (
+            "target",
+            {"device_from_target": rigid(np.eye(3), np.zeros((2, 3)))},
+            "number 1 .* 'translation' is not 30 mm",
+        ),
+    ],
+)
+def test_benches_that_nobody_has_are_refused(tmp_path, bench, session, part, changes, sentence):
+    save_session(tmp_path, replace(bench, **{part: replace(getattr(bench, part), **changes)}), session)
+    with pytest.raises(BadInputError, match=sentence):
+        load_session(tmp_path)
+
+
+def test_a_camera_on_the_other_side_of_the_head_is_refused(tmp_path, bench, session):
+    save_session(tmp_path, bench, session)
+    file = tmp_path / "bench.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace('eye = "right"', 'eye = "left"'), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"stage_x_mm in the display table is .* but the left eye of northstar"):
+        load_session(tmp_path)
+
+
+def test_a_link_that_leads_nowhere_is_not_a_table_left_out(tmp_path, bench, session):
+    save_session(tmp_path, bench, only_display(session))
+    (tmp_path / "seethrough.csv").symlink_to("seethrough.csv")
+    with pytest.raises(BadInputError, match=r"seethrough\.csv: cannot be read"):
+        load_session(tmp_path)
+
+
 def test_a_panel_of_another_device_is_refused(tmp_path, bench, session):
     beside = Readings(panel_pixel=session.readings.panel_pixel + [5000.0, 0.0])
     save_session(tmp_path, bench, replace(only_display(session), readings=beside))
-    with pytest.raises(BadInputError, match=r"every pixel_u, pixel_v is outside the panel of northstar"):
+    with pytest.raises(
+        BadInputError, match=r"northstar, display table: 100.0% of the panel pixels are outside the panel"
+    ):
         load_session(tmp_path)
 
 

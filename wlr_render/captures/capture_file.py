@@ -13,14 +13,12 @@ Version 1, which is still read, has one array per attribute of `captures.corresp
 """
 
 import json
-import zipfile
-import zlib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
@@ -29,17 +27,46 @@ from wlr_render.captures.correspondences import (
     EyeCaptures,
     SeeThroughCaptures,
 )
-from wlr_render.captures.observation_table import COLUMNS, MOTIONS, ObservationTable, observation_table
+from wlr_render.captures.observation_table import (
+    COLUMNS,
+    MOTIONS,
+    PANEL_PIXEL,
+    REAL_POINT,
+    ObservationTable,
+    observation_table,
+)
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_arrays
+from wlr_render.input_files import LIMITS, naming, read_arrays, require_eye_box, require_length, require_pixels
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.toml_files import Table
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table, parse_json
 
 FORMAT = "wlr-captures"
 VERSION = 2
 _UNITS = {"length": "m", "sigma": "arcmin", "pixel": "px"}
 _CONDITIONS = tuple(each.name for each in fields(Conditions))
 _MOTION = tuple(each.name for each in fields(CaptureMotionPrior))
+
+_DEVICE_M, _WORLD_M = 10.0, 100.0  # largest distance within the device, and of real points
+_SIGMA_ARCMIN = 600.0  # ten degrees
+_NEAREST_M = 0.03  # of real points to the eye: nearer ones are in kilometres
+_LEAST_SIGMA_ARCMIN = 1e-6  # 0.06 milliarcseconds
+_SIGMAS_DIFFER = 1e4  # a row of smaller sigma alone would decide the fit
+_PANEL_MARGIN = (2.0, 0.02)  # pixels, and part of the panel's side, that noise may put a pixel beyond the edge
+_MOST_OUTSIDE = 0.05  # share of panel pixels beyond that margin: more are of another panel
+_ONE_PLACE_M = 5e-3  # how far the stage may miss a place that it returns to
+_BOX_OF_PLACES = 1e-2  # least size of an eye box, in that of the camera places
+_MOST_COLUMNS = 16
+_PLAUSIBLE = {
+    "visit": (-1, LIMITS.index),
+    "channel": (-1, 2),
+    "temperature_c": LIMITS.temperature_c,
+    "travel": (-1, 1),
+    "stage": (-10, 10),
+    "time_s": (-LIMITS.time_s, LIMITS.time_s),
+}
+"""Ranges of conditions: metres or radians of the stage."""
 
 
 def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) -> Path:
@@ -86,10 +113,19 @@ def load_observations(path: str | Path) -> ObservationTable:
     """Read a capture file.
 
     Raises:
-        BadInputError: the file cannot be read, is cut short, is something else, or is of another version.
+        BadInputError: the file cannot be read, is cut short, is something else, is of another version, or holds values
+            that no bench can have measured.
     """
-    arrays = _read_archive(Path(path))
+    arrays = read_arrays(path, "a capture file (.npz)")
     header = _header(arrays, path)
+    _check_sizes(path, arrays)
+    with naming(path):
+        table = _table(header, arrays, path)
+    _check_plausible(path, table)
+    return table
+
+
+def _table(header: Table, arrays: dict[str, NDArray[Any]], path: str | Path) -> ObservationTable:
     panel = header.table("panel") if header.has("panel") else None
     common: dict[str, Any] = {
         "device": header.text("device"),
@@ -98,20 +134,17 @@ def load_observations(path: str | Path) -> ObservationTable:
         "eye_box": _box(header.table("eye_box")),
     }
     box = _box(header.table("see_through_eye_box")) if header.has("see_through_eye_box") else None
-    try:
-        if header.whole("version", 1) == 1:
-            return _of_version_1(arrays, common, box, path)
-        count = len(_array(arrays, "kind", path))
-        recorded: dict[str, Any] = {name: arrays[name] for name in _CONDITIONS if name in arrays}
-        columns: dict[str, Any] = {name: _array(arrays, name, path) for name in COLUMNS}
-        conditions = Conditions.recorded(count, **recorded)
-        for name in MOTIONS:
-            if f"{name}_size" in arrays:
-                motion: dict[str, Any] = {part: _array(arrays, f"{name}_{part}", path) for part in _MOTION}
-                columns[name] = CaptureMotionPrior(**motion)
-        return ObservationTable(**common, see_through_eye_box=box, conditions=conditions, **columns)
-    except BadInputError as error:
-        raise _named(path, error) from error
+    if header.whole("version", 1) == 1:
+        return _of_version_1(arrays, common, box, path)
+    count = np.size(_array(arrays, "kind", path))
+    recorded: dict[str, Any] = {name: arrays[name] for name in _CONDITIONS if name in arrays}
+    columns: dict[str, Any] = {name: _array(arrays, name, path) for name in COLUMNS}
+    conditions = Conditions.recorded(count, **recorded)
+    for name in MOTIONS:
+        if any(f"{name}_{part}" in arrays for part in _MOTION):
+            motion: dict[str, Any] = {part: _array(arrays, f"{name}_{part}", path) for part in _MOTION}
+            columns[name] = CaptureMotionPrior(**motion)
+    return ObservationTable(**common, see_through_eye_box=box, conditions=conditions, **columns)
 
 
 def _of_version_1(
@@ -128,11 +161,6 @@ def _of_version_1(
     return observation_table(
         DisplayCaptures(**common, **display), SeeThroughCaptures(**eye, eye_box=box, **see_through)
     )
-
-
-def _named(path: str | Path, error: BadInputError) -> BadInputError:
-    """The error with the name of the file."""
-    return error if str(path) in str(error) else BadInputError(f"{path}: {error}")
 
 
 def _is_recorded(values: NDArray[Any]) -> bool:
@@ -153,28 +181,156 @@ def _array(arrays: dict[str, NDArray[Any]], name: str, path: str | Path) -> NDAr
     return arrays[name]
 
 
-def _read_archive(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError) as error:
-        raise BadInputError(f"{path}: is cut short or is not a capture file (.npz); write it again.") from error
+def _check_sizes(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Refuse arrays of other things than numbers, and more rows than are read, before any of them is converted."""
+    for name, values in arrays.items():
+        if name != "header" and values.dtype.kind not in "iuf":
+            raise BadInputError(f"{path}: '{name}' holds {values.dtype} values, not numbers; write the file again.")
+        if len(np.atleast_1d(values)) > LIMITS.rows or values.size > _MOST_COLUMNS * LIMITS.rows:
+            raise BadInputError(
+                f"{path}: '{name}' has the shape {values.shape}; at most {LIMITS.rows} rows of {_MOST_COLUMNS} numbers "
+                "are read: leave some out."
+            )
+        if name == "stage" and values.ndim and values.shape[-1] > _MOST_COLUMNS:
+            raise BadInputError(
+                f"{path}: 'stage' has {values.shape[-1]} axes; a stage has at most {_MOST_COLUMNS}: leave some out."
+            )
+        if name == "device_from_camera" and values.shape[-2:] != (3, 3):
+            raise BadInputError(
+                f"{path}: '{name}' has the shape {values.shape}; it must be 3 x 3 for each row: write the file again."
+            )
+
+
+def _check_plausible(path: str | Path, table: ObservationTable) -> None:
+    """Refuse what no bench can have measured, such as lengths in millimetres."""
+    for name in ("eye_box", "see_through_eye_box"):
+        if (box := getattr(table, name)) is not None:
+            require_eye_box(f"{path}: '{name}'", box.size)
+            require_length(f"{path}: '{name}'", box.centre, _DEVICE_M)
+    if table.panel is not None:
+        size = (table.panel.width_px, table.panel.height_px)
+        require_pixels(f"{path}: 'panel'", size, "correct it")
+        require_on_panel(path, table.feature[table.kind == PANEL_PIXEL, :2], size)
+    require_length(f"{path}: 'viewpoint', from the centre of the eye box,", table.viewpoint - table.eye_box.centre, 0.5)
+    seen = table.kind == REAL_POINT
+    require_length(f"{path}: 'feature' of real points", table.feature[seen], _WORLD_M)
+    distance = np.linalg.norm(table.feature[seen] - table.viewpoint[seen], axis=1)
+    if distance.min(initial=np.inf) < _NEAREST_M:
+        raise BadInputError(
+            f"{path}: 'feature' has a real point {1e3 * distance.min():.3g} mm from its viewpoint, nearer than "
+            f"{1e3 * _NEAREST_M:g} mm; is it in kilometres? Convert it to metres."
+        )
+    conditions = table.conditions
+    for name in MOTIONS:
+        if (motion := getattr(table, name)) is not None:
+            _require(path, f"{name}_capture", motion.capture, 0, LIMITS.index)
+            _require(path, f"{name}_size", motion.size, 0, 1)
+            _require(path, f"{name}_log_sigma", np.array(motion.log_sigma), 0, 10)
+    for name, low, high in (("capture", 0, LIMITS.index), ("target_pose", -1, LIMITS.index)):
+        _require(path, name, getattr(table, name), low, high)
+    _require(path, "target_pose", table.target_pose[seen], 0, LIMITS.index)
+    _require_sigma(path, table.sigma_arcmin)
+    _require_places(path, table)
+    _require(path, "target_point", table.target_point, -_WORLD_M, _WORLD_M)
+    for name, limits in _PLAUSIBLE.items():
+        _require(path, name, getattr(conditions, name), *limits)
+    if not np.isin(conditions.travel[np.isfinite(conditions.travel)], (-1, 0, 1)).all():
+        raise BadInputError(f"{path}: 'travel' has values other than -1, 0 and 1; write how the stage moved in x.")
+    turn = conditions.device_from_camera
+    turn = turn[~np.isnan(turn).all(axis=(1, 2))]
+    if not np.all(np.abs(turn @ turn.mT - np.eye(3)) < 1e-6) or np.any(np.linalg.det(turn) < 0):
+        raise BadInputError(f"{path}: 'device_from_camera' has matrices that are not rotations; write them again.")
+    _refuse_repeated(path, table)
+
+
+def _require(path: str | Path, name: str, values: NDArray[Any], low: float, high: float) -> None:
+    """Refuse values outside a range; NaN is allowed, as not recorded."""
+    bad = (values < low) | (values > high)
+    if bad.any():
+        raise BadInputError(
+            f"{path}: '{name}' has the value {values[bad].flat[0]:g}; it should be between {low:g} and {high:g}: "
+            "correct it, or its unit."
+        )
+
+
+def _require_sigma(path: str | Path, sigma: FloatArray) -> None:
+    """Refuse standard deviations that no camera has; zero means exact data."""
+    _require(path, "sigma_arcmin", sigma, 0, _SIGMA_ARCMIN)
+    if (least := sigma[sigma > 0].min(initial=np.inf)) < _LEAST_SIGMA_ARCMIN:
+        raise BadInputError(
+            f"{path}: 'sigma_arcmin' has the value {least:g}, less than {_LEAST_SIGMA_ARCMIN:g}; give the standard "
+            "deviation in arcmin, or 0 in all rows of exact data."
+        )
+    if sigma.max(initial=0.0) > _SIGMAS_DIFFER * least:
+        raise BadInputError(
+            f"{path}: 'sigma_arcmin' is {least:g} in row {np.argmax(sigma == least)} and {sigma.max():g} in row "
+            f"{np.argmax(sigma)}; it may differ by {_SIGMAS_DIFFER:g} times at most: correct the smaller one."
+        )
+
+
+def _require_places(path: str | Path, table: ObservationTable) -> None:
+    """Refuse captures that were not numbered by camera place, and an eye box that is a point beside the places."""
+    count = len(np.unique(table.capture))
+    if count > LIMITS.captures:
+        raise BadInputError(
+            f"{path}: 'capture' has {count} different numbers, more than the {LIMITS.captures} that are read; give all "
+            "rows of one camera place the same number."
+        )
+    apart = float(np.linalg.norm(np.ptp(table.viewpoint, axis=0))) if len(table) else 0.0
+    if count == 1 and apart > _ONE_PLACE_M:
+        raise BadInputError(
+            f"{path}: 'capture' is {table.capture[0]} in all rows, and their viewpoints are {1e3 * apart:.3g} mm "
+            "apart; give each camera place its own number."
+        )
+    if np.linalg.norm(table.eye_box.size) < _BOX_OF_PLACES * apart:
+        raise BadInputError(
+            f"{path}: 'eye_box' has the size {table.eye_box.size.tolist()} m, and the viewpoints are {apart:.3g} m "
+            "apart; state the eye box in metres."
+        )
+
+
+def require_on_panel(path: str | Path, pixel: FloatArray, size_px: ArrayLike) -> None:
+    """Refuse panel pixels (n, 2) of another panel or unit: many outside the panel, or one far outside.
+
+    Noise puts pixels decoded at the edge a little beyond it; a few decoded wrongly are left to the fit, as outliers.
+
+    Raises:
+        BadInputError: the sentence has the share outside, and a row.
+    """
+    size = np.asarray(size_px, dtype=np.float64)
+    margin = _PANEL_MARGIN[0] + _PANEL_MARGIN[1] * size
+    outside = np.any((pixel < -margin) | (pixel > size + margin), axis=1)
+    far = np.any((pixel < -size) | (pixel > 2 * size), axis=1)
+    if far.any() or np.sum(outside) > _MOST_OUTSIDE * len(pixel):
+        row = int(np.argmax(far if far.any() else outside))
+        raise BadInputError(
+            f"{path}: {np.mean(outside):.1%} of the panel pixels are outside the panel of {size[0]:g} x {size[1]:g} "
+            f"pixels, {np.sum(outside)} of {len(pixel)}, such as {pixel[row].tolist()}; decode in the pixels of this "
+            "panel, name the device that was measured, or leave these rows out."
+        )
+
+
+def _refuse_repeated(path: str | Path, table: ObservationTable) -> None:
+    """Refuse two rows that are the same in every column."""
+    columns = [getattr(table, name) for name in COLUMNS] + [getattr(table.conditions, name) for name in _CONDITIONS]
+    rows = np.column_stack([np.asarray(each, dtype=np.float64).reshape(len(table), -1) for each in columns])
+    weight = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
+    code = np.ascontiguousarray(rows).view(np.uint64) @ weight  # equal rows have equal codes, others hardly ever
+    order = np.argsort(code, kind="stable")
+    same = code[order[1:]] == code[order[:-1]]
+    same[same] = np.all(rows[order[1:][same]].view(np.uint64) == rows[order[:-1][same]].view(np.uint64), axis=1)
+    if same.any():
+        first, second = order[:-1][same][0], order[1:][same][0]
+        raise BadInputError(f"{path}: row {second} repeats row {first} in every column; remove one.")
 
 
 def _header(arrays: dict[str, NDArray[Any]], path: str | Path) -> Table:
-    try:
-        content = json.loads(str(arrays["header"]))
-    except (KeyError, json.JSONDecodeError) as error:
-        raise BadInputError(f"{path}: is an .npz without the header of a capture file.") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise BadInputError(f"{path}: is not a capture file (its header does not say format '{FORMAT}').")
-    if content.get("version") not in (1, VERSION):
-        found = content.get("version")
-        raise BadInputError(
-            f"{path}: has version {found}; this program reads versions 1 and {VERSION}: write it again."
-        )
+    text = str(_array(arrays, "header", path))
+    content = parse_json(path, text, "a capture file with a JSON 'header'", "write it again")
+    header = Table({key: value for key, value in content.items() if value is not None}, str(path))
+    header.text("format", choices=[FORMAT])
+    if (found := header.number("version")) not in (1, VERSION):
+        raise header.fail(f"has version {found:g}; this program reads versions 1 and {VERSION}: write it again.")
     if content.get("frame") != "openxr" or content.get("units") != _UNITS:
         raise BadInputError(f"{path}: must be in frame 'openxr' with units {_UNITS}; convert it.")
-    return Table({key: value for key, value in content.items() if value is not None}, str(path))
+    return header

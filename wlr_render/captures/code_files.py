@@ -13,10 +13,12 @@ from wlr_render.captures.photo_session import CODE_ORDERS
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import inside_folder, parsing, read_text, shown
 from wlr_render.toml_files import read_toml
 
 MANIFESTS = ("manifest.toml", "manifest.csv")
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
+_LONGEST_S = 10_000.0
 _SAME_EXPOSURE = 1.02
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 
@@ -63,7 +65,11 @@ class CodeFiles:
                 yield next(each) if files else None
             return
         if not self.pictures[0]:
-            raise BadInputError("The first picture, white, is missing; several exposures cannot be merged without it.")
+            folder = next(files[0].parent for files in self.pictures if files)
+            raise BadInputError(
+                f"{folder}: the first picture, white, is missing, without which several exposures cannot "
+                "be merged; photograph it."
+            )
         weights: NDArray[np.float32] | None = None
         time = np.array(self.exposures_s, dtype=np.float32)
         for files in self.pictures:
@@ -72,7 +78,9 @@ class CodeFiles:
                 continue
             images = [read_photograph(path, kind) for path in files]
             if len({(image.shape, image.dtype) for image in images}) > 1:
-                raise BadInputError(f"{files[0]}: the exposures of this picture differ in size or depth.")
+                raise BadInputError(
+                    f"{files[0]}: the exposures of this picture differ in size or depth; take them again."
+                )
             if weights is None:
                 sound = np.array([image < kind.end_of_scale for image in images])
                 weights = sound * time[:, None, None]
@@ -134,26 +142,31 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
         table.finish()
         if not all(isinstance(role, str) for role in roles.values()):
             raise table.fail('[files] must give each file name a role, such as "0.png" = "u bit 10".')
-        if not all(isinstance(time, int | float) and time > 0 for time in times.values()):
-            raise table.fail("[exposures_s] must give each file or folder a time in seconds above 0.")
+        if not all(type(time) in (int, float) and 0 < time <= _LONGEST_S for time in times.values()):
+            raise table.fail(
+                f"[exposures_s] must give each file or folder a time in seconds above 0, and at most {_LONGEST_S:g}; "
+                "correct it."
+            )
         return order, roles, {name: float(time) for name, time in times.items()}
     roles, times = {}, {}
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream, skipinitialspace=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadInputError(f"{path}: cannot be read as CSV ({error}).") from error
+    text = read_text(path, "CSV")
+    with parsing(path, "CSV"):
+        rows = list(csv.DictReader(text.split("\n"), skipinitialspace=True))
+    if not rows:
+        raise BadInputError(f"{path}: has no rows; give each photograph a line under the header file, role, axis.")
     for number, row in enumerate(rows, start=2):
         if not row.get("file") or not row.get("role"):
             raise BadInputError(f"{path}: line {number} has no 'file' or no 'role'; the columns are file, role, axis.")
         if row["file"] in roles:
-            raise BadInputError(f"{path}: line {number} names {row['file']} again; give each file one line.")
+            raise BadInputError(f"{path}: line {number} names {shown(row['file'])} again; give each file one line.")
         roles[row["file"]] = f"{row.get('axis') or ''} {row['role']}".strip()
-        try:
-            if row.get("exposure_s"):
+        if row.get("exposure_s"):
+            with parsing(f"{path}: line {number}: exposure_s", "a number of seconds", "correct it"):
                 times[row["file"]] = float(row["exposure_s"])
-        except ValueError as error:
-            raise BadInputError(f"{path}: line {number}: exposure_s is {row['exposure_s']!r}, not a number.") from error
+            if not 0 < times[row["file"]] <= _LONGEST_S:
+                raise BadInputError(
+                    f"{path}: line {number}: exposure_s is {shown(row['exposure_s'])}; give seconds above 0."
+                )
     return order, roles, times
 
 
@@ -162,7 +175,7 @@ def _by_manifest(
 ) -> CodeFiles:
     found: list[list[Path]] = [[] for _ in names]
     for file, role in roles.items():
-        path = folder / file
+        path = inside_folder(folder, file, str(manifest))
         if role.strip().lower() == "unused":
             continue
         number = _number_of_role(role, names)

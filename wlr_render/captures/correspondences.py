@@ -223,7 +223,10 @@ class SeeThroughCaptures(_Rows):
             _set_rows(self, "target_point", (len(self), 3), finite=False)
         _set_indices(self, "target_pose", len(self))
         if np.any(self.point[:, 2] >= self.viewpoint[:, 2]):
-            raise BadInputError("captures: 'point' has rows that are not in front of their viewpoint (smaller z).")
+            raise BadInputError(
+                "captures: 'point' has real points that are not in front of their viewpoint (smaller z); check the "
+                "unit (metres) and the frame of both, or leave these rows out."
+            )
         if self.motion is not None:
             self.motion.of(self.visits[0])
 
@@ -347,7 +350,9 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
     _set_indices(captures, "capture", count)
     length = np.linalg.norm(captures.view_dir, axis=1)
     if np.any(np.abs(length - 1.0) > 1e-6) or np.any(captures.view_dir[:, 2] >= 0):
-        raise BadInputError("captures: 'view_dir' must be unit vectors that look forward (z < 0).")
+        raise BadInputError(
+            "captures: 'view_dir' must be unit vectors that look forward (z < 0); normalise or turn them."
+        )
     _set_sigma(captures, count)
     if captures.conditions is not None and len(captures.conditions.visit) != count:
         raise BadInputError(f"captures: the conditions have {len(captures.conditions.visit)} rows, not {count}.")
@@ -356,9 +361,10 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
 def _set_rows(
     captures: object, name: str, shape: tuple[int, ...], *, finite: bool = True, what: str = "captures"
 ) -> None:
-    value = np.asarray(getattr(captures, name), dtype=np.float64)
+    value = np.asarray(getattr(captures, name))
     if value.shape != shape:
         raise BadInputError(f"{what}: '{name}' must have shape {shape}, not {value.shape}.")
+    value = np.asarray(value, dtype=np.float64)
     if finite and not np.isfinite(value).all():
         raise BadInputError(f"{what}: '{name}' has numbers that are not finite; leave out the rows without a value.")
     object.__setattr__(captures, name, value)

@@ -74,9 +74,10 @@ class ObservationTable:
         lengths |= {"conditions": len(self.conditions.visit)}
         if len(set(lengths.values())) > 1:
             raise BadInputError(f"captures: columns differ in length ({lengths}); write the file again.")
-        for name in ("feature", "target_point"):
-            if (shape := np.shape(getattr(self, name))) != (len(self), 3):
-                raise BadInputError(f"captures: '{name}' must have shape {(len(self), 3)}, not {shape}.")
+        for name in COLUMNS:
+            wanted = (len(self), 3) if name in _VECTORS else (len(self),)
+            if (shape := np.shape(getattr(self, name))) != wanted:
+                raise BadInputError(f"captures: '{name}' must have shape {wanted}, not {shape}; write the file again.")
         if not np.isin(self.kind, (PANEL_PIXEL, REAL_POINT)).all():
             raise BadInputError(f"captures: 'kind' must be {PANEL_PIXEL} (panel pixel) or {REAL_POINT} (real point).")
         if self.panel is None and np.any(self.kind == PANEL_PIXEL):
@@ -87,7 +88,7 @@ class ObservationTable:
         self.display(), self.see_through()
 
     def __len__(self) -> int:
-        return len(self.kind)
+        return int(np.size(self.kind))
 
     def display(self, channel: int | None = None) -> DisplayCaptures | None:
         """Return the observations of the panel, in one colour channel or in all; None without any."""
@@ -135,6 +136,7 @@ class ObservationTable:
 MOTIONS = ("display_motion", "see_through_motion")
 """Names of the priors of motions in a table."""
 _HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions", *MOTIONS)
+_VECTORS = ("feature", "target_point", "viewpoint", "view_dir")
 COLUMNS = tuple(each.name for each in fields(ObservationTable) if each.name not in _HEADER)
 """Names of the arrays of a table, besides those of its conditions."""
 

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.lens_file import load_lens
+from wlr_render.captures.lens_file import load_lens, require_plausible_lens
 from wlr_render.captures.photo_session import SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.input_files import require_pixels
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table
 
@@ -27,6 +28,7 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
         BadInputError: a key is missing, faulty or contradicts another; the sentence names it.
     """
     size, form = (table.whole("width_px", 1), table.whole("height_px", 1)), PhotographFormat.from_table(table, folder)
+    require_pixels(table.where, size, "correct 'width_px' and 'height_px'")
     lens = table.text("lens", "auto", ("auto", *LENS_KINDS))
     if sum(table.has(key) for key in _SOURCES) != 1:
         raise table.fail(
@@ -34,9 +36,9 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
             "'lens_file', a calibration by another program."
         )
     if table.has("intrinsics"):
-        return SessionCamera(size, form, tuple(photographs_in(folder / table.text("intrinsics"))), lens=lens)
+        return SessionCamera(size, form, tuple(photographs_in(table.path("intrinsics", folder))), lens=lens)
     if table.has("lens_file"):
-        file = folder / table.text("lens_file")
+        file = table.path("lens_file", folder)
         known = load_lens(file)
         if table.has("lens"):
             raise table.fail("'lens' is given beside 'lens_file', which states its own kind of lens; remove 'lens'.")
@@ -59,7 +61,9 @@ def _known(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
     if np.any(focal <= 0):
         raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
     distortion = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
-    return LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
+    known = LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
+    require_plausible_lens(table.where, known)
+    return known
 
 
 def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray, str]:
@@ -89,8 +93,10 @@ def _sigma(table: Table, count: int) -> FloatArray | None:
         sigma = np.array([focal, focal, centre, centre, *[0.0] * (count - 4)])
     else:
         return None
-    if np.any(sigma < 0) or not np.any(sigma):
-        raise table.fail("standard deviations must be 0 or more, and one above 0; leave them out for an exact lens.")
+    if np.any(sigma < 0) or np.any(sigma > 1e6) or not np.any(sigma):
+        raise table.fail(
+            "standard deviations must be 0 to a million, and one above 0; leave them out for an exact lens."
+        )
     return sigma
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, StageDescription
 from wlr_render.captures.photo_session_entries import Entry, place_groups, stage_lists
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table
 
@@ -25,6 +26,13 @@ def check_range(table: Table, key: str, value: FloatArray | float, limits: tuple
             f"'{key}' should be between {low:g} and {high:g} mm and is {np.round(value, 6).tolist()}: "
             "is it in another unit? Lengths are millimetres."
         )
+
+
+def check_count(file: Table, session: PhotoSession) -> None:
+    """Refuse more photographs than are read: the search for places takes memory quadratic in their number."""
+    count = sum(len(listed) for listed in stage_lists(session).values()) + len(session.tracking)
+    if count > LIMITS.photographs:
+        raise file.fail(f"lists {count} photographs, more than {LIMITS.photographs}; split the session.")
 
 
 def check_session(file: Table, session: PhotoSession) -> None:
@@ -132,7 +140,7 @@ def _check_regions(file: Table, session: PhotoSession) -> None:
     for number, each in enumerate(session.beside, start=1):
         where = f"[[beside]] number {number}"
         if each.regions is not None and np.any((each.regions < 0) | (each.regions > [width, height, width, height])):
-            raise file.fail(f"{where}: 'region_px' lies outside the picture of {width} x {height} pixels.")
+            raise file.fail(f"{where}: 'region_px' lies outside the picture of {width} x {height} pixels; correct it.")
         if each.path in through:
             if each.regions is None:
                 raise file.fail(

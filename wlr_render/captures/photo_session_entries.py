@@ -22,12 +22,17 @@ from wlr_render.captures.photo_session import (
     StageDescription,
 )
 from wlr_render.geometry.transforms import FRAMES
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.toml_files import Table
 
 Entry = BoardPhotograph | CodeSet
 EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 
+_MOST_AXES = 12
+_MOST_READING = 1e4  # mm or degrees
+_SHARED_NUMBERS = {"time_s": (-LIMITS.time_s, LIMITS.time_s), "temperature_c": LIMITS.temperature_c}
+_MOST_TOLERANCE_M = 1e-3
 _LEVER_M = 0.025
 """Angles of rotary axes count as arcs of this radius when readings are compared: about that of a camera that rotates
 about its pupil."""
@@ -54,13 +59,14 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
         table.finish()
         return None, tolerance
     tolerance = 1e-6 * table.number("place_tolerance_um", 1e6 * tolerance)
-    if tolerance < 0:
-        raise table.fail("'place_tolerance_um' must be 0 or more.")
+    if not 0 <= tolerance <= _MOST_TOLERANCE_M:
+        raise table.fail(f"'place_tolerance_um' must be 0 to {1e6 * _MOST_TOLERANCE_M:g}.")
     in_camera = table.text("directions_in", "device", ("device", "camera")) == "camera"
     stage = StageDescription()
     if table.has("axes"):
         own = np.eye(3) if in_camera else axes  # a camera has OpenCV's axes, whatever `frame` is
-        stage = StageDescription(tuple(_axis(each, own, in_camera) for each in table.tables("axes")))
+        listed = table.tables("axes", most=_MOST_AXES)
+        stage = StageDescription(tuple(_axis(each, own, in_camera) for each in listed))
     if in_camera and all(axis.direction is None for axis in stage.axes):
         raise table.fail(
             "'directions_in' is given, but no axis has a 'direction'; list them under 'axes', or remove it."
@@ -80,13 +86,16 @@ def _axis(table: Table, axes: FloatArray, in_camera: bool) -> StageAxis:
             raise table.fail("'direction' is zero; give a vector along the axis, or leave it out if it is unknown.")
         direction = axes @ direction / np.linalg.norm(direction)
     if table.has("direction_sigma_deg"):
-        sigma = np.radians(positive(table, "direction_sigma_deg"))
+        sigma = np.radians(positive(table, "direction_sigma_deg", 180))
         if direction is None:
             raise table.fail("'direction_sigma_deg' is given without 'direction'; give both, or neither.")
     if table.has("pivot_mm"):
         if kind == "linear":
             raise table.fail("'pivot_mm' is for rotary axes; remove it, or write kind = \"rotary\".")
-        pivot = 1e-3 * axes @ table.vector("pivot_mm", 3)
+        pivot = table.vector("pivot_mm", 3)
+        if np.any(np.abs(pivot) > _MOST_READING):
+            raise table.fail(f"'pivot_mm' is {pivot.tolist()}; at most {_MOST_READING:g} mm are plausible: check it.")
+        pivot = 1e-3 * axes @ pivot
     table.finish()
     return StageAxis(kind, direction, sigma, pivot, in_camera)
 
@@ -153,7 +162,8 @@ class EntryFormat:
         Raises:
             BadInputError: a key is missing, faulty or contradicts [stage].
         """
-        name, pose = str(Path(table.text("photograph"))), table.whole("target_pose")
+        table.path("photograph", self.folder)  # refuses a name that leads out of the folder
+        name, pose = str(Path(table.text("photograph"))), table.whole("target_pose", most=LIMITS.index)
         found = BoardPhotograph(self.folder, name, pose, eye=self.eyes[0])
         return self._completed(table, found, on_stage)
 
@@ -175,7 +185,7 @@ class EntryFormat:
         """Read a set of photographs of the panel; raises as `photograph`."""
         self._need_eye(table)
         channel = table.text("channel", choices=CHANNELS) if table.has("channel") else None
-        return self._completed(table, CodeSet(self.folder / table.text("photographs"), channel=channel))
+        return self._completed(table, CodeSet(table.path("photographs", self.folder), channel=channel))
 
     def _need_eye(self, table: Table) -> None:
         if len(self.eyes) > 1 and not table.has("eye"):
@@ -183,9 +193,13 @@ class EntryFormat:
 
     def _completed(self, table: Table, entry: EntryType, on_stage: bool = True) -> EntryType:
         """Read the keys that photographs and sets share, and finish the table."""
-        times: dict[str, Any] = {key: table.number(key) for key in ("time_s", "temperature_c") if table.has(key)}
+        times: dict[str, Any] = {
+            key: table.number(key, least=least, most=most)
+            for key, (least, most) in _SHARED_NUMBERS.items()
+            if table.has(key)
+        }
         if on_stage:
-            orientation = table.whole("orientation") if table.has("orientation") else 0
+            orientation = table.whole("orientation", most=LIMITS.index) if table.has("orientation") else 0
             eye = table.text("eye", self.eyes[0], self.eyes)
             stage, place = self._reading(table), table.text("place", "")
             if stage is None and not place:
@@ -210,7 +224,12 @@ class EntryFormat:
             key = "stage"
         if key == "stage_mm" and "rotary" in kinds:
             raise table.fail("'stage_mm' cannot hold the angle of a rotary axis; write 'stage', mm and degrees.")
-        return np.asarray(self.stage.units * (self.turn @ table.vector(key, len(kinds))))
+        reading = table.vector(key, len(kinds))
+        if np.any(np.abs(reading) > _MOST_READING):
+            raise table.fail(
+                f"'{key}' is {reading.tolist()}; at most {_MOST_READING:g} mm or degrees are plausible: check the unit."
+            )
+        return np.asarray(self.stage.units * (self.turn @ reading))
 
     def written(self, entry: Entry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
         """The keys that are read as the same entry; `place` is written if given, `on_stage` as of `photograph`."""
@@ -287,15 +306,15 @@ def place_names(entries: Sequence[Entry], form: EntryFormat, tolerance_m: float)
     return [each.place or name_of[group] for group, each in zip(groups, entries, strict=True)]
 
 
-def positive(table: Table, key: str) -> float:
-    """A number above 0.
+def positive(table: Table, key: str, most: float) -> float:
+    """A number above 0 and not above `most`.
 
     Raises:
         BadInputError: it is not.
     """
     value = table.number(key)
-    if value <= 0:
-        raise table.fail(f"'{key}' is {value:g}; it must be above 0.")
+    if not 0 < value <= most:
+        raise table.fail(f"'{key}' is {value:g}; it must be above 0, and at most {most:g}.")
     return value
 
 

@@ -20,7 +20,7 @@ from wlr_render.captures.photo_session import (
     SessionPanel,
 )
 from wlr_render.captures.photo_session_cameras import read_camera, written_camera
-from wlr_render.captures.photo_session_checks import check_range, check_session
+from wlr_render.captures.photo_session_checks import check_count, check_range, check_session
 from wlr_render.captures.photo_session_entries import (
     EntryFormat,
     place_names,
@@ -34,6 +34,7 @@ from wlr_render.captures.photo_session_entries import (
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
+from wlr_render.input_files import LIMITS, require_eye_box, require_pixels, shown
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table, read_toml, write_toml
@@ -45,7 +46,8 @@ EYES = ("left", "right")
 _MM = 1e-3
 
 # What lengths of a bench can be, in millimetres: beyond, somebody has written metres or micrometres.
-_EYE_BOX_MM = (0.5, 100.0)
+_EYE_BOX_LEAST_MM = 0.5
+_DEVICE_MM = 1e4
 _CAMERA_PLACE_MM = (0.5, 1000.0)
 _TARGET_PLACE_MM = (0.5, 50000.0)
 
@@ -85,7 +87,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         eye_boxes=_of_each_eye(file, "eye_box", eyes, lambda table: _eye_box(table, axes), alike=False),
         panels=panels,
         decoding=DecodeOptions(full_scale=eyeball.full_scale, **decoding_keys),
-        board=load_board(root / file.text("board")),
+        board=load_board(file.path("board", root)),
         eyeball_camera=eyeball,
         see_through=tuple(form.through(table) for table in file.tables("see_through", required=False)),
         display=tuple(form.code_set(table) for table in file.tables("display", required=False)),
@@ -103,6 +105,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         place_tolerance=tolerance,
     )
     file.finish()
+    check_count(file, session)
     regions = {each.path: each.regions for each in session.beside}
     through = tuple(replace(each, other_regions=regions.get(each.path)) for each in session.see_through)
     session = with_places(replace(session, see_through=through), form)
@@ -142,10 +145,10 @@ def _panels(
     sizes = _of_each_eye(file, "panel", eyes, _panel)
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
-    numbers = {key: table.whole(key, 1) for key in pattern_keys(name) if table.has(key)}
+    numbers = {key: table.whole(key, 1, LIMITS.picture_side) for key in pattern_keys(name) if table.has(key)}
     decoding = {key: table.number(key) for key in ("min_contrast", "min_confidence") if table.has(key)}
     order = table.text("order", CODE_ORDERS[0], CODE_ORDERS)
-    manifest = root / table.text("manifest") if table.has("manifest") else None
+    manifest = table.path("manifest", root) if table.has("manifest") else None
     table.finish()
     try:
         made = {id(size): SessionPanel(make_pattern(name, size[0], **numbers), size[1]) for size in sizes.values()}
@@ -156,6 +159,7 @@ def _panels(
 
 def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
     panel = Panel(table.whole("width_px", 1), table.whole("height_px", 1))
+    require_pixels(table.where, (panel.width_px, panel.height_px), "correct 'width_px' and 'height_px'")
     offsets: dict[str, FloatArray] = {}
     if table.has("primary_offsets_px"):
         given = table.table("primary_offsets_px")
@@ -170,7 +174,12 @@ def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
 def _eye_box(table: Table, axes: FloatArray) -> EyeBox:
     centre, size = table.vector("centre_mm", 3), table.vector("size_mm", 3)
     table.finish()
-    check_range(table, "size_mm", size, _EYE_BOX_MM)
+    require_eye_box(f"{table.where}: 'size_mm'", size, "mm")
+    if size.min() < _EYE_BOX_LEAST_MM:
+        raise table.fail(
+            f"'size_mm' is {size.tolist()}, below {_EYE_BOX_LEAST_MM:g} mm on an axis; is it in metres? Convert it."
+        )
+    check_range(table, "centre_mm", centre, (-_DEVICE_MM, _DEVICE_MM))
     return EyeBox(_MM * axes @ centre, _MM * size)
 
 
@@ -198,17 +207,17 @@ def _pose(table: Table, axes: FloatArray, limits_mm: tuple[float, float]) -> Flo
 
 def _pose_sigma(table: Table) -> tuple[float, float]:
     """Standard deviations of rotation and translation, radians and metres."""
-    return float(np.radians(positive(table, "sigma_deg"))), _MM * positive(table, "sigma_mm")
+    return float(np.radians(positive(table, "sigma_deg", 180))), _MM * positive(table, "sigma_mm", _DEVICE_MM)
 
 
 def _targets(file: Table, root: Path, axes: FloatArray) -> dict[int, GivenPose]:
     targets: dict[int, GivenPose] = {}
     for table in file.tables("target", required=False):
-        pose = table.whole("pose")
+        pose = table.whole("pose", most=LIMITS.index)
         if pose in targets:
             raise table.fail(f"target pose {pose} is given twice; remove one.")
         file_name = table.text("board") if table.has("board") else None
-        board = None if file_name is None else load_board(root / file_name)
+        board = None if file_name is None else load_board(table.path("board", root))
         targets[pose] = GivenPose(_pose(table, axes, _TARGET_PLACE_MM), _pose_sigma(table), board, file_name)
         table.finish()
     return targets
@@ -218,9 +227,9 @@ def _gauge(file: Table) -> str | None:
     if not file.has("gauge"):
         return None
     gauge = file.text("gauge")
-    if not re.fullmatch(r"camera|target \d+", gauge):
+    if not re.fullmatch(r"camera|target \d{1,7}", gauge):
         raise file.fail(
-            f"'gauge' is '{gauge}'; it must be \"camera\", or \"target 0\" with the number of a target pose."
+            f'\'gauge\' is {shown(gauge)}; it must be "camera", or "target 0" with the number of a target pose.'
         )
     return gauge
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import parsing, read_text
 from wlr_render.toml_files import Table
 
 StoredValues = NDArray[np.unsignedinteger[Any]]
@@ -117,7 +118,7 @@ class PhotographFormat:
             left_justified=table.flag("left_justified", False) if table.has("left_justified") else None,
             black_level=black,
             gamma=gamma,
-            linearisation=_read_linearisation(root / name) if name else (),
+            linearisation=_read_linearisation(table.path("linearisation", root)) if name else (),
             linearisation_file=name,
             channel=table.text("channel", "grey", choices=CHANNELS),
             mosaic=mosaic,
@@ -255,12 +256,10 @@ def _read_linearisation(path: Path) -> tuple[tuple[float, float], ...]:
     Raises:
         BadInputError: there is no such file, it does not hold numbers, or they do not increase.
     """
-    try:
-        numbers = np.loadtxt(path, delimiter="," if path.suffix.lower() == ".csv" else None, ndmin=2)
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read; it should hold the camera's linearisation.") from error
-    except ValueError as error:
-        raise BadInputError(f"{path}: does not hold numbers only ({error}).") from error
+    kind = "a camera's linearisation"
+    rows = read_text(path, kind).split("\n")
+    with parsing(path, kind, "write numbers only"):
+        numbers = np.loadtxt(rows, delimiter="," if path.suffix.lower() == ".csv" else None, ndmin=2)
     if numbers.shape[1] == 1:
         numbers = np.column_stack([np.arange(len(numbers)), numbers])
     if numbers.shape[1] != 2 or len(numbers) < 2 or not np.all(np.isfinite(numbers)):

@@ -1,5 +1,7 @@
 """Read and write photographs: linear values of one channel, 8 to 16 bits."""
 
+import contextlib
+import io
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,12 +14,14 @@ from numpy.typing import NDArray
 from wlr_render.captures.photograph_format import PhotographFormat, is_left_justified
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_image
+from wlr_render.input_files import LIMITS, decode_image, parsing, read_bytes, require_pixels
 
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""
 CodeImage = Photograph | NDArray[np.float32]
 """A photograph of a code, or several exposures of one picture merged."""
 
+_AGAIN = "take it again, or leave it out"
 _EXIF, _EXPOSURE_TIME = 0x8769, 0x829A  # tags
 _BLACK = 0.01  # of full scale: where the brightest twentieth of a picture is darker, it is black
 _BRIGHTEST = 99.5  # percentile of grey values that becomes white where a detector needs 8 bits
@@ -43,7 +47,10 @@ def read_photograph(path: str | Path, kind: PhotographFormat | None = None) -> P
         BadInputError: there is no such file, or its values do not fit the format.
         BadPhotographError: the file is no picture, or is cut short.
     """
-    stored = _stored_values(Path(path))
+    return _converted(_stored_values(Path(path)), path, kind)
+
+
+def _converted(stored: Photograph, path: str | Path, kind: PhotographFormat | None) -> Photograph:
     return (kind or PhotographFormat(bits=8 * stored.itemsize)).convert(stored, str(path))
 
 
@@ -59,45 +66,52 @@ def file_note(path: Path, kind: PhotographFormat) -> str:
 
 def _stored_values(path: Path) -> Photograph:
     """(h, w) or (h, w, 3) red, green, blue as the file has them; uint8 or uint16."""
-    if not path.is_file():
-        raise BadInputError(f"{path}: there is no such photograph; take it, or correct its name.")
+    content = read_bytes(path, LIMITS.picture_bytes, "take the photograph, or correct its name")
     if path.suffix.lower() == ".npy":
-        stored = _numpy_file(path)
+        stored = _numpy_array(path, content)
     elif path.suffix.lower() in _RAW:
-        stored = _raw_file(path)
+        stored = _raw_picture(path, content)
     else:
         flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        image = cv2.imread(str(path), flags)
-        if image is None:
-            raise BadPhotographError(f"{path}: cannot be read as a picture; take it again, or leave it out.")
+        with _decoding(path):
+            image = decode_image(path, content, flags, _AGAIN)
         stored = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    if 0 in stored.shape:
+        raise BadPhotographError(f"{path}: has no pixels; {_AGAIN}.")
     if stored.dtype not in (np.uint8, np.uint16):
         raise BadInputError(f"{path}: holds {stored.dtype} values; a photograph must have 8 or 16 bits.")
     return stored
 
 
-def _numpy_file(path: Path) -> Photograph:
+@contextlib.contextmanager
+def _decoding(path: Path) -> Iterator[None]:
+    """Convert whatever a decoder raises in the block to a `BadPhotographError`."""
     try:
-        stored = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise BadPhotographError(f"{path}: is not a NumPy array, or is cut short; write it again.") from error
+        with parsing(path, "a photograph", _AGAIN):
+            yield
+    except BadInputError as error:
+        raise BadPhotographError(str(error)) from error
+
+
+def _numpy_array(path: Path, content: bytes) -> Photograph:
+    with _decoding(path):
+        stored: Any = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
     if not isinstance(stored, np.ndarray) or stored.ndim not in (2, 3) or stored.shape[2:] not in ((), (3,)):
         raise BadInputError(f"{path}: must hold (height, width) values, or (height, width, 3) red, green and blue.")
+    require_pixels(path, stored.shape[1::-1], _AGAIN)
     return np.asarray(stored)
 
 
-def _raw_file(path: Path) -> Photograph:
+def _raw_picture(path: Path, content: bytes) -> Photograph:
     try:
         import rawpy
     except ImportError as error:
         raise BadInputError(
             f"{path}: raw files need the package rawpy, which is not installed; install it, or convert to .tiff."
         ) from error
-    try:
-        with rawpy.imread(str(path)) as raw:
-            return np.asarray(raw.raw_image_visible.copy())
-    except rawpy.LibRawError as error:
-        raise BadPhotographError(f"{path}: cannot be read as a raw file ({error}); take it again.") from error
+    with _decoding(path), rawpy.imread(io.BytesIO(content)) as raw:
+        require_pixels(path, (raw.sizes.width, raw.sizes.height), _AGAIN)
+        return np.asarray(raw.raw_image_visible.copy())
 
 
 def exposure_of(path: Path) -> float | None:
@@ -107,11 +121,12 @@ def exposure_of(path: Path) -> float | None:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        content = io.BytesIO(read_bytes(path, LIMITS.picture_bytes))
+        with parsing(path, "a picture"), Image.open(content) as image:
             tags = image.getexif()
             time = tags.get_ifd(_EXIF).get(_EXPOSURE_TIME, tags.get(_EXPOSURE_TIME))
-            return None if time is None or not float(time) > 0 else float(time)
-    except (OSError, ValueError, ZeroDivisionError):
+            return None if time is None or not 0 < float(time) < np.inf else float(time)
+    except BadInputError:
         return None  # reading the picture will say what is wrong with the file
 
 
@@ -157,10 +172,13 @@ def photographs_in(folder: str | Path) -> list[Path]:
         BadInputError: there is no such folder, or no photograph in it.
     """
     if not Path(folder).is_dir():
-        raise BadInputError(f"{folder}: there is no such folder of photographs.")
-    found = [path for path in Path(folder).iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
+        raise BadInputError(f"{folder}: there is no such folder of photographs; name another one.")
+    with parsing(folder, "a folder of photographs", "name another folder"):
+        found = [path for path in Path(folder).iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
+    if len(found) > LIMITS.photographs:
+        raise BadInputError(f"{folder}: holds {len(found)} photographs, more than {LIMITS.photographs}; split it.")
     if not found:
-        raise BadInputError(f"{folder}: holds no photographs ({', '.join(SUFFIXES)}).")
+        raise BadInputError(f"{folder}: holds no photographs ({', '.join(SUFFIXES)}); name another folder.")
     return sorted(found, key=_natural)
 
 
@@ -172,8 +190,9 @@ def read_each(paths: Sequence[Path], kind: PhotographFormat | None = None) -> It
     """
     first = ""
     for path in paths:
-        image = read_photograph(path, kind)
-        pixels = describe_pixels(image)
+        stored = _stored_values(path)
+        image = _converted(stored, path, kind)
+        pixels = describe_pixels(image) + (" in colour" if stored.ndim == 3 else "")
         first = first or pixels
         if pixels != first:
             raise BadInputError(f"{path}: is {pixels}, but {paths[0].name} is {first}; all of a set must be alike.")
@@ -188,4 +207,4 @@ def describe_pixels(image: CodeImage) -> str:
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Digits as numbers: 2 before 10."""
     parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

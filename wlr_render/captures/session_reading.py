@@ -3,9 +3,9 @@
 A photograph that cannot be read does not stop the others: it is excluded and named with its reason.
 """
 
+import functools
 import hashlib
 import json
-import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,10 +29,11 @@ from wlr_render.captures.photographs import (
 )
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_arrays
+from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 4  # of the way of reading: results of another one are read again
+_VERSION = 5  # of the way of reading: results of another one are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
 _MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
 
@@ -253,20 +254,28 @@ def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
     """What was kept, if it was read from these very files in this very way; else None."""
     path = _kept_path(task, folder)
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            return dict(kept) if str(kept["fingerprint"]) == task.fingerprint() else None
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, BadInputError):
+        kept = read_arrays(path, "a kept reading")
+        return kept if str(kept.get("fingerprint")) == task.fingerprint() else None
+    except (OSError, BadInputError):
         return None  # photographs are missing, or the kept file cannot be read: they are read again
 
 
 def _kept_path(task: _Task, folder: Path) -> Path:
-    return folder / (task.name.replace("/", "__") + ".npz")
+    # The hash tells names apart of which the rest is the same; 50 characters are 200 bytes at most.
+    name = task.name.replace("/", "__")[-50:]
+    return folder / f"{name}-{hashlib.sha256(task.name.encode()).hexdigest()[:16]}.npz"
 
 
 def _fingerprint(paths: Sequence[Path], how: object) -> str:
-    """SHA-256 of the names, sizes and dates of files, and of how they are read."""
-    about = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
+    """SHA-256 of the names and contents of files, and of how they are read."""
+    about = [(path.name, _sha256(path, path.stat().st_mtime_ns)) for path in paths]
     return hashlib.sha256(json.dumps([_VERSION, about, repr(how)]).encode()).hexdigest()
+
+
+@functools.cache
+def _sha256(path: Path, date_ns: int) -> str:
+    """SHA-256 of a file, calculated once in a run unless the file changes."""
+    return hashlib.sha256(read_bytes(path, LIMITS.picture_bytes)).hexdigest()
 
 
 def _why_nothing(decoded: Decoded) -> str:

@@ -8,6 +8,7 @@ rotation R of the file becomes `device_from_file @ R @ device_from_file.T`. Came
 numbers in the file and half a pixel further here; panel pixels are the same in both.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,6 +19,7 @@ import numpy as np
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 
 Columns = dict[str, FloatArray]
@@ -99,6 +101,8 @@ class Column:
         kind: allowed values.
         group: name of a group of optional columns that occur together; empty for a required column.
         absent: default of an optional column; None if the default is not a number.
+        most: largest plausible absolute value in `unit`; None: that of `_MOST`.
+        least: smallest plausible value in `unit`.
     """
 
     name: str
@@ -107,6 +111,18 @@ class Column:
     kind: Kind = Kind.NUMBER
     group: str = ""
     absent: float | None = None
+    most: float | None = None
+    least: float = -math.inf
+
+    @property
+    def largest(self) -> float:
+        """Largest plausible absolute value."""
+        return _MOST[self.unit] if self.most is None else self.most
+
+
+_MOST = {"": LIMITS.index, "mm": 1e5, "px": 1e6, "s": LIMITS.time_s, "mm/s": 2e4, "rad/s": 20.0}
+"""By unit: a target or a head within 100 m, a head that turns 1100 degrees a second."""
+_MOST_IN_DEVICE_MM = 1e4
 
 
 @dataclass(frozen=True)
@@ -180,8 +196,10 @@ class Schema:
         return columns
 
 
-def _axes(name: str, unit: str, suffix: str, meaning: str, axes: str = "xyz") -> tuple[Column, ...]:
-    return tuple(Column(f"{name}_{axis}{suffix}", unit, f"{meaning}, {axis}") for axis in axes)
+def _axes(
+    name: str, unit: str, suffix: str, meaning: str, axes: str = "xyz", most: float | None = None
+) -> tuple[Column, ...]:
+    return tuple(Column(f"{name}_{axis}{suffix}", unit, f"{meaning}, {axis}", most=most) for axis in axes)
 
 
 def _quaternion(name: str, meaning: str, group: str = "") -> tuple[Column, ...]:
@@ -202,7 +220,11 @@ _SESSION_TIME = Field(
     _NUMBER,
     (Column("time_s", "s", "time since the start of the session (default: not recorded)", group="time", absent=0.0),),
 )
-_STAGE = Field("stage", _POINT, _axes("stage", "mm", "_mm", "stage reading of the camera's centre of projection"))
+_STAGE = Field(
+    "stage",
+    _POINT,
+    _axes("stage", "mm", "_mm", "stage reading of the camera's centre of projection", most=_MOST_IN_DEVICE_MM),
+)
 _STAGE_NAMES = tuple(f"stage_{axis}_mm" for axis in "xyz")
 _ORIENTATION = Field(
     "orientation", _ROTATION, _quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q")
@@ -217,6 +239,8 @@ _SIGMA = Field(
             "standard deviation of the reading per axis, camera pixels (default: `point_sigma_px` of `[camera]`)",
             Kind.POSITIVE,
             "sigma",
+            most=100.0,
+            least=1e-6,
         ),
     ),
 )
@@ -257,7 +281,11 @@ SEE_THROUGH = Schema(
         _index("capture", "index of the photograph, counted from 0 at every target pose"),
         _SESSION_TIME,
         _STAGE,
-        Field("dot", _FLAT_POINT, _axes("target", "mm", "_mm", "position of the dot on the printed target", "xy")),
+        Field(
+            "dot",
+            _FLAT_POINT,
+            _axes("target", "mm", "_mm", "position of the dot on the printed target", "xy", _MOST_IN_DEVICE_MM),
+        ),
         Field("dot_pixel", CAMERA_PIXEL, _pixel("camera", "position of the dot in the photograph, through the optics")),
         Field(
             "travel",
@@ -305,7 +333,11 @@ RUN_TIME = Schema(
         ),
         Field("head_velocity", _POINT, _axes("head_velocity", "mm/s", "_mm_s", "velocity of that origin, world frame")),
         Field("head_rate", _VECTOR, _axes("head_rate", "rad/s", "_rad_s", "angular velocity of the head, world frame")),
-        Field("viewpoint", _POINT, _axes("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame")),
+        Field(
+            "viewpoint",
+            _POINT,
+            _axes("viewpoint", "mm", "_mm", "tracked position of the pupil, device frame", most=_MOST_IN_DEVICE_MM),
+        ),
         Field("gaze", _DIRECTION, _axes("gaze", "", "", "unit gaze direction, device frame")),
         Field("dot", _POINT, _axes("dot", "mm", "_mm", "the real dot, world frame")),
         Field(

@@ -1,11 +1,9 @@
 """Read, check and write the tables of a bench session: CSV, plain or gzipped, by their schemas."""
 
-import csv
 import difflib
 import gzip
 import io
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,9 +13,11 @@ from numpy.typing import NDArray
 from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
+from wlr_render.input_files import LIMITS, decode_text, gunzip, parsing, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _UNIT_TOLERANCE = 1e-3
+_LONGEST_LINE = 10_000
 _UNIT_SUFFIX = re.compile(r"(_(mm|cm|m|um|inch|deg|rad|mrad|arcmin|px|s|ms|us|min|h))+$")
 
 
@@ -28,7 +28,7 @@ def read_table(path: Path, schema: Schema) -> Columns:
         BadInputError: a column is missing, unknown or in another unit, a cell is no number or one that its column
             does not allow, there are no rows, or captures contradict or repeat each other.
     """
-    lines = [(number, text) for number, text in enumerate(_text(path).splitlines(), 1) if text.strip()]
+    lines = _lines(path)
     header = [name.strip() for name in lines[0][1].split(",")] if lines else []
     _check_header(path, header, schema)
     if len(lines) < 2:
@@ -55,15 +55,23 @@ def write_table(path: Path, schema: Schema, columns: Mapping[str, FloatArray]) -
 
 
 def _text(path: Path) -> str:
-    try:
-        content = path.read_bytes()
-        return (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8-sig")
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise BadInputError(f"{path}: is cut short or is not gzipped; write it again.") from error
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: is not a text file ({error.reason}).") from error
+    content = read_bytes(path, LIMITS.table_bytes)
+    if path.suffix == ".gz":
+        content = gunzip(path, content, LIMITS.table_bytes)
+    if content.count(b"\n") > LIMITS.rows:
+        raise BadInputError(f"{path}: has more than {LIMITS.rows} rows, the most that are read; leave some out.")
+    return decode_text(path, content, "a table")
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Lines that are not blank, with their numbers."""
+    lines = [(number, text) for number, text in enumerate(_text(path).split("\n"), 1) if text.strip()]
+    for number, text in lines:
+        if len(text) > _LONGEST_LINE:
+            raise BadInputError(
+                f"{path} line {number}: has {len(text)} characters, more than any row; separate rows by line ends."
+            )
+    return lines
 
 
 def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
@@ -96,8 +104,9 @@ def _unknown(name: str, absent: Sequence[Column]) -> str:
 def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> FloatArray:
     """All cells, (n, columns)."""
     try:
-        values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
-    except ValueError as error:
+        with parsing(path, "a table"):
+            values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
+    except BadInputError as error:
         raise _cell_fault(path, header, rows, numbers) from error
     if values.shape[1] != len(header):
         raise _cell_fault(path, header, rows, numbers)
@@ -106,15 +115,19 @@ def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Seq
 
 def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> BadInputError:
     """The error of the first row that is not a row of numbers."""
-    for number, cells in zip(numbers, csv.reader(rows), strict=True):
+    for number, row in zip(numbers, rows, strict=True):
+        cells = row.split(",")
         if len(cells) != len(header):
             return BadInputError(
-                f"{path} line {number}: {len(cells)} cells where the header has {len(header)} columns."
+                f"{path} line {number}: {len(cells)} cells where the header has {len(header)} columns; "
+                "write one for each."
             )
         for name, cell in zip(header, cells, strict=True):
             if not _is_number(cell):
-                return BadInputError(f"{path} line {number}: '{name}' is '{cell.strip()}', not a number; {_REMEDY}.")
-    return BadInputError(f"{path}: the rows are not numbers separated by commas.")
+                return BadInputError(
+                    f"{path} line {number}: '{name}' is {shown(cell.strip())}, not a number; {_REMEDY}."
+                )
+    return BadInputError(f"{path}: the rows are not numbers separated by commas; write the table again.")
 
 
 _REMEDY = "leave out rows without a measurement"
@@ -134,7 +147,13 @@ def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence
         if column.name not in columns:
             continue
         value = columns[column.name]
-        for bad, demand in ((~np.isfinite(value), f"finite; {_REMEDY}"), (~_allowed(value, column.kind), column.kind)):
+        demands = (
+            (~np.isfinite(value), f"finite; {_REMEDY}"),
+            (~_allowed(value, column.kind), column.kind),
+            (value < column.least, f"{column.least:g} {column.unit} or more: check its unit"),
+            (np.abs(value) > column.largest, f"{column.largest:g} {column.unit}".strip() + " at most: check its unit"),
+        )
+        for bad, demand in demands:
             if bad.any():
                 row = int(np.argmax(bad))
                 raise BadInputError(

@@ -1,47 +1,59 @@
 """The compositor: warps an engine's pictures to panel images for the current eye and head poses.
 
 A frame is `begin_frame` (from where to draw), `submit` once per eye (what was drawn), `compose` (what the panels show).
+Each eye shows its newest submitted picture: one that is late, or drawn at a lower rate, is warped again to the newest
+pose.
 All input is checked before anything is changed: after an error the frame stands as it did before the call.
 """
 
 import typing
+import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from wlr_render.compositing.backend import Backend, ComposedFrame, open_backend
 from wlr_render.compositing.checks import (
+    check_camera_size,
+    check_stored,
+    check_submitted,
     checked_background,
+    checked_choice,
     checked_eye,
+    checked_eyes,
+    checked_flag,
     checked_models,
+    checked_number,
+    checked_panels,
     checked_pose,
+    checked_quad,
     checked_size,
     checked_viewpoints,
     nearest_in_reach,
 )
+from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.eye_camera import EyeCamera
-from wlr_render.compositing.rolling_scanout import row_poses
-from wlr_render.errors import BadInputError
+from wlr_render.compositing.frame_handle import HISTORY, FrameHandle, MotionPredictor
+from wlr_render.compositing.gl_backend import GlBackend, HostState
+from wlr_render.compositing.rolling_scanout import Scan, row_poses
+from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.gl import GlContext
+from wlr_render.rendering.panel_light import SRGB_PANEL, PanelLight
 from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
-from wlr_render.rendering.stored_picture import Rows, StoredDepth
+from wlr_render.rendering.stored_picture import CODES, METRES, PREMULTIPLIED, Rows, StoredColour, StoredDepth
 from wlr_render.rendering.view import image_from_ray_map
 
-METRES = StoredDepth()
 
+@dataclass(frozen=True, eq=False)
+class _Submitted:
+    """The frame of an eye's newest picture, and the texture of a picture that was not copied."""
 
-@dataclass(eq=False)
-class _OpenFrame:
-    """A frame between `begin_frame` and the next one; `submitted` has, by eye, the texture that was not copied."""
-
-    world_from_device: FloatArray
-    viewpoints: dict[str, FloatArray]
-    cameras: dict[str, EyeCamera]
-    submitted: dict[str, Any] = field(default_factory=dict)
+    handle: FrameHandle
+    not_copied: Any
 
 
 class Compositor:
@@ -60,51 +72,57 @@ class Compositor:
         size: tuple[int, int],
         *,
         context: Any = "auto",
-        solve: str = "auto",
+        host_state: HostState = "kept",
         resolution: float = 1.0,
         raster_camera: RasterPlace = "nearest",
         late_margin_deg: float = 1.0,
         background: tuple[int, int, int] = (0, 0, 0),
+        panel: PanelLight | Mapping[str, PanelLight] = SRGB_PANEL,
     ) -> None:
-        """Prepare; the first compose of each kind (into a framebuffer or not, rolling or not) compiles its shader.
+        """Prepare; `prepare` also compiles all shaders.
 
         Args:
             models: mappings of one eye, or by eye "left" and "right"; three of an eye are for red, green and blue.
-            size: (width, height) in pixels of each eye's display picture, which covers its panel.
+            size: (width, height) in pixels of each eye's display picture, which covers its panel; 2^27 pixels at most.
             context: a `moderngl.Context` to work in; "current" for the OpenGL context that is current on this thread,
-                whoever made it; "egl" or "osmesa" for one of our own; "cpu" for none; "auto" for the first of these
-                three that works here.
-            solve: "pixels" (every display pixel, planar models only), "nodes" (a grid of measured error, read
-                bilinearly), or "auto": pixels for planar models on a GPU, nodes elsewhere.
-            resolution: pixels of the intermediate image per display pixel and axis.
+                whoever made it; "egl" or "osmesa" for one of our own; "auto" for the first of these two that opens;
+                or a `rendering.gl.GlContext` to share, which `release` leaves open.
+            host_state: of an adopted context: "kept" restores all state after each call; "clean" neither reads nor
+                restores any, which takes a fraction of the time, and the host promises OpenGL's default state when it
+                calls and relies on no binding afterwards (docs/realtime.md has the list).
+            resolution: pixels of the intermediate image per display pixel and axis, 0.01 to 4.
             raster_camera: where `begin_frame` puts the camera: "nearest" to the rays that reach the pupil, or at the
                 "viewpoint", as in the paper, from where more is disoccluded. The warp map always comes from the depth
                 that you submit: the paper's map from the mesh is not possible here.
-            late_margin_deg: how far the head may turn between drawing and scan-out before the borders go black.
+            late_margin_deg: how far the head may turn between drawing and scan-out before the borders go black, 0 to
+                20.
             background: sRGB of pixels that see nothing of the picture.
+            panel: encoding, uniformity, sub-pixels and bits of the panels' light; one for all eyes, or by eye.
 
         Raises:
-            BadInputError: models that do not fit together, no size, an unknown choice, or pixels for models that are
-                not planar.
-            MissingGlError: OpenGL was asked for by name and does not open, or a context of yours is below version 4.3.
+            BadInputError: models that do not fit together, no size, or an unknown choice.
+            MissingGlError: OpenGL does not open, or a context of yours is below version 4.1.
         """
         channels = checked_models(models)
         self.size_px = checked_size(size)
-        if not (0 < resolution <= 4 and 0 <= late_margin_deg <= 20):
-            raise BadInputError(
-                f"resolution {resolution} and late_margin_deg {late_margin_deg}: give 0 to 4, and 0 to 20 degrees."
-            )
+        resolution = checked_number(resolution, "resolution", 0.01, 4)
+        margin = float(np.tan(np.deg2rad(checked_number(late_margin_deg, "late_margin_deg", 0, 20))))
+        checked_choice(raster_camera, typing.get_args(RasterPlace), "raster_camera")
+        checked_choice(host_state, typing.get_args(HostState), "host_state")
+        colour = checked_background(background)
+        panels = checked_panels(panel, list(channels), self.size_px)
         self._models = channels
-        margin = float(np.tan(np.deg2rad(late_margin_deg)))
-        places = typing.get_args(RasterPlace)
-        if raster_camera not in places:
-            raise BadInputError(f"raster_camera '{raster_camera}': choose from {', '.join(places)}.")
         self._plans = {
             eye: EyePlan.of(group, self.size_px, resolution, raster_camera, margin) for eye, group in channels.items()
         }
-        colour = checked_background(background)
-        self._backend: Backend = open_backend(context, list(self._plans.values()), solve, colour)
-        self._frame: _OpenFrame | None = None
+        for plan in self._plans.values():
+            check_camera_size(plan)
+        self._backend = GlBackend(context, host_state, list(self._plans.values()), colour, panels)
+        self._predictor = MotionPredictor({eye: group[0].eye_box for eye, group in channels.items()})
+        self._frames: list[FrameHandle] = []  # the newest last
+        self._newest: dict[str, _Submitted] = {}
+        self._viewpoints: dict[str, FloatArray] = {}
+        self._frame_count = 0
         self._released = False
 
     @property
@@ -114,12 +132,12 @@ class Compositor:
 
     @property
     def renderer(self) -> str:
-        """Name of the renderer, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)" or "cpu"."""
+        """Name of the renderer, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)"."""
         return self._backend.name
 
     @property
-    def context(self) -> Any:
-        """The `rendering.gl.GlContext` in which it works, for renderers of ours; None without OpenGL."""
+    def context(self) -> GlContext:
+        """The OpenGL context in which it works, for renderers of ours."""
         return self._backend.context
 
     def plan(self, eye: str) -> EyePlan:
@@ -130,24 +148,39 @@ class Compositor:
         """Return the nearest viewpoint (3,) that `begin_frame` accepts, for samples far outside the eye box."""
         return nearest_in_reach(viewpoint, self._models[checked_eye(eye, self.eyes)][0].eye_box)
 
-    def begin_frame(self, pose: FloatArray, viewpoint: FloatArray | Mapping[str, FloatArray]) -> dict[str, EyeCamera]:
-        """Start a frame and drop the pictures submitted before.
+    def begin_frame(
+        self,
+        pose: FloatArray,
+        viewpoint: FloatArray | Mapping[str, FloatArray],
+        *,
+        time_s: float | None = None,
+        predict_s: float = 0.0,
+    ) -> FrameHandle:
+        """Start a frame. The last three frames may be submitted, in any order of the eyes.
 
         Args:
             pose: (4, 4) world_from_device.
-            viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two.
+            viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two. Only the eyes that are
+                named have a camera in this frame.
+            time_s: when pose and viewpoint were measured, in seconds of any clock; for `predict_s`.
+            predict_s: draw for the pose and viewpoint so much later, 0 to 0.1 s, predicted at constant velocity from
+                this and the last call with a time (`geometry/prediction.py`).
 
         Returns:
-            The camera to draw with, by eye.
+            The camera to draw with, by eye: a mapping, and the handle that `submit` takes.
 
         Raises:
-            BadInputError: an invalid pose or viewpoint, or a viewpoint far outside the eye box.
+            BadInputError: an invalid pose, viewpoint or time, or a viewpoint far outside the eye box.
         """
         self._check_alive()
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
-        cameras = {eye: EyeCamera(eye, plan.view(viewpoints[eye], pose)) for eye, plan in self._plans.items()}
-        self._frame = _OpenFrame(pose, viewpoints, cameras)
-        return dict(cameras)
+        pose, viewpoints = self._predictor.predict(pose, viewpoints, time_s, predict_s)
+        cameras = {eye: EyeCamera(eye, self._plans[eye].view(at, pose)) for eye, at in viewpoints.items()}
+        self._frame_count += 1
+        handle = FrameHandle(self._frame_count, pose, viewpoints, cameras)
+        self._frames = [*self._frames, handle][-HISTORY:]
+        self._viewpoints |= viewpoints
+        return handle
 
     def submit(
         self,
@@ -157,89 +190,162 @@ class Compositor:
         eye: str | None = None,
         stored: StoredDepth = METRES,
         rows: Rows | None = None,
+        frame: FrameHandle | None = None,
+        stored_colour: StoredColour = CODES,
     ) -> None:
         """Submit the picture of an eye, drawn with the camera that `begin_frame` returned.
 
         Args:
-            color: a numpy array (height, width, 3 or 4) uint8 sRGB with its top row first; or a ModernGL texture; or a
+            color: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first; or
+                a texture (ModernGL's, its OpenGL number with that of `depth`, or a `framebuffers.TextureLayer`); or a
                 ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of our own
-                renderers, which alone is not copied. Numbers from 0 to 1 in textures are sRGB codes over 255: linear
-                light must be encoded first.
-            depth: a numpy array (height, width) or a texture, unless `color` holds it.
+                renderers, which alone is not copied.
+            depth: a numpy array (height, width) or a texture, unless `color` holds it. Pixels that hold NaN are
+                background. Numbers outside `StoredDepth.limits` are refused in arrays; in textures, which are not read
+                back, they are background too.
             eye: may be left out if there is one eye.
             stored: what the depth means; metres along the camera's axis with 0 for nothing if left out, as pyrender
                 gives them.
             rows: which row comes first in memory; the top one for arrays, the bottom one for what OpenGL drew, if left
                 out.
+            frame: the frame that it was drawn for; the newest if left out, which is right only while no frames overlap:
+                of pictures other than a `GpuImage` the pose cannot be checked.
+            stored_colour: what the colours mean: sRGB codes of 8 bits if left out.
 
         Raises:
-            BadInputError: no frame begun, an eye submitted twice, or a picture of another size, kind or context.
+            BadInputError: no frame begun, or one that is older than the last three or than the eye's newest picture; an
+                eye submitted twice or without a camera in the frame; a picture of another size, kind or context; a
+                `GpuImage` of another pose; or metres in a depth format.
         """
-        frame, eye = self._begun(), checked_eye(eye, self.eyes)
-        if not isinstance(stored, StoredDepth) or not isinstance(rows, Rows | None):
-            raise BadInputError("stored must be a StoredDepth, and rows one of Rows; see rendering/stored_picture.py.")
-        if eye in frame.submitted:
+        handle, eye = self._handle(frame), checked_eye(eye, self.eyes)
+        check_stored(stored, stored_colour, rows)
+        if eye not in handle:
+            raise BadInputError(f"the {eye} eye has no camera in this frame; name its viewpoint in begin_frame.")
+        if eye in handle.submitted:
             raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
+        last = self._newest.get(eye)
+        if last is not None and last.handle.number > handle.number:
+            raise BadInputError(
+                f"frame {handle.number} is older than frame {last.handle.number}, which the {eye} eye shows already; "
+                "drop its picture."
+            )
         not_copied = getattr(color, "colour", None)  # of a GpuImage
-        if not_copied is not None and any(not_copied is other for other in frame.submitted.values()):
+        others = (each for name, each in self._newest.items() if name != eye)
+        if not_copied is not None and any(not_copied is other.not_copied for other in others):
             raise BadInputError(
                 f"the {eye} eye's picture has overwritten the other eye's; draw each under a name of its own, as in "
                 "draw_on_gpu(view, eye)."
             )
         with self._backend.working():
-            self._backend.eyes[eye].set_picture(color, depth, stored, rows)
-        frame.submitted[eye] = not_copied
+            self._backend.eyes[eye].set_picture(handle[eye].view, color, depth, stored, rows, stored_colour)
+        handle.submitted.add(eye)
+        self._newest[eye] = _Submitted(handle, not_copied)
+
+    def submit_overlay(
+        self,
+        picture: Any,
+        size_m: tuple[float, float] = (1.0, 1.0),
+        *,
+        world_from_quad: FloatArray | None = None,
+        device_from_quad: FloatArray | None = None,
+        eyes: Sequence[str] | None = None,
+        stored_colour: StoredColour = PREMULTIPLIED,
+        rows: Rows | None = None,
+    ) -> None:
+        """Show a flat picture over all else, from the next `compose` on, until another or None is submitted.
+
+        Args:
+            picture: an array (height, width, 3 or 4), or a ModernGL texture, which is copied; None to remove it.
+            size_m: (width, height) of the quad.
+            world_from_quad: (4, 4) pose of its middle in the world: x right, y up, seen from +z.
+            device_from_quad: or in the device frame, for one that moves with the head.
+            eyes: which eyes show it, all if None.
+            stored_colour, rows: as `submit`, but premultiplied with alpha if left out.
+
+        Raises:
+            BadInputError: not one of the two poses or an invalid one, or a picture of another kind or context.
+        """
+        self._check_alive()
+        chosen = checked_eyes(eyes, self.eyes)
+        quad = None if picture is None else checked_quad(size_m, world_from_quad, device_from_quad)
+        check_stored(METRES, stored_colour, rows)
+        with self._backend.working():
+            for eye in chosen:
+                self._backend.eyes[eye].set_overlay(picture, quad, stored_colour, rows)
 
     def compose(
         self,
         into: Any = None,
         *,
+        eyes: Sequence[str] | None = None,
         pose: FloatArray | None = None,
         viewpoint: FloatArray | Mapping[str, FloatArray] | None = None,
         pose_at_last_row: FloatArray | None = None,
+        scan: Scan = "down",
+        time_s: float | None = None,
+        predict_s: float = 0.0,
         with_source: bool = False,
     ) -> ComposedFrame:
         """Return the panel images; may be called again for the same frame with newer poses (late correction).
 
-        The submitted pictures are warped with their depth to the newest head pose and viewpoints, in one resampling.
+        Each eye's newest submitted picture is warped with its depth to the newest head pose and viewpoints, in one
+        resampling. Without a new picture the last one is shown again.
 
         Args:
             into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also
                 one of twice the width, the left eye to the left. Its first colour is drawn to, upright as OpenGL shows
-                it, with sRGB codes whatever its format. 0 is the window's, whose size is not checked. Textures of our
-                own if None.
-            pose: (4, 4) newest world_from_device, when the first row lights up; that of `begin_frame` if None.
-            viewpoint: newest viewpoints; those of `begin_frame` if None.
+                it, with the panel's codes whatever its format. 0 is the window's, whose size is not checked. Textures
+                of our own if None.
+            eyes: which eyes to compose, all if None.
+            pose: (4, 4) newest world_from_device, when the first row lights up; that of the newest `begin_frame` if
+                None.
+            viewpoint: newest viewpoints; those of the newest `begin_frame` for eyes that are not named.
             pose_at_last_row: for a display that lights up row by row, the head's pose when the last row does.
+            scan: "down" if the top row lights up first, "up" if the bottom row does.
+            time_s, predict_s: as `begin_frame`; `pose` is needed with them, and `pose_at_last_row` is not predicted.
             with_source: also make the pull map, `WarpedImage.source`, where there is no `into`.
 
         Raises:
-            BadInputError: no frame begun, an eye not submitted, a faulty pose or viewpoint, or a framebuffer of another
-                size, kind or context.
+            BadInputError: no frame begun, an eye that was never submitted, a faulty pose, viewpoint or time, or a
+                framebuffer of another size, kind or context.
         """
-        frame = self._begun()
-        missing = [eye for eye in self.eyes if eye not in frame.submitted]
-        if missing:
-            raise BadInputError(f"the {missing[0]} eye has not been submitted; submit every eye before compose.")
-        viewpoints = frame.viewpoints if viewpoint is None else checked_viewpoints(viewpoint, self._models)
-        newest = frame.world_from_device if pose is None else checked_pose(pose)
-        poses = newest
-        if pose_at_last_row is not None:
-            poses = row_poses(newest, checked_pose(pose_at_last_row, "pose at the last row"), self.size_px[1])
+        newest_frame, with_source = self._handle(None), checked_flag(with_source, "with_source")
+        checked_choice(scan, typing.get_args(Scan), "scan")
+        chosen = checked_eyes(eyes, self.eyes)
+        check_submitted(chosen, self._newest)
+        for eye in chosen:
+            self._backend.eyes[eye].check_picture()
+        measured = {} if viewpoint is None else checked_viewpoints(viewpoint, self._models)
+        newest = newest_frame.world_from_device if pose is None else checked_pose(pose)
+        last_row = None if pose_at_last_row is None else checked_pose(pose_at_last_row, "pose at the last row")
+        if pose is None and (time_s is not None or predict_s):
+            raise BadInputError("time_s and predict_s are of the pose that compose is given; give pose as well.")
         composed = {}
         with self._backend.working():
-            targets = self._backend.targets(into, self.eyes, self.size_px)
-            for eye, plan in self._plans.items():
-                view, at = frame.cameras[eye].view, viewpoints[eye]
-                moved = image_from_ray_map(view, at, plan.device_from_camera, poses)
-                composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source)
-        return ComposedFrame(composed, self._check_alive)
+            targets = self._backend.targets(into, chosen, self.size_px)
+            newest, measured = self._predictor.predict(newest, measured, time_s, predict_s)
+            viewpoints = self._viewpoints | measured
+            poses = newest if last_row is None else row_poses(newest, last_row, self.size_px[1], scan)
+            for eye in chosen:
+                view, at = self._newest[eye].handle[eye].view, viewpoints[eye]
+                moved = image_from_ray_map(view, at, self._plans[eye].device_from_camera, poses)
+                over = self._backend.eyes[eye].seen_overlay(view, newest)
+                composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source, over)
+        generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 
-    def forget(self) -> None:
-        """Solve the next frame without a warm start, as after a change of the headset's fit."""
+        def check_readable(eye: str) -> None:
+            self._check_alive()
+            if self._backend.eyes[eye].generation != generations[eye]:
+                raise BadInputError(
+                    f"a later compose has overwritten this picture of the {eye} eye; read a frame before the next."
+                )
+
+        return ComposedFrame(composed, check_readable)
+
+    def prepare(self) -> None:
+        """Compile all shaders, so that no frame has to: draws once in every way, which takes up to some seconds."""
         self._check_alive()
-        for eye in self._backend.eyes.values():
-            eye.forget()
+        self._backend.prepare()
 
     def finish(self) -> None:
         """Block until the GPU is idle. Needed only for timing."""
@@ -249,13 +355,15 @@ class Compositor:
     def release(self) -> None:
         """Free all GPU objects and an own context; no frames can be composed afterwards.
 
-        Nothing else frees the objects in an adopted context.
+        Nothing else frees the objects in an adopted context. It must be current on this thread: if it is not, nothing
+        is freed, with a RuntimeWarning, and you may call again.
         """
-        if not self._released:
-            self._frame, self._released = None, True
-            self._backend.release()
+        if not self._released and self._backend.release():
+            self._frames, self._released = [], True
+            self._newest.clear()
 
     def __enter__(self) -> "Compositor":
+        self._check_alive()
         return self
 
     def __exit__(
@@ -263,12 +371,26 @@ class Compositor:
     ) -> None:
         self.release()
 
+    def __del__(self) -> None:
+        # OpenGL is left alone: Python may call this on any thread, with any context current.
+        if not getattr(self, "_released", True) and not self._backend.is_shared:
+            message = "a Compositor was not released: call release() or use `with`."
+            warnings.warn(message, ResourceWarning, stacklevel=stacklevel_of_caller(), source=self)
+
     def _check_alive(self) -> None:
         if self._released:
             raise BadInputError("the compositor has been released; make another one.")
 
-    def _begun(self) -> _OpenFrame:
+    def _handle(self, frame: FrameHandle | None) -> FrameHandle:
+        """A frame that may be submitted; the newest if None."""
         self._check_alive()
-        if self._frame is None:
-            raise BadInputError("there is no frame; call begin_frame first.")
-        return self._frame
+        if frame is None:
+            if not self._frames:
+                raise BadInputError("there is no frame; call begin_frame first.")
+            return self._frames[-1]
+        if not any(frame is each for each in self._frames):
+            raise BadInputError(
+                f"frame is not one of the last {HISTORY} of this compositor; drop its picture, and give what "
+                "begin_frame returned."
+            )
+        return frame

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.errors import BadInputError
+from wlr_render.compositing.checks import checked_flag
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.stored_picture import check_planes
 from wlr_render.rendering.view import View
 
 
@@ -73,8 +74,8 @@ class EyeCamera:
         Raises:
             BadInputError: the distances are not two different positive ones.
         """
-        if not (near_m > 0 and far_m > 0 and near_m != far_m):
-            raise BadInputError(f"near_m = {near_m} and far_m = {far_m} are not two different positive distances.")
+        check_planes(near_m, far_m)
+        checked_flag(zero_to_one, "zero_to_one")
         (left, bottom), (right, top) = self.view.camera.tangent_min, self.view.camera.tangent_max
         matrix = np.zeros((4, 4))
         matrix[0, 0], matrix[0, 2] = 2 / (right - left), (right + left) / (right - left)

@@ -1,139 +1,51 @@
-"""Compositor backend in OpenGL, on a GPU or a software renderer, with the caller's framebuffers as targets."""
+"""Compositor backend in OpenGL, on a GPU or a software renderer."""
 
-import contextlib
-import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from numbers import Integral
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from wlr_render.compositing.backend import CachedRayMaps
+from wlr_render.compositing.checks import checked_choice
+from wlr_render.compositing.composed_frame import CachedRayMaps
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.input_files import shown
 from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.cpu_ray_maps import RayMapSolver
-from wlr_render.rendering.framebuffers import COLOUR, DRAW, FramebufferQueries
+from wlr_render.rendering.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
+from wlr_render.rendering.gl_panel import PanelEncoder
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
 from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
-from wlr_render.rendering.gpu_image import GpuImage
+from wlr_render.rendering.gpu_image import GpuImage, read_rgb
+from wlr_render.rendering.panel_light import PanelLight
 from wlr_render.rendering.picture_import import PictureImport
 from wlr_render.rendering.raster_camera import EyePlan
-from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
-from wlr_render.rendering.stored_picture import Rows, StoredDepth
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, RayMapSolver, choose_plan
+from wlr_render.rendering.readback import Readback, read_into
+from wlr_render.rendering.stored_picture import Rows, StoredColour, StoredDepth
+from wlr_render.rendering.target_framebuffers import TargetFramebuffers
+from wlr_render.rendering.view import View
 from wlr_render.rendering.warp import WarpedImage
-from wlr_render.rendering.warp_grid import WarpGrid
 
-_DRAW_BUFFERS = range(0x8825, 0x8825 + 8)  # GL_DRAW_BUFFER0 and on
-_ON, _OFF = (True,) * 4, (False,) * 4
+HostState = Literal["kept", "clean"]
+"""Who keeps the OpenGL state of an adopted context, see `Compositor`."""
 
-
-class CallersFramebuffers:
-    """The caller's framebuffers as targets; use it in drawing blocks."""
-
-    def __init__(self, context: gl.GlContext) -> None:
-        self._context, self._ask = context, FramebufferQueries(context)
-        # ModernGL never frees what it makes for a number, so that one is made for each.
-        self._by_number: dict[int, gl.Framebuffer] = {}
-
-    def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
-        """Where each eye's picture goes, upright as OpenGL shows it; see `Compositor.compose`.
-
-        Raises:
-            BadInputError: an eye has none, one is no framebuffer of this context, or of another size or kind.
-        """
-        if isinstance(into, Mapping):
-            missing = set(eyes) - set(into)
-            if missing:
-                raise BadInputError(
-                    f"there is no framebuffer for the {sorted(missing)[0]} eye; give one for every eye."
-                )
-            found = {eye: self._of_size(into[eye], size_px) for eye in eyes}
-            if len({framebuffer.glo for framebuffer in found.values()}) < len(found):
-                raise BadInputError(
-                    "both eyes are given the same framebuffer; give each its own, or one of twice the width."
-                )
-            return {eye: WarpTarget(framebuffer, (0, 0), size_px, False) for eye, framebuffer in found.items()}
-        width, height = size_px
-        framebuffer = self._of_size(into, (width * len(eyes), height))
-        return {
-            eye: WarpTarget(framebuffer, (index * width, 0), size_px, top_row_first=False)
-            for index, eye in enumerate(eyes)
-        }
-
-    @contextlib.contextmanager
-    def draw_buffers_kept(self, framebuffer: gl.Framebuffer) -> Iterator[None]:
-        """Give a framebuffer object its draw buffers back: ModernGL switches on all that it has."""
-        number, ask = int(framebuffer.glo), self._ask
-        if not number:
-            yield
-            return
-        ask.bind(number, DRAW)
-        buffers = (ctypes.c_uint * len(_DRAW_BUFFERS))(*map(ask.integer, _DRAW_BUFFERS))
-        try:
-            yield
-        finally:
-            ask.bind(number, DRAW)
-            ask.gl("glDrawBuffers", ctypes.c_int, ctypes.c_void_p)(len(buffers), buffers)
-
-    def _of_size(self, into: Any, size_px: tuple[int, int]) -> gl.Framebuffer:
-        if isinstance(into, gl.Framebuffer) and not self._context.has(into):
-            raise BadInputError("the framebuffer belongs to another OpenGL context than the compositor works in.")
-        number = into.glo if isinstance(into, gl.Framebuffer) else into
-        if not isinstance(number, Integral):
-            raise BadInputError(f"a {type(into).__name__} is not a framebuffer; give ModernGL's, or an OpenGL number.")
-        framebuffer = self._checked(int(number))
-        # The size of a window's picture is its toolkit's affair: OpenGL cannot be asked for it.
-        size = self._ask.measure(COLOUR)[:2] if number else into.size if into is not number else size_px
-        if tuple(size) != size_px:
-            found, needed = (" x ".join(map(str, pixels)) for pixels in (size, size_px))
-            raise BadInputError(
-                f"the framebuffer has {found} pixels, and {needed} are needed; give one of that size, or make the "
-                "compositor for yours."
-            )
-        return framebuffer
-
-    def _checked(self, number: int) -> gl.Framebuffer:
-        """A framebuffer that takes colours, bound."""
-        ask = self._ask
-        if number and not ask.exists(number):
-            raise BadInputError(f"number {number} is not a framebuffer object of the OpenGL context.")
-        ask.bind(number)
-        if not ask.is_complete():
-            what = "the framebuffer is incomplete" if number else "the OpenGL context has no window"
-            raise BadInputError(f"{what}; give a framebuffer object with an RGBA8 texture.")
-        if number and not (ask.has(COLOUR) and ask.has_blue(COLOUR) and not ask.has_whole_numbers(COLOUR)):
-            raise BadInputError(
-                "the framebuffer's first attachment does not hold red, green and blue as fractions; give it an RGBA8 "
-                "texture."
-            )
-        if number not in self._by_number:
-            self._by_number[number] = self._wrapped(number)
-        ask.bind(number)
-        return self._by_number[number]
-
-    def _wrapped(self, number: int) -> gl.Framebuffer:
-        with self._context.drawing() as ctx:
-            found: Any = ctx.detect_framebuffer(number) if number else ctx.screen
-        if found is None:
-            raise BadInputError("the compositor's own OpenGL context has no window; give a framebuffer object of it.")
-        if number and isinstance(found.color_mask[0], tuple):
-            # Only the first colour is drawn to: what a shader leaves out is undefined.
-            found.color_mask = (_ON, *[_OFF] * (len(found.color_mask) - 1))
-        framebuffer: gl.Framebuffer = found
-        return framebuffer
+CONTEXTS = ("auto", "egl", "osmesa", "current")
 
 
 @dataclass(frozen=True, eq=False)
 class GlComposed:
-    """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's."""
+    """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's.
+
+    `draw_source` draws the pull map of one channel; None if the picture was composed without.
+    """
 
     warped: GpuWarped | None
     ray_maps: list[GpuRayMap]
+    draw_source: Callable[[int], GpuWarped] | None = None
 
     @property
     def texture(self) -> gl.Texture | None:
@@ -142,9 +54,43 @@ class GlComposed:
 
     def read(self) -> WarpedImage:
         """See `ComposedEye`."""
-        if self.warped is None:
-            raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
-        return self.warped.read()
+        return self._own().read()
+
+    def read_async(self) -> Readback:
+        """See `ComposedEye`."""
+        own = self._own()
+        with own.context.drawing():
+            return Readback(own.context, own.colour)
+
+    def read_into(self, target: Any) -> None:
+        """See `ComposedEye`."""
+        own = self._own()
+        with own.context.drawing():
+            read_into(own.context, own.colour, target)
+
+    def read_colour(self) -> NDArray[Any]:
+        """See `ComposedEye`."""
+        own = self._own()
+        with own.context.drawing():
+            return read_rgb(own.colour)
+
+    def read_status(self) -> NDArray[np.uint8]:
+        """See `ComposedEye`."""
+        own = self._own()
+        with own.context.drawing():
+            return gl.read(own.status, np.uint8)
+
+    def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
+        """See `ComposedEye`."""
+        own = self._own()
+        chosen = len(self.ray_maps) // 2 if channel is None else channel
+        if chosen not in range(len(self.ray_maps)):
+            raise BadInputError(f"channel {shown(channel)} does not exist; the eye has {len(self.ray_maps)}.")
+        drawn = own if len(self.ray_maps) == 1 else self.draw_source(chosen) if self.draw_source else None
+        if drawn is None or drawn.source is None:
+            return None
+        with drawn.context.drawing():
+            return gl.read(drawn.source, np.float32)
 
     def unsolved(self) -> dict[str, int]:
         """See `ComposedEye`."""
@@ -154,6 +100,11 @@ class GlComposed:
         """See `ComposedEye`."""
         return [each.read() for each in self.ray_maps]
 
+    def _own(self) -> GpuWarped:
+        if self.warped is None:
+            raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
+        return self.warped
+
 
 class GlEye:
     """One eye on the GPU."""
@@ -161,95 +112,166 @@ class GlEye:
     def __init__(
         self,
         context: gl.GlContext,
-        framebuffers: CallersFramebuffers,
         plan: EyePlan,
-        solve: str,
         background: tuple[int, int, int],
+        panel: PanelLight,
     ) -> None:
-        self._context, self._framebuffers = context, framebuffers
+        self._context, self.size_px = context, plan.size_px
         self._plan, self._background = plan, background
-        self._ray_maps = CachedRayMaps([_solve_of(context, mappings, plan, solve) for mappings in plan.channels])
-        self._warp = GlWarp(context, len(plan.channels))
+        channels = plan.channels if panel.sub_pixel_px is None or len(plan.channels) == 3 else 3 * plan.channels
+        offsets_px = np.zeros((len(channels), 2)) if panel.sub_pixel_px is None else panel.sub_pixel_px
+        self._ray_maps = CachedRayMaps(
+            [_solve_of(context, *each, plan) for each in zip(channels, offsets_px, strict=True)]
+        )
+        self._encoder = PanelEncoder.of(context, panel)
+        self._warp = GlWarp(context, len(channels), self._encoder)
         self._import = PictureImport(context)
         self._picture: GpuImage | None = None
+        self._import_overlay: OverlayImport | None = None
+        self._overlay: Overlay | None = None
+        self.generation = 0
+        """Number of pictures composed; each overwrites the one before."""
 
-    def set_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> None:
-        """See `EyeBackend`."""
-        self._picture = self._import_picture(color, depth, stored, rows)
-
-    def _import_picture(self, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None) -> GpuImage:
-        camera, importer = self._plan.camera, self._import
+    def set_picture(
+        self, view: View, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
+    ) -> None:
+        """See `Compositor.submit`; after an error the last picture stays."""
         if isinstance(color, GpuImage):
-            return checked_image(color, camera, self._context)
-        if isinstance(color, np.ndarray) and isinstance(depth, np.ndarray):
-            return importer.from_arrays(camera, color, depth, stored, rows or Rows.TOP_FIRST)
-        if isinstance(color, gl.Texture) and isinstance(depth, gl.Texture):
-            return importer.from_textures(camera, color, depth, stored, rows or Rows.BOTTOM_FIRST)
-        if isinstance(color, gl.Framebuffer) and depth is None:
-            return importer.from_framebuffer(camera, color, stored, rows or Rows.BOTTOM_FIRST)
-        if isinstance(color, Integral) and depth is None:
-            return importer.from_framebuffer(camera, int(color), stored, rows or Rows.BOTTOM_FIRST)
-        raise BadInputError(
-            f"a picture cannot be taken from a {type(color).__name__} and a {type(depth).__name__}; submit two arrays, "
-            "two textures, or one framebuffer (or its number) that holds both colour and depth."
-        )
+            self._picture = checked_image(color, view, self._context)
+        else:
+            self._picture = self._import.take(view.camera, color, depth, stored, rows, stored_colour)
+
+    def check_picture(self) -> None:
+        """Check the picture that the eye shows.
+
+        Raises:
+            BadInputError: its renderer has drawn another one over it.
+        """
+        if self._picture is not None and self._picture.is_overwritten():
+            raise BadInputError(
+                f"the {self._plan.eye} eye's picture has been drawn over since it was submitted; submit the new one, "
+                "or draw under two names in turn."
+            )
+
+    def set_overlay(self, picture: Any, quad: Quad | None, stored_colour: StoredColour, rows: Rows | None) -> None:
+        """See `Compositor.submit_overlay`; after an error the last overlay stays."""
+        if quad is None:
+            self._overlay = None
+            return
+        if self._import_overlay is None:
+            self._import_overlay = OverlayImport(self._context)
+        self._overlay = self._import_overlay.take(picture, quad, stored_colour, rows)
+
+    def seen_overlay(self, view: View, world_from_device: FloatArray) -> SeenOverlay | None:
+        """The overlay in the picture of a view, with the head at a pose (4, 4)."""
+        if self._overlay is None:
+            return None
+        place_of_pixel = self._overlay.quad.place_of_pixel(view, world_from_device)
+        return None if place_of_pixel is None else SeenOverlay(self._overlay.texture, place_of_pixel)
 
     def compose(
-        self, viewpoint: FloatArray, image_from_ray_map: FloatArray, target: WarpTarget | None, with_source: bool
+        self,
+        viewpoint: FloatArray,
+        image_from_ray_map: FloatArray,
+        target: WarpTarget | None,
+        with_source: bool,
+        overlay: SeenOverlay | None,
     ) -> GlComposed:
-        """See `EyeBackend`."""
-        assert self._picture is not None, "the compositor checks that every eye is submitted"
-        ray_maps = self._ray_maps.at(viewpoint)
-        drawn = (self._picture, ray_maps, image_from_ray_map)
-        if target is not None:
-            with self._framebuffers.draw_buffers_kept(target.framebuffer):
-                self._warp.draw_into(target, *drawn, self._background, self._plan.samples_per_axis)
-            return GlComposed(None, ray_maps)
-        warped = self._warp.draw(*drawn, self._plan.size_px, self._background, self._plan.samples_per_axis, with_source)
-        return GlComposed(warped, ray_maps)
+        """The picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `targets`."""
+        assert self._picture is not None, "the compositor checks that the eye is submitted"
+        self.generation += 1
+        return self._composed(self._picture, viewpoint, image_from_ray_map, target, with_source, overlay)
 
-    def forget(self) -> None:
-        """See `EyeBackend`."""
-        self._ray_maps.forget()
+    def prepare(self, framebuffer: gl.Framebuffer) -> None:
+        """Draw once in every way, which compiles the shaders; see `Compositor.prepare`."""
+        plan = self._plan
+        size = plan.camera.width_px, plan.camera.height_px
+        picture = GpuImage(
+            self._context, plan.camera, self._context.target(size, 4, "srgb"), self._context.target(size, 1, "f4")
+        )
+        at = plan.channels[0].eye_box.centre
+        for poses in (np.eye(4), np.broadcast_to(np.eye(4), (plan.size_px[1], 4, 4))):
+            for target in (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)):
+                self._composed(picture, at, poses, target, with_source=False)
+        self.generation += 1
+
+    def _composed(
+        self,
+        picture: GpuImage,
+        viewpoint: FloatArray,
+        image_from_ray_map: FloatArray,
+        target: WarpTarget | None,
+        with_source: bool,
+        overlay: SeenOverlay | None = None,
+    ) -> GlComposed:
+        ray_maps = self._ray_maps.at(viewpoint)
+        drawn = (picture, ray_maps, image_from_ray_map)
+        if target is not None:
+            self._warp.draw_into(target, *drawn, self._background, self._plan.samples_per_axis, overlay)
+            return GlComposed(None, ray_maps)
+        settings = self._plan.size_px, self._background, self._plan.samples_per_axis
+        warped = self._warp.draw(*drawn, *settings, with_source, overlay)
+        if not with_source or len(ray_maps) == 1:
+            return GlComposed(warped, ray_maps)
+        of_one = GlWarp(self._context, 1, self._encoder)  # a warp of three channels gives green's pull map alone
+
+        def draw_source(channel: int) -> GpuWarped:
+            return of_one.draw(picture, [ray_maps[channel]], image_from_ray_map, *settings, with_source=True)
+
+        return GlComposed(warped, ray_maps, draw_source)
 
 
 class GlBackend:
     """All eyes in one context."""
 
-    def __init__(self, context: Any, plans: Sequence[EyePlan], solve: str, background: tuple[int, int, int]) -> None:
-        """Open or adopt the context, see `Compositor`.
+    def __init__(
+        self,
+        context: Any,
+        host_state: HostState,
+        plans: Sequence[EyePlan],
+        background: tuple[int, int, int],
+        panels: Mapping[str, PanelLight],
+    ) -> None:
+        """Open, adopt or share the context, see `Compositor`.
 
         Raises:
-            BadInputError: pixels for models that are not planar, or sizes that are too large.
+            BadInputError: sizes that are too large.
             MissingGlError: no OpenGL, or a context that is too old.
         """
-        self.context = _context(context)
+        self.context = _context(context, host_state == "clean")
+        self.is_shared = isinstance(context, gl.GlContext)
         self.name = self.context.renderer
-        self._framebuffers = CallersFramebuffers(self.context)
+        self._framebuffers = TargetFramebuffers(self.context)
         try:
             for plan in plans:
                 _check_sizes(plan, self.context.largest_side_px)
-            self.eyes = {plan.eye: GlEye(self.context, self._framebuffers, plan, solve, background) for plan in plans}
+            self.eyes = {plan.eye: GlEye(self.context, plan, background, panels[plan.eye]) for plan in plans}
         except BaseException:
             self.release()
             raise
 
     def working(self) -> AbstractContextManager[object]:
-        """See `Backend`."""
+        """Return a block of calls, around which the caller's OpenGL state is saved and restored once."""
         return self.context.drawing()
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
-        """See `Backend`."""
+        """Target of each eye's picture; empty for textures of our own. See `Compositor.compose`."""
         return {} if into is None else self._framebuffers.targets(into, eyes, size_px)
 
+    def prepare(self) -> None:
+        """See `Compositor.prepare`."""
+        with self.context.drawing():
+            for eye in self.eyes.values():
+                eye.prepare(self.context.framebuffer([self.context.target(eye.size_px, 4, "f1")]))
+
     def finish(self) -> None:
-        """See `Backend`."""
+        """Block until the GPU is idle."""
         with self.context.drawing() as ctx:
             ctx.finish()
 
-    def release(self) -> None:
-        """See `Backend`; an adopted context stays open."""
-        self.context.release()
+    def release(self) -> bool:
+        """Free everything, and return whether that was possible; an adopted or shared context stays open."""
+        return self.is_shared or self.context.release()
 
 
 def _check_sizes(plan: EyePlan, largest_px: int) -> None:
@@ -261,34 +283,56 @@ def _check_sizes(plan: EyePlan, largest_px: int) -> None:
             )
 
 
-def _context(context: Any) -> gl.GlContext:
-    if isinstance(context, str):
-        return gl.adopt_context() if context == "current" else gl.open_context(context)
-    if not isinstance(context, gl.Context):
-        raise BadInputError(f"a {type(context).__name__} is not an OpenGL context; give a moderngl.Context, or a name.")
-    return gl.adopt_context(context)
+def _context(context: Any, host_is_clean: bool) -> gl.GlContext:
+    if isinstance(context, gl.GlContext):
+        return context
+    if isinstance(context, str) and context == "cpu":
+        raise BadInputError(
+            "A compositor needs OpenGL; give context='auto', or draw ray-traced frames (TracedPainter, or `render "
+            "--backend cpu`)."
+        )
+    if isinstance(context, str) and checked_choice(context, CONTEXTS, "context") != "current":
+        if host_is_clean:
+            raise BadInputError(
+                f"host_state='clean' is of an adopted context, and context={context!r} opens one of our own, which has "
+                "no host; leave host_state out, or give context='current' or yours."
+            )
+        return gl.open_context(context)
+    if not isinstance(context, gl.Context | str):
+        raise BadInputError(
+            f"a {type(context).__name__} is not an OpenGL context; give a moderngl.Context, a rendering.gl.GlContext, "
+            f"or one of {', '.join(CONTEXTS)}."
+        )
+    return gl.adopt_context(None if isinstance(context, str) else context, host_is_clean)
 
 
-def _solve_of(context: gl.GlContext, mappings: EyeMappings, plan: EyePlan, solve: str) -> RayMapSolver[GpuRayMap]:
-    planar = isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough)
-    axes = plan.device_from_camera
-    if solve == "pixels" or (solve == "auto" and planar and not context.is_software):
-        return GlPlanarSolver(context, mappings, WarpGrid.of_pixels(mappings.display.panel, plan.size_px), axes)
-    warp_grid = plan.warp_grid.grid
-    if planar:
+def _solve_of(
+    context: gl.GlContext, mappings: EyeMappings, offset_px: FloatArray, plan: EyePlan
+) -> RayMapSolver[GpuRayMap]:
+    """The solver for a primary whose sub-pixels lie at an offset (2,) from the pixels' centres, in display pixels."""
+    warp_grid, axes = plan.warp_grid.grid, plan.device_from_camera
+    warp_grid = replace(warp_grid, first_px=warp_grid.first_px + offset_px * warp_grid.panel.size_px / plan.size_px)
+    if isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough):
         return GlPlanarSolver(context, mappings, warp_grid, axes)
     count = choose_plan(mappings).node_count
     return GlNodeSolver(context, mappings, RayMapPlan.onto_grid(warp_grid, count, axes))
 
 
-def checked_image(image: GpuImage, camera: Pinhole, context: gl.GlContext) -> GpuImage:
-    """An image of our own renderers, drawn in this context with the camera that was asked for.
+def checked_image(image: GpuImage, view: View, context: gl.GlContext) -> GpuImage:
+    """An image of our own renderers, drawn in this context from the view that was asked for.
 
     Raises:
-        BadInputError: drawn with another camera, or elsewhere.
+        BadInputError: drawn with another camera, for another pose, or elsewhere.
     """
     if image.context is not context:
         raise BadInputError("the picture was drawn in another context; make the renderer for `Compositor.context`.")
-    if image.camera is not camera:
+    if image.camera is not view.camera:
         raise BadInputError("the picture was drawn with another camera; draw with the one that begin_frame gave.")
+    if image.is_overwritten():
+        raise BadInputError("the picture has been drawn over; submit it before you draw another under its name.")
+    if image.view is not None and not np.array_equal(image.view.world_from_camera, view.world_from_camera):
+        raise BadInputError(
+            "the picture was drawn for another pose; draw it with the camera of its frame, and submit it with that "
+            "frame's handle."
+        )
     return image

@@ -44,6 +44,12 @@ class Pinhole:
         focal = self.focal_px
         return np.array([-self.tangent_min[0] * focal[0], self.tangent_max[1] * focal[1]])
 
+    @property
+    def image_from_camera(self) -> FloatArray:
+        """(3, 4): a point (x, y, z, 1) of the camera frame -> (u depth, v depth, depth), in pixels and metres."""
+        (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
+        return np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]])
+
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
         """Pixels (..., 2) of tangents (..., 2); v runs down, ty up."""
         return np.asarray(tangents * (self.focal_px * [1, -1]) + self.centre_px)

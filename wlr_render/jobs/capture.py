@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shlex
+import shutil
 import subprocess
 import tempfile
 import time
@@ -16,7 +17,12 @@ from wlr_render.captures.patterns.show_server import ShowServer
 from wlr_render.captures.photographs import SUFFIXES
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
+from wlr_render.finished_files import FinishedFiles, digest_of
+from wlr_render.input_files import shown
+from wlr_render.jobs import limits
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.simulate import retaken_warnings
 from wlr_render.jobs.targets import Code, Primary
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT
@@ -34,7 +40,7 @@ class CaptureOptions(Options):
 
     folder: Annotated[Path, described("Folder of the photographs; an interrupted capture continues there.")]
     _: KW_ONLY
-    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), Range(at_least=1)]
+    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), limits.PIXELS]
     trigger: Annotated[
         str,
         described(
@@ -46,13 +52,19 @@ class CaptureOptions(Options):
     channel: Primary = None
     suffix: Annotated[Suffix, described("Ending of the photographs' names.")] = ".png"
     port: Annotated[int, described("Port of the page at 127.0.0.1."), Range(at_least=0, at_most=65535)] = 8765
-    settle_s: Annotated[
-        float, described("Seconds from a picture's appearance to its photograph."), Range(at_least=0)
-    ] = 0.2
-    timeout_s: Annotated[float, described("Longest wait for a photograph, in seconds."), Range(above=0)] = 30.0
-    page_timeout_s: Annotated[float, described("Longest wait for the page, in seconds."), Range(above=0)] = 300.0
+    settle_s: Annotated[float, described("Seconds from a picture's appearance to its photograph."), Range(0, 3600)] = (
+        0.2
+    )
+    timeout_s: Annotated[float, described("Longest wait for a photograph, in seconds."), limits.WAIT_S] = 30.0
+    page_timeout_s: Annotated[float, described("Longest wait for the page, in seconds."), limits.WAIT_S] = 300.0
+
+    @property
+    def out(self) -> Path:
+        """The folder that the photographs are written into."""
+        return self.folder
 
 
+@job
 def capture(options: CaptureOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Photograph the pictures that the folder does not have yet.
 
@@ -60,28 +72,40 @@ def capture(options: CaptureOptions, *, progress: ProgressArgument = SILENT) -> 
         BadInputError: the folder holds other photographs, the page is not opened or does not show a picture, or a
             photograph is not taken; those taken are kept.
     """
-    words_of(options.trigger)
+    _require_program(words_of(options.trigger)[0])
     code = make_pattern(options.pattern, Panel(*options.panel))
     folder = output_folder(options.folder)
     with tempfile.TemporaryDirectory() as shown:
         pictures = write_show_page(shown, code, options.channel)
         paths = [folder / f"{picture.stem}{options.suffix}" for picture in pictures]
         _refuse_others(folder, paths)
-        missing = [number for number, path in enumerate(paths) if not path.is_file()]
+        finished = FinishedFiles(folder, digest_of(options.pattern, options.panel, options.channel))
+        _refuse_unlisted(finished, paths)
+        missing = [number for number, path in enumerate(paths) if finished.not_whole([path])]
+        changed = finished.changed(paths)
         if missing:
             with ShowServer(Path(shown), code.panel, options.port) as page:
                 progress.say(f"open {page.url} on the panel's screen and click on it")
                 for number in progress(missing, len(missing), "photographs"):
                     page.show(number, options.page_timeout_s)
                     time.sleep(options.settle_s)
+                    finished.add([])  # a photograph that a killed run did not list is then its own
                     take_photograph(options.trigger, paths[number], options.timeout_s)
+                    finished.add([paths[number]])
                 with contextlib.suppress(BadInputError):  # the photographs are complete, whether or not it turns black
                     page.show(len(paths), _BLACK_S)
     return Report(
         "Capture",
         f"{len(missing)} photographs taken, {len(paths) - len(missing)} kept from an earlier run: {folder}",
         ["List the folder in session.toml as [[display]] with its stage reading."],
+        retaken_warnings(changed),
     )
+
+
+def _require_program(name: str) -> None:
+    """Refuse a command that cannot be run, before anybody opens the page."""
+    if shutil.which(name) is None:
+        raise BadInputError(f"--trigger: there is no program {shown(name)} that can be run; install it, or correct it.")
 
 
 def _refuse_others(folder: Path, paths: list[Path]) -> None:
@@ -90,6 +114,15 @@ def _refuse_others(folder: Path, paths: list[Path]) -> None:
     others = sorted(path.name for path in set(found) - set(paths))
     if others:
         raise BadInputError(f"{folder}: holds {others[0]}, which is no photograph of this code; choose another folder.")
+
+
+def _refuse_unlisted(finished: FinishedFiles, paths: list[Path]) -> None:
+    """Photographs that another program, or an earlier version, took must not be replaced."""
+    if finished.is_new and (found := [path for path in paths if os.path.lexists(path)]):
+        raise BadInputError(
+            f"{found[0]}: was taken by another program, or by an earlier version, which did not list what it had "
+            "taken; choose another folder."
+        )
 
 
 def words_of(trigger: str) -> list[str]:
@@ -101,7 +134,7 @@ def words_of(trigger: str) -> list[str]:
     try:
         words = shlex.split(trigger)
     except ValueError as error:
-        raise BadInputError(f"--trigger {trigger!r} is no command ({error}).") from error
+        raise BadInputError(f"--trigger {trigger!r} is no command ({error}); correct it.") from error
     if not any("{path}" in word for word in words):
         raise BadInputError(
             f"--trigger {trigger!r} has no {{path}}, in place of which the name of the photograph's file is put; e.g. "
@@ -135,7 +168,7 @@ def take_photograph(trigger: str, path: Path, timeout_s: float) -> None:
         said = output.read().split("\n")
     if status != 0:
         last = next((line.strip() for line in reversed(said) if line.strip()), "no message")
-        raise BadInputError(f"{named} failed with status {status} ({last}).")
+        raise BadInputError(f"{named} failed with status {status} ({last}); try it by hand, or correct --trigger.")
     size, since = -1, time.monotonic()
     while size <= 0 or time.monotonic() - since < _STABLE_S:
         if time.monotonic() > ends + _STABLE_S:

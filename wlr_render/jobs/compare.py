@@ -7,18 +7,22 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.compositing.raster_painter import raster_painter
+from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.files import output_folder, write_figure
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
     Eyes,
     MapFrom,
     Options,
     ProgressArgument,
+    Range,
     RasterCamera,
     described,
     eyes_of,
@@ -28,11 +32,11 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.painters import Frame, TracedPainter, raster_painter
-from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
+from wlr_render.rendering.painters import Frame, TracedPainter, blank_warnings, is_blank
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene, scene_path
+from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
 from wlr_render.report.plots import heat_map
 from wlr_render.report.save import save_report
@@ -73,7 +77,9 @@ class CompareOptions(Options):
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to compare.")] = "right"
     viewpoint_offset_mm: Annotated[
-        tuple[float, float, float], described("Viewpoint from the centre of the eye box, device frame: X Y Z in mm.")
+        tuple[float, float, float],
+        described("Viewpoint from the centre of the eye box, device frame: X Y Z in mm."),
+        Range(at_least=-100, at_most=100),
     ] = (0.0, 0.0, 0.0)
     raster_camera: RasterCamera = "nearest"
     map_from: MapFrom = "depth"
@@ -83,6 +89,7 @@ class CompareOptions(Options):
     )
 
 
+@job
 def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Draw a frame by rasterisation and by ray tracing and compare them; writes both, and the error map as .tiff.
 
@@ -91,30 +98,43 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
 
     Raises:
         BadInputError: faulty headset or scene, or a viewpoint outside the eye box.
+        MissingGlError: no OpenGL, hence no raster frames.
     """
     eyes = {eye: open_eye(options.headset, eye) for eye in eyes_of(options.eye)}
     viewpoints = {eye: each.eye_box.centre + 1e-3 * np.array(options.viewpoint_offset_mm) for eye, each in eyes.items()}
     for eye, mappings in eyes.items():
         require_in_eye_box(mappings, viewpoints[eye], "--viewpoint-offset-mm")
     scene = load_scene(options.scene)
-    raster_backend, renderer = open_raster_backend(scene, options.backend), RayRenderer(scene)
+    raster, renderer = open_scene_raster(scene, options.backend), RayRenderer(scene)
+    if raster is None:
+        if options.backend == "cpu":
+            raise BadInputError(
+                "There are no raster frames to compare with --backend cpu, which ray traces; leave --backend out."
+            )
+        raise MissingGlError(
+            "There are no raster frames to compare: without OpenGL frames are ray traced; install libegl1 and libgl1, "
+            "or libosmesa6, and choose --backend auto."
+        )
     folder = output_folder(options.out)
     verdicts: list[str] = []
+    blank: list[str] = []
     blocks: list[Block] = []
     files: list[Path] = []
-    for eye, mappings in eyes.items():
-        compared = _compare_eye(mappings, viewpoints[eye], raster_backend, renderer, options, progress)
-        title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {eye} eye"
-        drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
-        picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
-        blocks += [
-            Section(f"The {eye} eye"), ReportTable(title, COLUMNS, compared.rows, NOTES), compared.plot(eye), picture
-        ]  # fmt: skip
-        files += drawn
-        verdicts.append(compared.verdict(eye))
+    with raster.context:
+        for eye, mappings in eyes.items():
+            compared = _compare_eye(mappings, viewpoints[eye], raster, renderer, options, progress)
+            title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {eye} eye"
+            drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
+            picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
+            table = ReportTable(title, COLUMNS, compared.rows, NOTES)
+            blocks += [Section(f"The {eye} eye"), table, compared.plot(eye), picture]
+            files += drawn
+            verdicts.append(compared.verdict(eye))
+            blank += [f"the frame of the {eye} eye"] if is_blank(compared.traced) else []
     report = Report(
         f"Rasterisation error of {scene.name} on {Path(options.headset).stem}",
         " ".join(verdicts),
+        warnings=blank_warnings(blank, scene.name),
         blocks=blocks,
         inputs=[headset_path(options.headset), scene_path(options.scene)],
         files=files,
@@ -126,7 +146,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
 def _compare_eye(
     mappings: EyeMappings,
     viewpoint: FloatArray,
-    backend: RasterBackend,
+    raster: SceneRaster,
     renderer: RayRenderer,
     options: CompareOptions,
     progress: Progress,
@@ -138,8 +158,7 @@ def _compare_eye(
     first: tuple[Frame, _Error] | None = None
     for method in progress(iter(methods), len(methods), f"{mappings.eye} eye, methods"):
         raster_camera, map_from, resolution = METHODS[method]
-        mesh = renderer if map_from == "mesh" else None
-        painter = raster_painter(mappings, backend, mesh, resolution, raster_camera)
+        painter = raster_painter(mappings, raster, renderer, map_from, resolution, raster_camera)
         frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
         error = _error(frame, traced, renderer.tracer)
         rows.append(_row(method, error, frame.colour, traced.colour))

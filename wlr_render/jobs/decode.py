@@ -26,6 +26,9 @@ from wlr_render.evaluation.code_quality import (
     fit_planes,
 )
 from wlr_render.files import output_folder, write_arrays, write_figure
+from wlr_render.input_files import naming
+from wlr_render.jobs import limits
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, described, described_size
 from wlr_render.jobs.targets import Code
 from wlr_render.mappings import Panel
@@ -54,7 +57,7 @@ class DecodeVerbOptions(Options):
         tuple[int, int] | None,
         described_size("Pixels of the panel or projector, e.g. 1920x1080.", optional=True),
         _OWN,
-        Range(at_least=1),
+        limits.PIXELS,
     ] = None
     pattern: Annotated[Code, described("Code that was shown."), _OWN] = "gray-fringes"
     bits: Annotated[int, described("Bits of the camera."), Range(8, 16), _OWN] = 8
@@ -75,6 +78,11 @@ class DecodeVerbOptions(Options):
         ),
     ] = "own"
     out: Annotated[Path, described("Output folder.")] = Path("out/decode")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.camera is not None and self.bits != type(self).bits:
+            raise BadInputError(f"--bits {self.bits} and --camera {self.camera} both state the bits; leave out --bits.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +105,7 @@ class CodePhotographs:
         return self.pattern.decode(self.files.read(self.kind), self.options)
 
 
+@job
 def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Decode and assess; writes decoded.npz, pictures and the report into `options.out`.
 
@@ -105,7 +114,8 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     """
     codes = code_photographs(options)
     progress.say("decoding")
-    decoded = codes.decoded()
+    with naming(options.folder):
+        decoded = codes.decoded()
     folder = output_folder(options.out)
     names = ("pixel", "sigma_px", "confidence", "rejection", "noise_px", "cell_px")
     arrays = write_arrays(folder / "decoded.npz", {name: getattr(decoded, name) for name in names})

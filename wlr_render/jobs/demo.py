@@ -9,6 +9,7 @@
 The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics.
 """
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
@@ -34,6 +36,7 @@ from wlr_render.jobs.demo_picture import (
     overview_camera,
     save_picture,
 )
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
     Eyes,
@@ -55,11 +58,11 @@ from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, raster_painter
-from wlr_render.rendering.raster_backends import RasterBackend, open_raster_backend
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
+from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
 from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
@@ -70,6 +73,7 @@ METHODS = ("naive", "static", "raster + warp", "ray traced")
 CAMERA_POSITIONS = 49
 CAMERA_NOISE_ARCMIN = 0.25
 HEAD_POSE = np.eye(4)
+CAPTION = "The real object and, in green, its virtual twin by each method."
 _GRID = (48, 54)
 """Pixels of each frame, across and down, at which the misalignment is taken."""
 
@@ -83,7 +87,7 @@ class DemoOptions(Options):
     scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")] = "sculpture"
     eye: Annotated[Eyes, described("Eyes to judge.")] = "right"
     viewpoints: Annotated[
-        int, described("Number of viewpoints; the first is the centre of the eye box."), Range(at_least=5)
+        int, described("Number of viewpoints; the first is the centre of the eye box."), Range(at_least=5, at_most=1000)
     ] = 7
     seed: Seed = 1
     raster_camera: RasterCamera = "nearest"
@@ -101,6 +105,7 @@ class _View:
     misalignment: dict[str, FloatArray]
 
 
+@job
 def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = SILENT) -> Report:
     """Fit models to a simulated calibration, draw with each method, look through the exact optics and judge.
 
@@ -114,30 +119,35 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     scene = load_scene(options.scene)
     if all(np.all(scene.bounds[:, 2] >= truth.eye_box.centre[2]) for truth in eyes.values()):
         raise BadInputError(f"The scene '{scene.name}' lies wholly behind the head; place it at negative z, in front.")
-    raster_backend, renderer = open_raster_backend(scene, options.backend), RayRenderer(scene)
+    raster, renderer = open_scene_raster(scene, options.backend), RayRenderer(scene)
     folder = output_folder(options.out)
     verdicts: list[str] = []
+    blank: list[str] = []
     blocks: list[Block] = []
     files: list[Path] = []
-    for eye, truth in eyes.items():
-        progress.say(f"calibrating the {eye} eye")
-        painters = _painters(truth, renderer, raster_backend, options)
-        places = judged_viewpoints(truth, options.viewpoints)
-        seen = list(progress(_views(truth, painters, places), len(places), f"viewpoints, {eye} eye"))
-        own = output_folder(folder_of_eye(folder, eye, options.eye))
-        files += _save_views(own, device.name, truth, renderer, seen[1])
-        overall = _overall(truth, scene, seen)
-        verdicts.append(_verdict(overall, f"{scene.name} on {device.name}, {eye} eye"))
-        blocks += [
-            Section(f"The {eye} eye"),
-            Picture("What the eye sees", files[-1], "The real object and, in green, its virtual twin by each method."),
-            overall,
-            _by_viewpoint(seen),
-            _distribution(seen),
-        ]
+    with raster.context if raster else contextlib.nullcontext():
+        for eye, truth in eyes.items():
+            progress.say(f"calibrating the {eye} eye")
+            painters = _painters(truth, renderer, raster, options)
+            places = judged_viewpoints(truth, options.viewpoints)
+            seen = list(progress(_views(truth, painters, places), len(places), f"viewpoints, {eye} eye"))
+            if any(is_blank(colour) for view in seen for colour in view.shown.values()):
+                blank.append(f"a frame of the {eye} eye")
+            own = output_folder(folder_of_eye(folder, eye, options.eye))
+            files += _save_views(own, device.name, truth, renderer, seen[1])
+            overall = _overall(truth, scene, seen)
+            verdicts.append(_verdict(overall, f"{scene.name} on {device.name}, {eye} eye"))
+            blocks += [
+                Section(f"The {eye} eye"),
+                Picture("What the eye sees", files[-1], CAPTION),
+                overall,
+                _by_viewpoint(seen),
+                _distribution(seen),
+            ]
     report = Report(
         f"Alignment of {scene.name} on {device.name}",
         " ".join(verdicts),
+        warnings=[*traced_instead(raster, options.backend), *blank_warnings(blank, scene.name)],
         advice=[f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}."],
         blocks=blocks,
         inputs=[device_path(options.device), scene_path(options.scene)],
@@ -165,18 +175,19 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
 
 
 def _painters(
-    truth: EyeMappings, renderer: RayRenderer, raster_backend: RasterBackend, options: DemoOptions
+    truth: EyeMappings, renderer: RayRenderer, raster: SceneRaster | None, options: DemoOptions
 ) -> dict[str, Painter]:
     captures = simulated_captures(truth, options.seed)
     planar = fit_eye(captures, "planar").mappings
     static = fit_eye(captures, "static").mappings
     flat = fit_display(captures.both[0], "static", 1).mapping
-    mesh = renderer if options.map_from == "mesh" else None
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
     return {
         "naive": TracedPainter(naive, renderer),
         "static": TracedPainter(static, renderer),
-        "raster + warp": raster_painter(planar, raster_backend, mesh, raster_camera=options.raster_camera),
+        "raster + warp": raster_painter(
+            planar, raster, renderer, options.map_from, raster_camera=options.raster_camera
+        ),
         "ray traced": TracedPainter(planar, renderer),
     }
 

@@ -14,7 +14,9 @@ from wlr_render.diagnosis.report import CORRECTED, diagnosis_report
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
+from wlr_render.input_files import naming
 from wlr_render.jobs.diagnosis_options import DiagnosisOptions
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -34,6 +36,7 @@ class DiagnoseOptions(DiagnosisOptions):
     html: Annotated[Path | None, described("File for the HTML page (default: diagnosis.html in the folder).")] = None
 
 
+@job
 def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Diagnose a session; writes the report and, where causes were found, the corrected session into `options.out`.
 
@@ -51,9 +54,10 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
             _check_writable(path)
     causes = options.candidates(nominal)
     settings = replace(DEFAULT, max_causes=options.max_causes)
-    found = diagnose_session(nominal, session, progress.say, causes=causes, settings=settings)
-    progress.say("comparing models fitted with both benches")
-    in_use = _in_use(nominal, found)
+    with naming(options.session):
+        found = diagnose_session(nominal, session, progress.say, causes=causes, settings=settings)
+        progress.say("comparing models fitted with both benches")
+        in_use = _in_use(nominal, found)
     progress.say("writing the report")
     files = _write_corrected(folder / CORRECTED, found)
     report = diagnosis_report(found, in_use, options.inputs(), folder, options.add_causes)

@@ -9,6 +9,7 @@ from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.settings import DEFAULT
+from wlr_render.input_files import naming
 from wlr_render.jobs.options import Options, Range, described
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.measurements import load_measurements
@@ -36,7 +37,7 @@ class DiagnosisOptions(Options):
         described("Python files or modules that define CAUSES, further causes to consider.", flag=True, many=True),
     ] = ()
     max_causes: Annotated[
-        int, described("Most causes that are named; 0 measures the noise only."), Range(at_least=0)
+        int, described("Most causes that are named; 0 measures the noise only."), Range(at_least=0, at_most=100)
     ] = DEFAULT.max_causes
 
     def measurements(self) -> tuple[Bench, Session]:
@@ -45,7 +46,8 @@ class DiagnosisOptions(Options):
         Raises:
             BadInputError: see `load_measurements`.
         """
-        return load_measurements(self.session, self.bench, self.device)
+        with naming(self.session):
+            return load_measurements(self.session, self.bench, self.device)
 
     def candidates(self, nominal: Bench) -> Mapping[str, Cause]:
         """The causes to consider, by name.

@@ -21,7 +21,9 @@ from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
+from wlr_render.input_files import naming
 from wlr_render.jobs.diagnosis_options import DiagnosisOptions
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.progress import SILENT
@@ -37,6 +39,7 @@ class HoldOutOptions(DiagnosisOptions):
     out: Annotated[Path, described("Output folder.")] = Path("out/hold-out")
 
 
+@job
 def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Diagnose a session and predict each capture and each target distance from the others.
 
@@ -48,14 +51,17 @@ def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) ->
     check_enough_captures(session)
     folder = output_folder(options.out)
     settings = replace(DEFAULT, max_causes=options.max_causes)
-    found = diagnose(nominal, session, progress.say, causes=options.candidates(nominal), settings=settings)
+    causes = options.candidates(nominal)
+    with naming(options.session):
+        found = diagnose(nominal, session, progress.say, causes=causes, settings=settings)
     if not found.causes:
         raise BadInputError(
             f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out; to test a "
             "bench model on other captures, use wlr-render predict BENCH SESSION."
         )
     progress.say("predicting left-out captures and distances")
-    table = hold_out_table(found)
+    with naming(options.session):
+        table = hold_out_table(found)
     report = Report(
         f"Cross-validation of {session.name}",
         verdict=" ".join(_sentences(table)),

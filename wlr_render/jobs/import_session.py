@@ -14,6 +14,7 @@ from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
 from wlr_render.captures.importers.osvr_hdk13 import PIXEL_MM, read_osvr_captures
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.files import output_folder
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
@@ -42,6 +43,7 @@ class ImportOptions(Options):
     out: Annotated[Path, described("Folder of the session, or of the capture files.")] = Path("out/import")
 
 
+@job
 def import_session(options: ImportOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Convert a third-party data set into a bench session, or into capture files, in `options.out`.
 

@@ -1,5 +1,6 @@
 """Outcomes of trials, each kept in a file as soon as it is finished, so that a long run can be resumed."""
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -7,8 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
+from wlr_render.input_files import parsing, read_text
 from wlr_render.processes import as_finished
+from wlr_render.toml_files import parse_json
 
 
 class KeptTrial(Protocol):
@@ -25,6 +29,9 @@ Run = Callable[[AnyTrial, int], Outcome]
 """Runs a trial with a seed; returns a dataclass."""
 Load = Callable[[AnyTrial, dict[str, Any]], Outcome]
 """Makes the outcome of a trial from the values of its fields as JSON has them."""
+
+
+_KIND, _REMEDY = "the outcome of a trial", "remove it"
 
 
 def finished_trials(
@@ -65,9 +72,31 @@ def kept_outcome(
 ) -> Outcome:
     """The outcome that is kept in the folder, else that of running the trial, which is then kept."""
     path = folder / trial.file
-    if path.is_file():
-        return load(trial, json.loads(path.read_text(encoding="utf-8")))
+    kept = _read(path)
+    if kept is not None:
+        with parsing(path, _KIND, _REMEDY):
+            return load(trial, kept)
     outcome = run(trial, seed)
     content: Mapping[str, Any] = asdict(outcome)  # type: ignore[call-overload]  # a type variable cannot be a dataclass
-    write_text(path, json.dumps(content, indent=1))
+    write_text(path, json.dumps({"sha256": _sha256(content), "outcome": content}, indent=1))
     return outcome
+
+
+def damaged_outcomes(folder: Path, seed: int) -> list[Path]:
+    """Files of a seed that are not as they were written; their trials are run again."""
+    return [path for path in sorted((folder / f"seed-{seed}").glob("*.json")) if _read(path) is None]
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """An outcome, None if the file is missing, or is not as it was written."""
+    try:
+        content = parse_json(path, read_text(path, _KIND), _KIND, _REMEDY)
+        with parsing(path, _KIND, _REMEDY):
+            outcome = content["outcome"]
+            return dict(outcome) if content["sha256"] == _sha256(outcome) else None
+    except BadInputError:
+        return None
+
+
+def _sha256(content: object) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()

@@ -10,12 +10,14 @@ import types
 import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from cyclopts import Parameter, Token
 
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import shown
 from wlr_render.progress import Progress
 
 Length = TypeVar("Length", int, float)
@@ -23,24 +25,29 @@ Length = TypeVar("Length", int, float)
 
 @dataclass(frozen=True)
 class Range:
-    """Limits of a number, or of each number of a sequence."""
+    """Limits of a number, or of each number of a sequence, and of the product of the numbers of a size.
+
+    Both ends are stated for every option: beyond them a value is a slip of the pen, or fills the disk or the memory.
+    """
 
     at_least: float = -math.inf
     at_most: float = math.inf
     above: float = -math.inf
+    product: float = math.inf
 
     def sentence(self) -> str:
         """The limits in words."""
+        most = f"{self.at_most:.12g}"
         if self.above > -math.inf:
-            most = f" and at most {self.at_most:g}" if self.at_most < math.inf else ""
-            return f"a finite number above {self.above:g}{most}"
+            return f"a finite number above {self.above:g}" + (f" and at most {most}" if self.at_most < math.inf else "")
         if self.at_most < math.inf:
-            return f"between {self.at_least:g} and {self.at_most:g}"
+            return f"between {self.at_least:g} and {most}"
         return f"a finite number of {self.at_least:g} or more" if self.at_least > -math.inf else "a finite number"
 
     def admits(self, value: float) -> bool:
         """Whether a number lies within the limits."""
-        return math.isfinite(value) and self.at_least <= value <= self.at_most and value > self.above
+        # Infinity is compared as well: a whole number may be too large for `math.isfinite`.
+        return -math.inf < value < math.inf and self.at_least <= value <= self.at_most and value > self.above
 
 
 @dataclass(frozen=True)
@@ -65,17 +72,38 @@ class Options:
     """Base of all options: checks choices and ranges, and refuses options that the others make meaningless."""
 
     def __post_init__(self) -> None:
+        hints, annotated = (typing.get_type_hints(type(self), include_extras=extras) for extras in (False, True))
         for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            self._check_choice(field.name, value)
-            for note in _notes(type(self), field.name):
+            value = self._checked_type(field.name, hints[field.name])
+            object.__setattr__(self, field.name, value)
+            self._check_choice(field.name, value, hints[field.name])
+            for note in _notes(annotated[field.name]):
                 if isinstance(note, Range):
                     self._check_range(field.name, value, note)
                 elif isinstance(note, OnlyWith) and value != _default(field):
                     self._check_used(field.name, note)
 
-    def _check_choice(self, name: str, value: object) -> None:
-        hint = typing.get_type_hints(type(self))[name]
+    def _checked_type(self, name: str, hint: object) -> object:
+        try:
+            return _as_type(getattr(self, name), hint)
+        except TypeError as error:
+            value = shown(getattr(self, name))
+            raise BadInputError(f"{flag_of(type(self), name)} is {value}; it must be {error}.") from None
+
+    def _check_product(self, at_most: int, what: str, *names: str) -> None:
+        """Limit the number of things that several options multiply to.
+
+        Raises:
+            BadInputError: there are more.
+        """
+        counts = [len(each) if isinstance(each, tuple) else each for each in (getattr(self, name) for name in names)]
+        if math.prod(counts) > at_most:
+            flags = " x ".join(
+                f"{flag_of(type(self), name)} {count}" for name, count in zip(names, counts, strict=True)
+            )
+            raise BadInputError(f"{flags} are {math.prod(counts)} {what}; it must be at most {at_most}.")
+
+    def _check_choice(self, name: str, value: object, hint: object) -> None:
         several = typing.get_origin(hint) is tuple and isinstance(value, tuple)
         choices = _choices(typing.get_args(hint)[0] if several else hint)
         for each in value if several and isinstance(value, tuple) else (value,):
@@ -87,7 +115,12 @@ class Options:
         numbers: Sequence[Any] = value if isinstance(value, Sequence) else [value]
         for number in numbers:
             if number is not None and not limits.admits(number):
-                raise BadInputError(f"{flag_of(type(self), name)} is {number}; it must be {limits.sentence()}.")
+                raise BadInputError(f"{flag_of(type(self), name)} is {shown(number)}; it must be {limits.sentence()}.")
+        if isinstance(value, Sequence) and math.prod(numbers) > limits.product:
+            size = "x".join(map(str, numbers))
+            raise BadInputError(
+                f"{flag_of(type(self), name)} is {size}; it must be at most {limits.product:.12g} in all."
+            )
 
     def _check_used(self, name: str, needs: OnlyWith) -> None:
         given = getattr(self, needs.option)
@@ -100,14 +133,54 @@ class Options:
 
 def flag_of(options: type[Options], field: str) -> str:
     """Name of an option on the command line, e.g. "--noise-px"."""
-    for note in _notes(options, field):
+    for note in _notes(typing.get_type_hints(options, include_extras=True)[field]):
         if isinstance(note, Parameter) and note.name:
             return str(next(iter(note.name)))
     return "--" + field.replace("_", "-")
 
 
-def _notes(options: type[Options], field: str) -> tuple[object, ...]:
-    return getattr(typing.get_type_hints(options, include_extras=True)[field], "__metadata__", ())
+def _as_type(value: Any, hint: object) -> object:
+    """A value as one of the type of an option; NumPy's numbers become Python's, text a path.
+
+    Raises:
+        TypeError: with the words for that type; True is no number, although Python adds it.
+    """
+    kind, parts = typing.get_origin(hint), typing.get_args(hint)
+    if getattr(value, "shape", None) == ():  # a NumPy number
+        value = value.item()
+    if kind in (typing.Union, types.UnionType):
+        if value is None and type(None) in parts:
+            return None
+        (hint,) = (part for part in parts if part is not type(None))
+        return _as_type(value, hint)
+    if kind is tuple:
+        each = parts[:1] * len(value) if parts[1:] == (...,) and isinstance(value, Sequence) else parts
+        if isinstance(value, str | bytes) or not isinstance(value, Sequence) or len(value) != len(each):
+            raise TypeError("a tuple" if parts[1:] == (...,) else f"a tuple of {len(parts)}")
+        return tuple(_as_type(one, one_hint) for one, one_hint in zip(value, each, strict=True))
+    for plain, accepted, words in _PLAIN_TYPES:
+        if hint is plain:
+            if not isinstance(value, accepted) or (isinstance(value, bool) and plain is not bool):
+                raise TypeError(words)
+            if isinstance(value, str) and not value.strip():
+                raise TypeError(f"{words}, not empty")
+            return plain(value) if plain in (Path, str) else value
+    if isinstance(hint, type) and not isinstance(value, hint):
+        raise TypeError(f"{hint.__name__}")
+    return value
+
+
+_PLAIN_TYPES: tuple[tuple[type, Any, str], ...] = (
+    (bool, bool, "True or False"),
+    (int, Integral, "a whole number"),
+    (float, Real, "a number"),
+    (str, str | Path, "text"),
+    (Path, str | Path, "a path"),
+)
+
+
+def _notes(hint: object) -> tuple[object, ...]:
+    return getattr(hint, "__metadata__", ())
 
 
 def _choices(hint: object) -> tuple[object, ...]:
@@ -129,7 +202,7 @@ Eye = Literal["left", "right"]
 Eyes = Literal["left", "right", "both"]
 Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
-    described("Rendering backend: OpenGL through EGL or OSMesa, or the CPU. auto takes the first that works."),
+    described("OpenGL through EGL or OSMesa (auto: the first that opens); cpu, or no OpenGL: frames are ray traced."),
 ]
 RasterCamera = Annotated[
     Literal["nearest", "viewpoint"],
@@ -139,9 +212,11 @@ MapFrom = Annotated[
     Literal["depth", "mesh"],
     described("Warp map of the raster: rays meet the depth image, or the mesh, as in the paper."),
 ]
-Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0)]
+Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0, at_most=2**32 - 1)]
 Workers = Annotated[
-    int | None, described("Number of processes (default: one per core, fewer where memory limits)."), Range(at_least=1)
+    int | None,
+    described("Number of processes (default: one per core, fewer where memory limits)."),
+    Range(at_least=1, at_most=256),
 ]
 Degree = Range(at_least=1, at_most=12)
 """Limits of polynomial degrees and of rays per pixel and axis: more only costs time."""
@@ -174,7 +249,7 @@ def _lengths(token: Token, kind: Callable[[str], Length], count: int, wanted: st
 BoxSize = Annotated[
     tuple[float, float, float] | None,
     Parameter(converter=_box_size, n_tokens=1, accepts_keys=False, metavar="WxHxD", help=_BOX_HELP, name="--box"),
-    Range(above=0),
+    Range(above=0, at_most=1000),
 ]
 """Edge lengths of an eye box in millimetres; None for the device's own eye box."""
 

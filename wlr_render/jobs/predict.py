@@ -14,6 +14,8 @@ from wlr_render.diagnosis.report import CORRECTED
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
+from wlr_render.input_files import naming
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
@@ -38,6 +40,7 @@ class PredictOptions(Options):
     out: Annotated[Path, described("Output folder.")] = Path("out/predict")
 
 
+@job
 def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Predict a session of one capture or more with a bench; writes the report into `options.out`.
 
@@ -59,7 +62,8 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
         )
     folder = output_folder(options.out)
     progress.say("predicting the readings")
-    found = predict_session(bench, session, own)
+    with naming(options.session):
+        found = predict_session(bench, session, own)
     report = Report(
         f"Prediction of {session.name} by {options.bench}",
         verdict=" ".join(_verdict(found, options.bench)),

@@ -1,172 +1,97 @@
 """Draw frames for a still or moving wearer, one PNG per eye and time stamp.
 
-Frames are written atomically, so that an interrupted sequence resumes where it stopped; `sequence.json` beside them
-holds the options of the job, and the time stamp, viewpoint and head pose of each frame.
+Frames are written atomically and listed when they are finished, so that an interrupted sequence resumes where it
+stopped; `sequence.json` beside them holds the options of the job, the hashes of the files that the frames show, and the
+time stamp, viewpoint and head pose of each frame. A frame does not depend on which frames were drawn before it.
 """
 
+import contextlib
 import json
-from collections.abc import Iterator
-from dataclasses import KW_ONLY, asdict, dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import numpy as np
-
+from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
-from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
+from wlr_render.finished_files import LIST, FinishedFiles
+from wlr_render.input_files import hashes_of_inputs
+from wlr_render.jobs.frame_plan import PlannedFrame, gap_warnings, held_warnings, planned_frames, read_trajectories
+from wlr_render.jobs.headset import headset_path, open_colours, open_eye
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
-    Backend,
-    Eyes,
-    MapFrom,
-    OnlyWith,
-    Options,
     ProgressArgument,
-    Range,
-    RasterCamera,
-    described,
     eyes_of,
 )
-from wlr_render.mappings import EyeChannels, EyeMappings
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.jobs.sequence_record import RECORD, require_same_job, sequence_record
+from wlr_render.mappings import EyeChannels
+from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
-from wlr_render.rendering.painters import Painter, TracedPainter, WarmStarts, raster_painter
-from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.painters import Painter, TracedPainter, blank_warnings, is_blank
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
+from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.view import write_view
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
-from wlr_render.report.save import provenance, save_report
-from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
-from wlr_render.tracking.head_trajectory_file import read_head_trajectory
-from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
+from wlr_render.report.save import save_report
 
 COLOURS = ("red", "green", "blue")
-RECORD = "sequence.json"
-_ABSENT_IN_OLD_RECORDS = {"raster_camera": "nearest"}
-"""Options that earlier versions did not write, with the only value that they had."""
-LONGEST_GAP_S = 1.0
-"""Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
+_MOST_NAMES = 10  # of changed frames in a warning
 
 
-@dataclass(frozen=True)
-class RenderOptions(Options):
-    """Options of `render`."""
-
-    headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
-    scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
-    _: KW_ONLY
-    eye: Annotated[Eyes, described("Eyes to draw.")] = "right"
-    head: Annotated[
-        Path | None, described("Head trajectory, TUM or EuRoC (default: a head at rest at the world's origin).")
-    ] = None
-    eye_track: Annotated[
-        Path | None, described("Eye trajectory (default: pupils at rest at the centres of the eye boxes).")
-    ] = None
-    frames_per_second: Annotated[
-        float, described("Frames per second, over the time that both trajectories cover.", name="--fps"), Range(above=0)
-    ] = 30.0
-    frame_limit: Annotated[
-        int | None,
-        described("Maximum number of frames along --head or --eye-track (default: all).", name="--frames"),
-        Range(at_least=1),
-    ] = None
-    method: Annotated[
-        Literal["raster", "raytrace"],
-        described("Rendering method: an intermediate image that is warped, or a ray for each pixel."),
-    ] = "raster"
-    supersample: Annotated[
-        int, described("Rays per pixel and axis (raytrace only)."), Range(1, 12), OnlyWith("method", ("raytrace",))
-    ] = 1
-    shadows: Annotated[
-        bool, described("Surfaces cast shadows (raytrace only).", flag=True), OnlyWith("method", ("raytrace",))
-    ] = False
-    materials: Annotated[
-        Literal["own", "gltf"],
-        described("Shading: the ray tracer's, or glTF materials (raster only, needs OpenGL)."),
-        OnlyWith("method", ("raster",)),
-    ] = "own"
-    resolution: Annotated[
-        float,
-        described("Resolution of the intermediate image; 1: about the panel's (raster only)."),
-        Range(above=0, at_most=4),
-        OnlyWith("method", ("raster",)),
-    ] = 1.0
-    raster_camera: Annotated[RasterCamera, OnlyWith("method", ("raster",))] = "nearest"
-    map_from: Annotated[MapFrom, OnlyWith("method", ("raster",))] = "depth"
-    maps: Annotated[
-        Literal["tiff", "pfm"] | None,
-        described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
-        OnlyWith("method", ("raster",)),
-    ] = None
-    per_colour: Annotated[
-        bool,
-        described("Separate rays and warp maps for red, green and blue; a device is traced in all three.", flag=True),
-    ] = False
-    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
-    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
-    video: Annotated[bool, described("Also write EYE.mp4 (VP9).", flag=True)] = False
-    backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
-    out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
-
-    def __post_init__(self) -> None:
-        """Check that the models of red and blue light come together, and that several frames have a trajectory."""
-        super().__post_init__()
-        if self.frame_limit is not None and self.head is None and self.eye_track is None:
-            raise BadInputError(
-                "--frames is used with --head or --eye-track only; leave it out (one frame of each eye is drawn), or "
-                "give a trajectory."
-            )
-        if (self.red_model is None) != (self.blue_model is None):
-            raise BadInputError("--red-model and --blue-model go together; give both or neither.")
-
-    @property
-    def has_colours(self) -> bool:
-        """Whether red, green and blue have rays of their own."""
-        return self.per_colour or self.red_model is not None
-
-
-@dataclass(frozen=True)
-class PlannedFrame:
-    """One frame to draw."""
-
-    index: int
-    time_s: float
-    eye: str
-    viewpoint: FloatArray
-    world_from_device: FloatArray
-
-    @property
-    def stem(self) -> str:
-        """Name of its files without the suffix."""
-        return f"{self.eye}-{self.index:06d}"
-
-
+@job
 def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Draw the frames of a moving wearer that `options.out` does not hold yet.
 
     Raises:
-        BadInputError: faulty files, a viewpoint outside the eye box, or a folder that holds frames of another job;
-            nothing is written then.
+        BadInputError: faulty files, viewpoints that are all outside the eye box, or a folder that holds frames of
+            another job; nothing is written then.
     """
-    channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+    with hashes_of_inputs() as inputs:
+        channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+        scene = load_scene(options.scene)
+    raster = _open_raster(options, scene)
+    with raster.context if raster else contextlib.nullcontext():
+        return _render(options, channels, scene, raster, inputs, progress)
+
+
+def _render(
+    options: RenderOptions,
+    channels: dict[str, EyeChannels],
+    scene: Scene,
+    raster: SceneRaster | None,
+    inputs: Mapping[str, str],
+    progress: Progress,
+) -> Report:
+    """Draw what is missing; `inputs` are the hashes of the files read, `raster` is None where frames are ray traced."""
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()}, head, eyes)
-    scene = load_scene(options.scene)
-    record = _record(options, plan)
+    record = sequence_record(_job(options, raster), inputs, [_frame_record(planned) for planned in plan])
     folder = output_folder(options.out)
-    _require_same_job(folder, record)
-    missing = [planned for planned in plan if not _is_done(folder, planned, options)]
-    painters = _painters(options, channels, scene) if missing else {}
+    trajectories = [path for path in (options.head, options.eye_track) if path]
+    is_old = require_same_job(folder, record, RenderOptions, trajectories)
+    finished = FinishedFiles(folder)
+    missing = [planned for planned in plan if finished.not_whole(_files(folder, planned, options))]
+    changed = [planned for planned in missing if finished.changed(_files(folder, planned, options))]
+    painters = _painters(options, channels, scene, raster) if missing else {}
     sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
-        for _ in progress(_drawn(folder, options, painters, missing), len(missing), "frames"):
+        for _ in progress(_drawn(folder, options, painters, missing, finished), len(missing), "frames"):
             pass
+    pictures = [_picture_file(folder, planned) for planned in plan]
     videos = [_video(folder, eye, plan, options) for eye in channels] if options.video else []
-    report = _report(options, plan, len(missing), [sequence, *videos])
-    return save_report(replace(report, warnings=_gap_warnings(options, head, eyes)), folder)
+    warnings = [
+        *(traced_instead(raster, options.backend) if options.method == "raster" else []),
+        *gap_warnings(options, head, eyes),
+        *held_warnings(options, plan),
+        *_redrawn_warnings(folder, changed, is_old),
+        *blank_warnings([path.name for path in pictures if finished.is_blank(path)], scene.name),
+    ]
+    report = _report(options, plan, len(missing), [sequence, folder / LIST, *videos])
+    return save_report(replace(report, warnings=warnings), folder)
 
 
 def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
@@ -206,103 +131,63 @@ def _drawn_from(options: RenderOptions) -> list[Path]:
     return [headset_path(options.headset), *models, scene_path(options.scene)]
 
 
-def read_trajectories(options: RenderOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
-    """Trajectories of head and eyes; None for each that is not given."""
-    head = read_head_trajectory(options.head) if options.head else None
-    return head, read_eye_trajectory(options.eye_track) if options.eye_track else None
+def _redrawn_warnings(folder: Path, changed: list[PlannedFrame], is_old: bool) -> list[str]:
+    warnings = []
+    if changed:
+        names = [_picture_file(folder, planned).name for planned in changed]
+        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        warnings.append(
+            f"{folder}: frames had changed since they were drawn, and were drawn again: "
+            f"{', '.join(names[:_MOST_NAMES])}{more}."
+        )
+    if is_old:
+        warnings.append(
+            f"{folder}: an earlier version, which did not record what it had finished, left frames there; they were "
+            "drawn again."
+        )
+    return warnings
 
 
-def planned_frames(
-    options: RenderOptions, mappings: dict[str, EyeMappings], head: HeadTrajectory | None, eyes: EyeTrajectory | None
-) -> list[PlannedFrame]:
-    """When and from where each frame is drawn, in time order.
+def _open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
+    """None where every frame is ray traced.
 
     Raises:
-        BadInputError: trajectories that do not overlap in time, or a viewpoint outside the eye box.
+        BadInputError: warp maps without OpenGL, or a way to make them with --backend cpu.
+        MissingGlError: as `open_scene_raster`.
     """
-    plan = []
-    for index, time_s in enumerate(_times(options, head, eyes)):
-        pose = head.at(time_s) if head else np.eye(4)
-        for eye in mappings:
-            viewpoint = eyes.viewpoint_at(eye, time_s) if eyes else mappings[eye].eye_box.centre
-            require_in_eye_box(mappings[eye], viewpoint, f"{options.eye_track} at {time_s:.4f} s, {eye} eye")
-            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose))
-    return plan
+    if options.method == "raytrace":
+        return None
+    raster = open_scene_raster(scene, options.backend, options.materials)
+    if raster is None and options.maps is not None:
+        if options.backend == "cpu":
+            raise BadInputError(
+                "--maps has no use with --backend cpu: ray-traced frames have no warp map; leave out one."
+            )
+        raise BadInputError(
+            "--maps needs OpenGL, because ray-traced frames have no warp map; leave it out, or install libegl1 and "
+            "libgl1 and choose --backend auto."
+        )
+    if options.backend == "cpu" and options.map_from == "mesh":
+        raise BadInputError("--map-from has no use with --backend cpu: frames are ray traced; leave out one of them.")
+    return raster
 
 
-def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
-    spans = [(time_s[0], time_s[-1]) for _, time_s in _sample_times(options, head, eyes)]
-    if not spans:
-        return np.zeros(1)
-    start, end = max(first for first, _ in spans), min(last for _, last in spans)
-    if end < start:
-        files = " and ".join(str(path) for path in (options.head, options.eye_track) if path)
-        raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
-    times = start + np.arange(int((end - start) * options.frames_per_second + 1e-9) + 1) / options.frames_per_second
-    # Rounding must not carry the last frame beyond the tracks.
-    return np.asarray(np.minimum(times, end)[: options.frame_limit])
-
-
-def _sample_times(
-    options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None
-) -> list[tuple[Path | None, FloatArray]]:
-    """File and sample times (n,) of the head and of each eye that is drawn."""
-    tracks = eyes.tracks if eyes else {}
-    drawn = [(options.eye_track, track.time_s) for eye, track in tracks.items() if eye in eyes_of(options.eye)]
-    return [(options.head, head.time_s), *drawn] if head else drawn
-
-
-def _gap_warnings(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
-    """A sentence for each file with neighbouring samples farther apart than `LONGEST_GAP_S`."""
-    gaps: dict[Path | None, float] = {}
-    for file, time_s in _sample_times(options, head, eyes):
-        gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
-    return [
-        f"{file}: neighbouring samples are up to {gap:.3g} s apart, and poses between them are interpolated; are the "
-        "times in seconds?"
-        for file, gap in gaps.items()
-        if gap > LONGEST_GAP_S
-    ]
-
-
-def _record(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, Any]:
-    """What the folder's frames are, as plain JSON."""
+def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
+    """The options that change what a frame shows."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
-    for key in ("out", "video", "frame_limit", "backend"):  # these do not change what a frame shows
-        job.pop(key)
-    job["sha256"] = [file.sha256 for file in provenance(_drawn_from(options), options.out).inputs]
-    frames = [
-        {
-            "file": _picture_file(Path(), m).name,
-            "time_s": m.time_s,
-            "viewpoint_in_device_m": m.viewpoint.tolist(),
-            "world_from_device": m.world_from_device.tolist(),
-        }
-        for m in plan
-    ]
-    record = {"format": "wlr-sequence", "version": 1, "frame": "openxr", "job": job, "frames": frames}
-    return dict(json.loads(json.dumps(record)))
+    if raster is None:
+        job["method"] = "raytrace"
+    return {key: job[key] for key in job if key not in ("out", "video", "frame_limit", "backend")}
 
 
-def _require_same_job(folder: Path, record: dict[str, Any]) -> None:
-    """Refuse a folder whose frames are of other options, or of files that have been changed since."""
-    path = folder / RECORD
-    if path.exists():
-        same = _same_job(path, record)
-    else:
-        same = not any((folder / frame["file"]).exists() for frame in record["frames"])
-    if not same:
-        raise BadInputError(f"{folder}: holds the frames of another job; choose another folder or empty it.")
-
-
-def _same_job(path: Path, record: dict[str, Any]) -> bool:
-    try:
-        earlier = json.loads(path.read_text(encoding="utf-8"))
-        frames = zip(earlier["frames"], record["frames"], strict=False)  # either may have been limited to fewer
-        job = {**_ABSENT_IN_OLD_RECORDS, **earlier["job"]}
-        return job == record["job"] and all(old == new for old, new in frames)
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError):
-        return False
+def _frame_record(planned: PlannedFrame) -> dict[str, Any]:
+    record = {
+        "file": _picture_file(Path(), planned).name,
+        "time_s": planned.time_s,
+        "viewpoint_in_device_m": planned.viewpoint.tolist(),
+        "world_from_device": planned.world_from_device.tolist(),
+    }
+    return record | ({"held": True} if planned.held else {})
 
 
 def _map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
@@ -320,40 +205,45 @@ def _view_file(folder: Path, planned: PlannedFrame) -> Path:
     return folder / f"{planned.stem}.json"
 
 
-def _is_done(folder: Path, planned: PlannedFrame, options: RenderOptions) -> bool:
+def _files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
     maps = _map_files(folder, planned, options)
     beside = [_view_file(folder, planned)] if maps else []
-    return all(path.exists() for path in (*maps, *beside, _picture_file(folder, planned)))
+    return [*maps, *beside, _picture_file(folder, planned)]
 
 
-def _painters(options: RenderOptions, channels: dict[str, EyeChannels], scene: Scene) -> dict[str, Painter]:
+def _painters(
+    options: RenderOptions, channels: dict[str, EyeChannels], scene: Scene, raster: SceneRaster | None
+) -> dict[str, Painter]:
     if options.method == "raytrace":
         renderer = RayRenderer(scene)
         return {
             eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
         }
-    raster_backend, resolution = open_raster_backend(scene, options.backend, options.materials), options.resolution
-    mesh = RayRenderer(scene) if options.map_from == "mesh" else None
+    needs_rays = raster is None or options.map_from == "mesh"
+    mesh = RayRenderer(scene) if needs_rays else None
     return {
-        eye: raster_painter(each, raster_backend, mesh, resolution, options.raster_camera)
+        eye: raster_painter(each, raster, mesh, options.map_from, options.resolution, options.raster_camera)
         for eye, each in channels.items()
     }
 
 
 def _drawn(
-    folder: Path, options: RenderOptions, painters: dict[str, Painter], plan: list[PlannedFrame]
+    folder: Path,
+    options: RenderOptions,
+    painters: dict[str, Painter],
+    plan: list[PlannedFrame],
+    finished: FinishedFiles,
 ) -> Iterator[PlannedFrame]:
-    last: dict[str, WarmStarts | None] = dict.fromkeys(painters)
+    """Draw the frames of a plan, one after the other."""
     with_maps = options.maps is not None
     for planned in plan:
-        eye, pose = planned.eye, planned.world_from_device
-        frame = painters[eye].paint(planned.viewpoint, pose, last[eye], with_geometry=with_maps)
-        last[eye] = frame.warm_start
+        frame = painters[planned.eye].paint(planned.viewpoint, planned.world_from_device, with_geometry=with_maps)
         for path, source in zip(_map_files(folder, planned, options), frame.sources if with_maps else (), strict=True):
             write_map(path, source)
         if frame.view is not None:
             write_view(_view_file(folder, planned), frame.view)
         write_png(_picture_file(folder, planned), frame.colour)
+        finished.add(_files(folder, planned, options), is_blank(frame.colour))
         yield planned
 
 

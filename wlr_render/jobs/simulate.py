@@ -1,9 +1,13 @@
 """Simulate a session of photographs, as a lab would deliver it."""
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from wlr_render.input_files import LIMITS
+from wlr_render.jobs import limits
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed, Workers, described, described_size
 from wlr_render.jobs.targets import Code
 from wlr_render.progress import SILENT
@@ -22,22 +26,24 @@ class SimulateOptions(Options):
     _: KW_ONLY
     device: Annotated[str, described("A shipped device or a device file (.toml).")] = "freeform40"
     eye: Annotated[Eye, described("Eye to photograph: a session is of one eye.")] = "right"
-    viewpoints: Annotated[int, described("Number of camera positions."), Range(at_least=1)] = 25
+    viewpoints: Annotated[int, described("Number of camera positions."), limits.PLACES] = 25
     pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
-    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), Range(at_least=1)] = (
+    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), limits.CAMERA_PIXELS] = (
         1280,
         1024,
     )
-    tracking_camera: Annotated[tuple[int, int], described_size("Pixels of the tracking camera."), Range(at_least=1)] = (
+    tracking_camera: Annotated[
+        tuple[int, int], described_size("Pixels of the tracking camera."), limits.CAMERA_PIXELS
+    ] = (
         1600,
         1200,
     )
     bits: Annotated[Literal[8, 10, 12], described("Bits of the eyeball camera.")] = 8
-    pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm."), Range(at_least=0)] = 0.5
-    focus_m: Annotated[float, described("Distance at which it is focused, in m."), Range(at_least=0)] = 1.0
-    snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(at_least=0)] = 50.0
+    pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm."), Range(0.01, 50)] = 0.5
+    focus_m: Annotated[float, described("Distance at which it is focused, in m."), Range(0.01, 1000)] = 1.0
+    snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(1, 100_000)] = 50.0
     depths_m: Annotated[
-        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(at_least=0)
+        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), limits.DISTANCE_M
     ] = (0.4, 1.0)
     stage: Annotated[Literal["xyz", "xy", "x"], described("Axes of the stage that move.")] = "xyz"
     sampling: Annotated[
@@ -57,26 +63,38 @@ class SimulateOptions(Options):
         bool, described("A bench without imperfections, but for those that the options below give.", flag=True)
     ] = False
     stage_error_um: Annotated[
-        float | None, described("Repeatability of the stage in um, standard deviation per axis."), Range(at_least=0)
+        float | None,
+        described("Repeatability of the stage in um, standard deviation per axis."),
+        limits.REPEATABILITY_UM,
     ] = None
     turn_urad: Annotated[
-        float | None, described("Pitch, yaw and roll of the stage in urad, rms along each axis."), Range(at_least=0)
+        float | None, described("Pitch, yaw and roll of the stage in urad, rms along each axis."), limits.ROTATION_URAD
     ] = None
-    bow_mm: Annotated[float | None, described("Bow of the board in mm, middle to corners."), Range(at_least=0)] = None
+    bow_mm: Annotated[float | None, described("Bow of the board in mm, middle to corners."), Range(0, 100)] = None
     anisotropy: Annotated[
-        float | None, described("Part by which the board is printed longer in y than in x."), Range(at_least=0)
+        float | None, described("Part by which the board is printed longer in y than in x."), Range(0, 0.5)
     ] = None
     lens: Annotated[LensKind | None, described("Distortion model of the true lenses.")] = None
     extrinsics_mm: Annotated[
-        float | None, described("Error of the tracking camera's stated position in mm, per axis."), Range(at_least=0)
+        float | None, described("Error of the tracking camera's stated position in mm, per axis."), limits.POSITION_MM
     ] = None
     extrinsics_deg: Annotated[
         float | None,
         described("Error of the tracking camera's stated rotation in degrees, per axis."),
-        Range(at_least=0),
+        Range(0, 45),
     ] = None
     seed: Seed = 1
     workers: Workers = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_product(limits.DEPTHS, "distances", "depths_m")
+        self._check_product(LIMITS.photographs, "photographs", "viewpoints", "depths_m")
+
+    @property
+    def out(self) -> Path:
+        """The folder that the session is written into."""
+        return self.session
 
     @property
     def recipe(self) -> SimulationRecipe:
@@ -113,15 +131,24 @@ class SimulateOptions(Options):
         return replace(usual, **{name: size for name, size in given.items() if size is not None})
 
 
+@job
 def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Take the photographs; writes them, session.toml, the board and simulation.toml into `options.session`.
 
     Raises:
         BadInputError: an unknown device or eye, or the folder holds a session made in another way.
     """
-    taken, kept = simulate_photo_session(options.session, options.recipe, options.workers, progress)
+    made = simulate_photo_session(options.session, options.recipe, options.workers, progress)
     return Report(
         f"Simulated session {options.session.name}",
-        verdict=f"{taken} photographs taken, {kept} kept from an earlier run: {options.session}",
+        verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.session}",
         advice=[f"Calibrate with: wlr-render calibrate photos {options.session}"],
+        warnings=retaken_warnings(made.changed),
     )
+
+
+def retaken_warnings(changed: Sequence[Path]) -> list[str]:
+    """Warning of photographs of an earlier run that were not as it had left them."""
+    if not changed:
+        return []
+    return [f"{changed[0]}: this photograph, one of {len(changed)}, had changed; they were taken again."]

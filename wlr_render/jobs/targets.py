@@ -11,7 +11,9 @@ from wlr_render.captures.boards.board_file import board_of_table, save_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
 from wlr_render.files import output_folder
-from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described, described_size
+from wlr_render.jobs import limits
+from wlr_render.jobs.job import job
+from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, described, described_size
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -22,6 +24,7 @@ Code = Literal["gray", "fringes", "gray-fringes"]
 Primary = Annotated[
     Literal["red", "green", "blue"] | None, described("Primary to show the code in (default: white, all of them).")
 ]
+_CHARUCO = OnlyWith("kind", ("charuco",))
 
 
 @dataclass(frozen=True)
@@ -30,18 +33,25 @@ class BoardOptions(Options):
 
     _: KW_ONLY
     kind: Annotated[Kind, described("Kind of board.")] = "dots"
-    columns: Annotated[int, described("Columns of dots, squares, tags or circles."), Range(at_least=1)] = 36
-    rows: Annotated[int, described("Rows of dots, squares, tags or circles."), Range(at_least=1)] = 24
+    columns: Annotated[int, described("Columns of dots, squares, tags or circles."), Range(1, 1000)] = 36
+    rows: Annotated[int, described("Rows of dots, squares, tags or circles."), Range(1, 1000)] = 24
     pitch_mm: Annotated[
-        float, described("Distance of neighbouring dots, squares, tags or rows of circles in mm."), Range(at_least=0)
+        float, described("Distance of neighbouring dots, squares, tags or rows of circles in mm."), Range(0.1, 1000)
     ] = 20.0
-    dictionary: Annotated[str, described("OpenCV's dictionary of the markers of a ChArUco board.")] = "DICT_5X5_1000"
-    legacy: Annotated[bool, described("ChArUco pattern of OpenCV before 4.6.")] = False
-    dpi: Annotated[int, described("Resolution of the PNG in dots per inch."), Range(at_least=1)] = 200
+    dictionary: Annotated[str, described("OpenCV's dictionary of the markers of a ChArUco board."), _CHARUCO] = (
+        "DICT_5X5_1000"
+    )
+    legacy: Annotated[bool, described("ChArUco pattern of OpenCV before 4.6."), _CHARUCO] = False
+    dpi: Annotated[int, described("Resolution of the PNG in dots per inch."), Range(1, 10_000)] = 200
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/board")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_product(100_000, "shapes", "columns", "rows")
 
+
+@job
 def board(options: BoardOptions = BoardOptions(), *, progress: ProgressArgument = SILENT) -> Report:
     """Write a board as board.svg and board.png, to be printed, and board.toml, for the session's folder.
 
@@ -86,12 +96,13 @@ class PatternOptions(Options):
     """Options of `pattern`."""
 
     _: KW_ONLY
-    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), Range(at_least=1)]
+    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), limits.PIXELS]
     pattern: Annotated[Code, described("Code to show.")] = "gray-fringes"
     channel: Primary = None
     out: Annotated[Path, described("Output folder.")] = Path("out/pattern")
 
 
+@job
 def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Write the pictures of a code and the page that shows them full screen, one picture pixel on one panel pixel.
 

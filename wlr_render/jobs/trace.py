@@ -4,10 +4,12 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from wlr_render.errors import BadInputError
 from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, figures_table
 from wlr_render.evaluation.lateral_colour import lateral_colour_table
 from wlr_render.files import output_folder
 from wlr_render.jobs.headset import open_colours
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.drawing import draw_device
@@ -33,6 +35,7 @@ class TraceOptions(Options):
     out: Annotated[Path, described("Output folder.")] = Path("out/trace")
 
 
+@job
 def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Trace a device; writes a drawing of each eye, and the report, into `options.out`.
 
@@ -42,12 +45,17 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
     device = load_device(options.device)
     eyes = eyes_of(options.eye)
     traced = {eye: [traced_eye(device, eye, line) for line in FRAUNHOFER_F_D_C_UM] for eye in eyes}
+    figures = {eye: device_figures(middle, blue, red) for eye, (blue, middle, red) in traced.items()}
+    for eye, of_eye in figures.items():
+        if of_eye.panel_share == 0:
+            raise BadInputError(
+                f"{options.device}: no direction of the nominal field of the {eye} eye meets the panel; check the "
+                "surfaces, the panel and 'field_deg'."
+            )
     folder = output_folder(options.out)
     blocks: list[Block] = []
-    figures = {}
     for eye in progress(eyes, len(eyes), "eyes"):
-        blue, middle, red = traced[eye]
-        figures[eye] = device_figures(middle, blue, red)
+        _, middle, _ = traced[eye]
         drawing = folder / f"{device.name}-{eye}.png"
         draw_device(device, eye, drawing)
         blocks += [
@@ -72,7 +80,8 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
 def _summary(name: str, eye: str, figures: DeviceFigures) -> str:
     angles = figures.field_angles
     return (
-        f"{name}, {eye} eye: {angles.right_deg - angles.left_deg:.0f} x {angles.up_deg - angles.down_deg:.0f} degrees, "
+        f"{name}, {eye} eye: {cell_text(round(angles.right_deg - angles.left_deg, 0))} x "
+        f"{cell_text(round(angles.up_deg - angles.down_deg, 0))} degrees, "
         f"{figures.pixel_arcmin:.2g}' per pixel, virtual image about {figures.image_distance_m[0]:.2g} m away, real "
         f"world deviated by {cell_text(figures.deviation_far.mean)}' on average."
     )

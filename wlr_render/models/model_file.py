@@ -61,10 +61,12 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.input_files import parsing, require_pixels
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings, Panel, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
+from wlr_render.models.plausible import plausible_eye_box, require_plausible_plane, require_plausible_values
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.spread import Covariance
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
@@ -76,9 +78,10 @@ from wlr_render.toml_files import Table, read_json
 FORMAT = "wlr-eye-model"
 VERSION = 3
 _BACKWARD = "backward"  # of versions 1 and 2: what backward queries answered with
-HIGHEST_ORDER = 50
-"""Of a variable in a term: no fit comes near it."""
+HIGHEST_ORDER = 50  # of a variable in a term: no fit comes near it
 _DIGITS = 5  # of a spread's numbers
+_LARGEST_SPREAD = 100.0  # radians or metres
+_MOST_TERMS = 10_000
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
 # A new model only needs a line here: its fields and FORMS define its form in the file.
@@ -137,24 +140,18 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
     """Add models to a file and keep its models of other eyes of the same device; returns the eyes that were kept.
 
     Raises:
-        BadInputError: as `save_eye_models`.
+        BadInputError: as `save_eye_models`, or as `load_eye_models` for a file that is there.
     """
     new = {model.mappings.eye for model in models}
-    try:
-        present = load_eye_models(path)
-    except BadInputError:
-        present = {}  # no model file, or one that cannot be used: it is replaced
+    present = load_eye_models(path) if Path(path).exists() else {}
     kept = [model for eye, model in present.items() if eye not in new and model.device == models[0].device]
     save_eye_models(path, [*kept, *models])
     return tuple(model.mappings.eye for model in kept)
 
 
 def remove_eye_models(path: str | Path, eyes: Sequence[str]) -> None:
-    """Remove the models of some eyes from a file, and the file if no other is in it, or if it cannot be used."""
-    try:
-        kept = [model for eye, model in load_eye_models(path).items() if eye not in eyes]
-    except BadInputError:
-        kept = []
+    """Remove the models of some eyes from a file, and the file if no other is in it."""
+    kept = [model for eye, model in load_eye_models(path).items() if eye not in eyes] if Path(path).exists() else []
     if kept:
         save_eye_models(path, kept)
     else:
@@ -188,13 +185,14 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
     table = read_json(path, "a model file")
     version = _check_header(table)
     device = table.text("device")
-    eyes = [table] if version == 1 else table.tables("eyes")
+    eyes = [table] if version == 1 else table.tables("eyes", most=2)
     models = [_eye_model(eye, device, version) for eye in eyes]
     for read in (table, *eyes):
         read.finish()
     by_eye = {model.mappings.eye: model for model in models}
     if not 1 <= len(by_eye) == len(models):
-        raise table.fail("'eyes' must hold one model, or one of each eye; calibrate again.")
+        found = ", ".join(model.mappings.eye for model in models) or "none"
+        raise table.fail(f"'eyes' must hold one model, or one of each eye, not {found}; calibrate again.")
     return by_eye
 
 
@@ -213,8 +211,7 @@ def _eye_record(model: EyeModel) -> dict[str, Any]:
 
 
 def _eye_model(table: Table, device: str, version: int) -> EyeModel:
-    box = table.table("eye_box")
-    eye_box = EyeBox(box.vector("centre_m", 3), box.vector("size_m", 3))
+    eye_box = plausible_eye_box(table.table("eye_box"))
     display: DisplayMapping = AbsentDisplay()
     see_through: SeeThroughMapping = AbsentSeeThrough()
     if table.has("display") or not table.has("see_through"):
@@ -225,13 +222,15 @@ def _eye_model(table: Table, device: str, version: int) -> EyeModel:
         table.text("name"), table.text("eye", choices=["left", "right"]), display, see_through, eye_box
     )
     report = table.free("report")
+    with parsing(f"{table.where}: 'report'", "plain JSON", "calibrate again"):
+        json.dumps(report, allow_nan=False)  # refuses what could not be written again
     return EyeModel(mappings, device, report)
 
 
 def _check_header(table: Table) -> int:
     """Check that a file is a model file; returns its version."""
     if table.text("format", default="missing") != FORMAT:
-        raise table.fail(f"is not a model file: its format is not '{FORMAT}'.")
+        raise table.fail(f"is not a model file: its format is not '{FORMAT}'; name one that calibration wrote.")
     if (version := table.number("version")) not in range(1, VERSION + 1):
         raise table.fail(f"has version {version:g}; this program reads versions 1 to {VERSION}: calibrate again.")
     table.text("package_version")
@@ -316,6 +315,7 @@ def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version
     parts = {name: _part(table.table(old.get(name, name)), name, forms) for name in _part_names(model)}
     if version < VERSION:
         table.unchecked(_BACKWARD)
+    require_plausible_values(table, parts, _modelled(model) if kinds is DISPLAYS else "")
     modelled, spread = parts[_modelled(model)], None
     if table.has("spread") and isinstance(modelled, Polynomial):
         spread = _spread(table.table("spread"), modelled)
@@ -329,7 +329,7 @@ def _spread(table: Table, polynomial: Polynomial) -> Covariance:
     joint = _factors(table, "joint", polynomial, outputs)
     shared, variables = table.whole("shared"), joint.coefficients.shape[1] // outputs
     if shared > variables:
-        raise table.fail(f"'shared' is {shared}, but 'joint' has {variables} variables.")
+        raise table.fail(f"'shared' is {shared}, but 'joint' has {variables} variables; calibrate again.")
     table.finish()
     return Covariance(outputs, apart, joint, shared)
 
@@ -344,30 +344,23 @@ def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> 
         orders = _orders(table, table.vectors("orders", orders.shape[1]))
     unit = table.numbers("unit")
     if not len(unit) or len(unit) % outputs or np.any(unit <= 0):
-        raise table.fail(f"'unit' must hold positive numbers, {outputs} for each variable.")
-    values = _whole_numbers(table.unchecked("values"))
-    if values.shape != (len(orders), len(unit)):
-        raise table.fail(f"'values' must be {len(orders)} lists of {len(unit)} whole numbers: terms by factors.")
+        raise table.fail(f"'unit' must hold positive numbers, {outputs} for each variable; calibrate again.")
+    values = table.whole_numbers("values", (len(orders), len(unit)))
+    if max((factors := values * unit).max(initial=0.0), -factors.min(initial=0.0)) > _LARGEST_SPREAD:
+        raise table.fail(f"'unit' makes factors above {_LARGEST_SPREAD:g}; calibrate again.")
     table.finish()
-    return Polynomial(orders, box, values * unit)
-
-
-def _whole_numbers(value: Any) -> IntArray:
-    """An array of lists of whole numbers; an empty one of anything else."""
-    try:
-        read = np.array(value)
-    except ValueError:
-        return np.zeros(0, np.int64)
-    return read if read.dtype == np.int64 else np.zeros(0, np.int64)
+    return Polynomial(orders, box, factors)
 
 
 def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomial:
     part: Panel | BasePlane | Polynomial
     if name == "panel":
-        part = Panel(table.whole("width_px"), table.whole("height_px"))
+        part = Panel(table.whole("width_px", 1), table.whole("height_px", 1))
+        require_pixels(table.where, part.size_px, "calibrate again")
     elif name == "base_plane":
         slope_x, slope_y = table.vector("slope", 2, default=(0.0, 0.0))
         part = BasePlane(table.number("z_m"), (float(slope_x), float(slope_y)))
+        require_plausible_plane(table, part)
     else:
         part = _polynomial(table, *forms[name])
     table.finish()
@@ -378,18 +371,18 @@ def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
     box = Box(table.vector("low", variables), table.vector("high", variables))
     if not np.all(box.low < box.high):
         raise table.fail("'low' must be less than 'high' on every axis.")
-    terms = table.tables("terms")
+    terms = table.tables("terms", most=_MOST_TERMS)
     if not terms:
         raise table.fail("'terms' is empty; write one term at least.")
-    orders = _orders(table, np.array([term.vector("orders", variables) for term in terms]))
+    orders = _orders(table, np.array([term.row("orders", variables) for term in terms], dtype=np.float64))
     if table.has("degree"):  # of version 1 or 2
-        degree = table.whole("degree")
-        if not np.array_equal(orders, total_degree(variables, degree)):
+        degree = table.whole("degree", most=HIGHEST_ORDER)
+        if len(terms) != term_count(variables, degree) or not np.array_equal(orders, total_degree(variables, degree)):
             raise table.fail(
                 f"'terms' must be all {term_count(variables, degree)} of total degree up to {degree}, ordered by it "
                 "and by 'orders'."
             )
-    return Polynomial(orders, box, np.array([term.vector("values", outputs) for term in terms]))
+    return Polynomial(orders, box, np.array([term.row("values", outputs) for term in terms], dtype=np.float64))
 
 
 def _orders(table: Table, read: FloatArray) -> IntArray:

@@ -98,13 +98,14 @@ class Sums:
             mine = slice(self.mixed + name * self.own, self.mixed + (name + 1) * self.own)
             self._add_side(mine, own[rows], value[rows], design[rows])
             if common is not None:
-                cross = np.einsum("noi,noj->ij", own[rows], common[rows])
+                cross = own[rows].reshape(-1, self.own).T @ common[rows].reshape(-1, self.mixed)
                 self.side_gram[mine, everyone] += cross
                 self.side_gram[everyone, mine] += cross.T
 
     def _add_side(self, which: slice, columns: FloatArray, value: FloatArray, design: FloatArray) -> None:
-        self.side_gram[which, which] += np.einsum("noi,noj->ij", columns, columns)
-        self.side_moment[which] += np.einsum("noi,no->i", columns, value)
+        rows = columns.reshape(-1, columns.shape[2])  # matrix products are many times faster than einsum
+        self.side_gram[which, which] += rows.T @ rows
+        self.side_moment[which] += rows.T @ value.ravel()
         for output, cross in enumerate(self.side_cross):
             cross[which] += columns[:, output].T @ design
 

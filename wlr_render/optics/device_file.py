@@ -9,6 +9,7 @@ import numpy as np
 from wlr_render.files import named_or_path
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import FRAMES, rigid, rotation_about
+from wlr_render.input_files import require_eye_box, require_length, require_pixels, shown
 from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
@@ -41,6 +42,17 @@ MM = 1e-3
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0])
 
 _GREEN_UM = 0.55
+_FAR_MM = 2000.0  # of anything in a headset from its origin
+_OPEN_MM = 10.0  # half the width of a surface without an aperture, at least
+_STEEPEST_SLOPE = 20.0  # of a surface given by its sag: 87 degrees
+_FLAT_MM = 1e12  # radii of surfaces that are all but flat are written so
+_EYE_BOX_LEAST_MM = 0.1
+_PANEL_LEAST_MM = 0.5
+_STEEPEST_DEG = 89.0  # of a field of view, which is described by tangents
+_INDICES = 1.0, 5.0
+_HIGHEST_POWER = 20  # of x and y together
+_MOST = 100  # surfaces, steps of a path, media, terms
+_DEEPEST = 6  # surfaces stated by an earlier one: the time for a ray grows exponentially with it
 _OTHER_SIDE = {"right": "left", "left": "right"}
 
 
@@ -53,15 +65,39 @@ def placed_surface(table: Table, frame: FloatArray, earlier: dict[str, PlacedSur
     aperture = _aperture(table)
     if kind in ("offset", "raised"):
         base = earlier[named(table, "of", "earlier surface", earlier)]
+        if len(base_chain(base.shape)) > _DEEPEST:
+            raise table.fail(f"'of' leads through more than {_DEEPEST} surfaces; state this one by an earlier surface.")
         if kind == "offset":
-            shape: Shape = Offset(base.shape, MM * nonzero(table, "distance_mm"))
+            shape: Shape = Offset(base.shape, _length(table, "distance_mm"))
         else:
-            shape = raised(base.shape, *(_form_error(each, frame, base) for each in table.tables("error")))
+            errors = table.tables("error", most=_MOST)
+            shape = raised(base.shape, *(_form_error(each, frame, base) for each in errors))
         placed = PlacedSurface(name, shape, base.device_from_surface, aperture)
     else:
         placed = PlacedSurface(name, _SHAPES[kind](table), _pose(table, frame), aperture)
+    if isinstance(placed.shape, SagSurface):
+        _require_smooth(table, placed.shape, aperture)
     table.finish()
     return placed
+
+
+def _require_smooth(table: Table, shape: SagSurface, aperture: ClearAperture) -> None:
+    """Refuse a sag too steep for optics within the aperture, or near the vertex along an axis that is open.
+
+    Newton's method does not settle on it, and takes minutes to find that out for every pixel.
+    """
+    low, high = (
+        np.where(np.isinf(side), np.sign(side) * MM * _OPEN_MM, side)[:2] for side in (aperture.low, aperture.high)
+    )
+    x, y = np.meshgrid(*(low + (high - low) * (np.arange(8.0)[:, None] + 0.5) / 8).T)
+    with np.errstate(all="ignore"):  # NaN beyond the edge of the shape
+        slopes = np.abs(shape.sag_and_slopes(x.ravel(), y.ravel())[1:])
+    steepest = np.nanmax(slopes, initial=0.0)
+    if steepest > _STEEPEST_SLOPE:
+        raise table.fail(
+            f"rises {steepest:.3g} mm per mm within its aperture, more than the plausible {_STEEPEST_SLOPE:g}; are its "
+            "numbers in powers of millimetres?"
+        )
 
 
 def _form_error(table: Table, frame: FloatArray, base: PlacedSurface) -> FormError:
@@ -75,7 +111,7 @@ def _form_error(table: Table, frame: FloatArray, base: PlacedSurface) -> FormErr
 def _aperture(table: Table) -> ClearAperture:
     """`aperture_x_mm`, `aperture_y_mm`, `aperture_z_mm`; open along an axis that is left out."""
     keys = [f"aperture_{axis}_mm" for axis in "xyz"]
-    sides = [MM * table.vector(key, 2) if table.has(key) else np.array([-np.inf, np.inf]) for key in keys]
+    sides = [_lengths(table, key, 2) if table.has(key) else np.array([-np.inf, np.inf]) for key in keys]
     low, high = np.stack(sides, axis=1)
     if not np.all(low < high):
         raise table.fail("each 'aperture_*_mm' must be [low, high] with low below high.")
@@ -90,7 +126,7 @@ def _pose(table: Table, frame: FloatArray) -> FloatArray:
         rotation = rotation_about("x", np.deg2rad(table.number("rotate_x_deg", default=0.0)))
     if table.flag("mirrored", default=False):
         rotation = rotation @ _MIRROR_Y
-    return rigid(frame @ rotation, frame @ (MM * table.vector("origin_mm", 3)))
+    return rigid(frame @ rotation, frame @ _lengths(table, "origin_mm", 3))
 
 
 def axes(table: Table, first: str, second: str) -> FloatArray:
@@ -105,7 +141,7 @@ def axes(table: Table, first: str, second: str) -> FloatArray:
 
 
 def _ellipsoid(table: Table) -> Shape:
-    semi_axes = MM * table.vector("semi_axes_mm", 3)
+    semi_axes = _lengths(table, "semi_axes_mm", 3, _FLAT_MM)
     if not np.all(semi_axes > 0):
         raise table.fail("'semi_axes_mm' must be positive.")
     return Ellipsoid(semi_axes)
@@ -121,7 +157,7 @@ def _xy_polynomial(table: Table) -> XYPolynomial:
         coefficients[m, n] = sag.number(key) * MM ** (1 - m - n)
     if not table.has("radius_mm"):
         return XYPolynomial(coefficients)
-    base = 1.0 / (MM * nonzero(table, "radius_mm"))
+    base = 1.0 / _length(table, "radius_mm", _FLAT_MM)
     return XYPolynomial(coefficients, base, table.number("conic", default=0.0))
 
 
@@ -129,16 +165,18 @@ def _powers(sag: Table, key: str) -> tuple[int, int]:
     """Powers of x and y that a key such as "x2y", "y3" stands for."""
     match = re.fullmatch(r"(?:x(\d*))?(?:y(\d*))?", key)
     if not key or match is None:
-        raise sag.fail(f"'{key}' is no term in x and y; write x2, xy3, y4 and so on.")
-    m, n = (0 if power is None else int(power or 1) for power in match.groups())
+        raise sag.fail(f"{shown(key)} is no term in x and y; write x2, xy3, y4 and so on.")
+    m, n = (0 if power is None else int((power or "1")[:9]) for power in match.groups())
+    if m + n > _HIGHEST_POWER:
+        raise sag.fail(f"{shown(key)} is of order {m + n}; {_HIGHEST_POWER} is the highest that is read.")
     return m, n
 
 
 def _anamorphic(table: Table) -> AnamorphicAsphere:
-    curvature = tuple(1.0 / (MM * nonzero(table, key)) for key in ("radius_x_mm", "radius_y_mm"))
+    curvature = tuple(1.0 / _length(table, key, _FLAT_MM) for key in ("radius_x_mm", "radius_y_mm"))
     conic = tuple(table.number(key, default=0.0) for key in ("conic_x", "conic_y"))
     terms = []
-    for entry in table.tables("term", required=False):
+    for entry in table.tables("term", required=False, most=_MOST):
         order = entry.number("order")
         if order not in (4, 6, 8, 10):
             raise entry.fail(f"'order' is {order:g}; it must be 4, 6, 8 or 10.")
@@ -149,14 +187,14 @@ def _anamorphic(table: Table) -> AnamorphicAsphere:
 
 
 _SAG_SHAPES: dict[str, Callable[[Table], SagSurface]] = {
-    "toroid": lambda table: Toroid(MM * nonzero(table, "radius_x_mm"), MM * nonzero(table, "radius_y_mm")),
+    "toroid": lambda table: Toroid(*(_length(table, f"radius_{axis}_mm", _FLAT_MM) for axis in "xy")),
     "xy_polynomial": _xy_polynomial,
     "anamorphic": _anamorphic,
     "bump": lambda table: GaussianBump(MM * table.number("height_mm"), MM * positive(table, "width_mm")),
 }
 _SHAPES: dict[str, Callable[[Table], Shape]] = {
     "plane": lambda _: Conic(0.0),
-    "conic": lambda table: Conic(1.0 / (MM * nonzero(table, "radius_mm")), table.number("conic", default=0.0)),
+    "conic": lambda table: Conic(1.0 / _length(table, "radius_mm", _FLAT_MM), table.number("conic", default=0.0)),
     "ellipsoid": _ellipsoid,
     **_SAG_SHAPES,
 }
@@ -172,7 +210,8 @@ def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] |
     name = entry.text(key)
     if name not in choices:
         raise entry.fail(
-            f"'{key}' names the {kind} '{name}', which is not defined ({', '.join(choices) or 'none is'})."
+            f"'{key}' names the {kind} {shown(name)}, which is not defined "
+            f"({', '.join(choices) or 'none is'}); correct it."
         )
     return name
 
@@ -185,12 +224,20 @@ def positive(table: Table, key: str) -> float:
     return value
 
 
-def nonzero(table: Table, key: str) -> float:
-    """A number other than 0."""
+def _length(table: Table, key: str, at_most_mm: float = _FAR_MM) -> float:
+    """A length other than 0, in metres; `key` is in millimetres."""
     value = table.number(key)
     if value == 0:
         raise table.fail(f"'{key}' must not be 0.")
-    return value
+    require_length(f"{table.where}: '{key}'", value, at_most_mm, "mm")
+    return MM * value
+
+
+def _lengths(table: Table, key: str, size: int, at_most_mm: float = _FAR_MM) -> FloatArray:
+    """(size,) lengths in metres; `key` is in millimetres."""
+    values = table.vector(key, size)
+    require_length(f"{table.where}: '{key}'", values, at_most_mm, "mm")
+    return MM * values
 
 
 def load_device(spec: str | FilePath) -> Device:
@@ -233,7 +280,7 @@ def device_of(file: Table) -> Device:
 
 def _media(file: Table) -> dict[str, Medium]:
     media = {AIR.name: AIR}
-    for table in file.tables("medium", required=False):
+    for table in file.tables("medium", required=False, most=_MOST):
         name = table.text("name")
         if name in media:
             raise table.fail(f"there is already a medium '{name}'; choose another name.")
@@ -246,20 +293,26 @@ def _medium(table: Table, name: str) -> Medium:
     if table.has("formula"):
         medium = Medium(name, FORMULAS[table.text("formula", choices=sorted(FORMULAS))])
     else:
-        medium = Medium.constant(name, positive(table, "index"))
+        medium = Medium.constant(name, _index(table, "'index'", positive(table, "index")))
     medium = medium.shifted(table.number("index_shift", default=0.0))
-    if medium.index(_GREEN_UM) <= 0:
-        raise table.fail("'index_shift' makes the refractive index negative; it must stay positive.")
+    _index(table, "the index with 'index_shift'", medium.index(_GREEN_UM))
     return medium
+
+
+def _index(table: Table, what: str, index: float) -> float:
+    low, high = _INDICES
+    if not low <= index <= high:
+        raise table.fail(f"{what} is {index:g}; a refractive index lies between {low:g} and {high:g}.")
+    return index
 
 
 def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics:
     surfaces: dict[str, PlacedSurface] = {}
-    for entry in table.tables("surface", required=False):
+    for entry in table.tables("surface", required=False, most=_MOST):
         surface = placed_surface(entry, frame, surfaces)
         surfaces[surface.name] = surface
-    display = _path(table.tables("display_path"), surfaces, media)
-    see_through = _path(table.tables("see_through_path"), surfaces, media)
+    display = _path(table.tables("display_path", most=_MOST), surfaces, media)
+    see_through = _path(table.tables("see_through_path", most=_MOST), surfaces, media)
     if see_through.steps and see_through.steps[-1].medium is not AIR:
         raise table.fail("'see_through_path' must end in air.")
     panel, eye_box = _panel(table.table("panel"), frame), _eye_box(table.table("eye_box"), frame)
@@ -290,10 +343,14 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
     counts = table.vector("pixels", 2)
     if not np.all((counts >= 1) & (counts == np.round(counts))):
         raise table.fail("'pixels' must be two whole numbers of at least 1, width and height.")
-    size = MM * table.vector("size_mm", 2)
-    if not np.all(size > 0):
-        raise table.fail("'size_mm' must be positive.")
-    pose = rigid(frame @ axes(table, "u_axis", "v_axis"), frame @ (MM * table.vector("centre_mm", 3)))
+    require_pixels(f"{table.where} 'pixels'", counts, "correct them")
+    size = _lengths(table, "size_mm", 2)
+    if not np.all(size >= _PANEL_LEAST_MM * MM):
+        raise table.fail(
+            f"'size_mm' is {np.round(size / MM, 6).tolist()}; the sides of a panel are {_PANEL_LEAST_MM:g} mm or more: "
+            "is it in metres?"
+        )
+    pose = rigid(frame @ axes(table, "u_axis", "v_axis"), frame @ _lengths(table, "centre_mm", 3))
     curvature = table.vector("curvature_per_m", 2, default=(0.0, 0.0))
     panel = PlacedPanel(pose, size, Panel(int(counts[0]), int(counts[1])), curvature)
     table.finish()
@@ -304,15 +361,20 @@ def _field(table: Table) -> FieldOfView | None:
     """Angles as the wearer has them, right and up positive, whatever the file's axes."""
     if not table.has("field_deg"):
         return None
-    left, right, down, up = np.tan(np.deg2rad(table.vector("field_deg", 4)))
+    angles = table.vector("field_deg", 4)
+    if np.abs(angles).max() > _STEEPEST_DEG:
+        raise table.fail(f"'field_deg' must lie between -{_STEEPEST_DEG:g} and {_STEEPEST_DEG:g} degrees.")
+    left, right, down, up = np.tan(np.deg2rad(angles))
     if not (left < right and down < up):
         raise table.fail("'field_deg' must be left, right, down, up, each pair ascending; right and up are positive.")
     return FieldOfView(np.array([left, down]), np.array([right, up]))
 
 
 def _eye_box(table: Table, frame: FloatArray) -> EyeBox:
-    box = EyeBox(frame @ (MM * table.vector("centre_mm", 3)), MM * table.vector("size_mm", 3))
-    if not np.all(box.size > 0):
-        raise table.fail("'size_mm' must be positive.")
+    size = table.vector("size_mm", 3, above=0.0)
+    require_eye_box(f"{table.where}: 'size_mm'", size, "mm")
+    box = EyeBox(frame @ _lengths(table, "centre_mm", 3), MM * size)
+    if size.max() < _EYE_BOX_LEAST_MM:
+        raise table.fail(f"'size_mm' is below {_EYE_BOX_LEAST_MM:g} mm on every axis; is it in metres? Convert it.")
     table.finish()
     return box

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.surfaces import SurfaceIntersections, unit
 
 _MAX_STEPS = 25
+_STEPS_OF_ALL = 6  # most rays have converged by then; those that never do must not cost as much as all
 # Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
 _LAST_STEP = 1e-10
 
@@ -27,14 +29,19 @@ class LevelSurface:
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
         """See `surfaces.Shape`."""
         distance = -origin[2] / direction[2]
-        step = distance
-        for _ in range(_MAX_STEPS):
-            value, slope = self.level(origin + distance * direction, direction)
-            step = value / slope
-            distance = distance - step
-            if not (np.abs(step) > _LAST_STEP).any():
+        step = distance.copy()
+        rays: slice | NDArray[np.int64] = slice(None)  # all; soon, the few that have not converged
+        for number in range(_MAX_STEPS):
+            at, along = origin[:, rays], direction[:, rays]
+            value, slope = self.level(at + distance[rays] * along, along)
+            step[rays] = value / slope
+            distance[rays] -= step[rays]
+            going = np.abs(step) > _LAST_STEP
+            if not going.any():
                 break
-        return SurfaceIntersections(distance[None], ~(np.abs(step) > _LAST_STEP))
+            if number >= _STEPS_OF_ALL:
+                rays = np.flatnonzero(going)
+        return SurfaceIntersections(distance[None], ~going)
 
 
 class SagSurface(LevelSurface):

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
-from wlr_render.mappings import EyeMappings, Panel, QueryResult, Status, StatusArray
+from wlr_render.input_files import shown
+from wlr_render.mappings import EyeMappings, Panel, QueryResult, Status, StatusArray, count_unsolved
 from wlr_render.numerics import newton
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
@@ -30,10 +31,14 @@ _SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents in which the panel is looked fo
 _GRID = 15  # directions per axis and viewpoint
 _MARGIN = 0.1  # of the field, for it moves with the viewpoint
 
+_AHEAD = dir_of_tangents(np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 9)] * 2), axis=-1).reshape(-1, 2))
+
 _BLOCK = 65_536  # queries solved at a time: bounds the memory that a whole panel takes
 _TANGENT_STEP = 1e-7  # of the forward differences
 _PIXEL_TOLERANCE = 1e-9  # pixels
 _ANGLE_TOLERANCE = 1e-13  # radians
+_MOST_UNSOLVED = 0.2  # of the panel: a pixel that is never solved takes a thousand times as long as others
+_WAVELENGTHS_UM = 0.3, 3.0
 _EDGE_PX = 1e-6  # by so much a pixel may lie outside the panel, so that its very edge survives rounding
 
 
@@ -47,7 +52,10 @@ def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
     search = np.stack(np.meshgrid(_SEARCH, _SEARCH), axis=-1).reshape(-1, 2)
     found = search[_reaches(panel, *display.plane_pixel(dir_of_tangents(search), eye_box.centre))]
     if len(found) == 0:
-        raise BadInputError("no ray from the middle of the eye box reaches the panel; check the paths and apertures.")
+        raise BadInputError(
+            f"{display.name}: no ray from the middle of the eye box reaches the panel; check the paths and "
+            "apertures, and that all lengths are in mm."
+        )
     low, high = found.min(axis=0), found.max(axis=0)
     margin = _MARGIN * (high - low) + (_SEARCH[1] - _SEARCH[0])
     axes = np.linspace(low - margin, high + margin, _GRID)
@@ -63,8 +71,13 @@ def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
     design = basis(inputs, orders, box)
     coefficients, _, rank, _ = np.linalg.lstsq(design, targets, rcond=1e-9)
     if rank < design.shape[1]:
-        raise BadInputError("the panel is not seen from most of the eye box; make 'eye_box' smaller.")
+        raise BadInputError(f"{display.name}: the panel is not seen from most of the eye box; make 'eye_box' smaller.")
     return Polynomial(orders, box, coefficients)
+
+
+def _guessed(guess: Polynomial, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
+    return guess(np.clip(np.concatenate([pixel, viewpoint], axis=-1), guess.box.low, guess.box.high))
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
@@ -90,12 +103,25 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = 0.55) 
     """Mappings of one eye of a device at one vacuum wavelength in micrometres.
 
     Raises:
-        BadInputError: the device has no such eye.
+        BadInputError: the device has no such eye, its see-through path loses every ray, or a wavelength that is not
+            one of visible or near-visible light.
     """
+    shortest, longest = _WAVELENGTHS_UM
+    if not shortest <= wavelength_um <= longest:
+        raise BadInputError(
+            f"the wavelength is {shown(wavelength_um)}; give micrometres from {shortest:g} to {longest:g}."
+        )
     if eye not in device.eyes:
         raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
     optics = device.eyes[eye]
-    display, see_through = TracedDisplay(optics, wavelength_um), TracedSeeThrough(optics, wavelength_um)
+    display, see_through = TracedDisplay(optics, wavelength_um, device.name), TracedSeeThrough(optics, wavelength_um)
+    lost = count_unsolved([see_through.real_ray_of_view_dir(_AHEAD, optics.eye_box.centre).status])
+    if sum(lost.values()) == len(_AHEAD):
+        why = ", ".join(f"{count} {status}" for status, count in lost.items())
+        raise BadInputError(
+            f"{device.name}: every see-through ray from the middle of the eye box is lost ({why}); check "
+            "'see_through_path', the surfaces and their apertures, and that all lengths are in mm."
+        )
     return EyeMappings(device.name + TRACED, eye, display, see_through, optics.eye_box, optics.field)
 
 
@@ -106,10 +132,12 @@ class TracedDisplay:
     Attributes:
         optics: the eye.
         wavelength_um: micrometres.
+        name: of the device, for messages.
     """
 
     optics: EyeOptics
     wavelength_um: float
+    name: str = "device"
 
     @property
     def panel(self) -> Panel:
@@ -131,12 +159,8 @@ class TracedDisplay:
         lead = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
         wanted, eyes = _flat(pixel, lead), _flat(viewpoint, lead)
         outside = ~self._on_panel(wanted)
-
-        def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
-            return self.plane_pixel(dir_of_tangents(tangents), eyes[index])[0] - wanted[index]
-
-        cold = np.where(outside[:, None], np.nan, self._first_guess(wanted, eyes))
-        tangents, converged = _shoot(miss, _start(warm_start, cold), _PIXEL_TOLERANCE)
+        cold = np.where(outside[:, None], np.nan, _guessed(self._guess, wanted, eyes))
+        tangents, converged = self._solve(wanted, eyes, _start(warm_start, cold))
         view_dir = dir_of_tangents(tangents)
         status = np.where(converged, self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
         status = np.where(outside, Status.CLIPPED, status)
@@ -152,14 +176,29 @@ class TracedDisplay:
         status = np.where(np.isnan(pixel[..., 0]) & (traced.status == Status.OK), Status.MISS, traced.status)
         return pixel, status
 
-    def _first_guess(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
-        box = self._guess.box
-        return self._guess(np.clip(np.concatenate([pixel, viewpoint], axis=-1), box.low, box.high))
+    def _solve(
+        self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3), and where they were found."""
+
+        def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
+            return self.plane_pixel(dir_of_tangents(tangents), viewpoint[index])[0] - pixel[index]
+
+        return _shoot(miss, start, _PIXEL_TOLERANCE)
 
     @cached_property
     def _guess(self) -> Polynomial:
-        return _fit_first_guess(self)
+        """First guess of tangents; refuses a display of which many pixels are not found from it."""
+        guess = _fit_first_guess(self)
+        pixel = self.panel.grid(_GRID, _GRID).reshape(-1, 2)
+        viewpoint = np.broadcast_to(self.optics.eye_box.centre, (len(pixel), 3))
+        _, converged = self._solve(pixel, viewpoint, _guessed(guess, pixel, viewpoint))
+        if np.mean(~converged) > _MOST_UNSOLVED:
+            raise BadInputError(
+                f"{self.name}: no ray was found from the middle of the eye box to {np.mean(~converged):.0%} of the "
+                "panel's pixels; check the surfaces, 'display_path' and the panel, and that all lengths are in mm."
+            )
+        return guess
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +208,12 @@ class TracedSeeThrough:
     Attributes:
         optics: the eye.
         wavelength_um: micrometres.
+        name: of the device, for messages.
     """
 
     optics: EyeOptics
     wavelength_um: float
+    name: str = "device"
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

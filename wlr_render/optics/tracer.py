@@ -37,6 +37,7 @@ class Trace:
     status: StatusArray
 
 
+@np.errstate(all="ignore")  # a ray that overflows is lost, and its status says so
 def trace(path: Path, origin: FloatArray, direction: FloatArray, wavelength_um: float) -> Trace:
     """Trace rays along a path.
 

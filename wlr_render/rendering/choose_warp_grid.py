@@ -1,13 +1,14 @@
 """Choice of the warp grid: the coarsest whose measured interpolation error is within a tolerance.
 
-Between four points the reading of a smooth ray map errs most at the middle of the cell, by an eighth of the second
-differences there: with the square of the cell's size. What a GPU's coarse filter weights add (`gl.read_between_texels`)
-is not in the bound.
+`WarpGrid.interpolated` misses of a smooth ray map its third derivatives: the error grows with the cube of the cell's
+size and more.
 """
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.mappings import EyeMappings
@@ -19,11 +20,12 @@ TOLERANCE_ARCMIN = 0.02
 """A tenth of the misalignment that the composed frame may have, so that squared it is a hundredth; below what float32
 and a display pixel of 1 to 3 arcmin let anyone see."""
 
-_COARSEST_CELLS = 8
+_COARSEST_CELLS = 16
+_MOST_CELLS = 256
 _JUDGED_CELLS = 10
 _JUDGED_PIXELS = 60
+_JUDGED_PLACES = np.array([0.21, 0.79])  # in a cell: where the error of a cubic is largest
 _JUDGED_VIEWPOINTS = np.array([[0, 0, 0], [1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]], dtype=np.float64)
-_CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 _AIM = 0.95
 
 
@@ -33,9 +35,8 @@ class ChosenWarpGrid:
 
     Attributes:
         grid: the points.
-        bound_arcmin: the largest error found, as `warp_grid_error_arcmin`; no more than rounding if the points are the
-            picture's pixels; infinite if no ray was found anywhere.
-        hole_share: 0..1, the share of the judged places where a ray is missing, exact or read, and no error known.
+        bound_arcmin: the largest error found, as `warp_grid_error_arcmin`; infinite if no ray was found anywhere.
+        hole_share: 0..1, the share of the judged places in a hole or a cell beside one, where no error is judged.
     """
 
     grid: WarpGrid
@@ -51,38 +52,32 @@ class ChosenWarpGrid:
 def choose_warp_grid(
     mappings: EyeMappings,
     device_from_camera: FloatArray,
-    size_px: tuple[int, int],
     tolerance_arcmin: float = TOLERANCE_ARCMIN,
 ) -> ChosenWarpGrid:
     """Return the coarsest warp grid of square cells whose error is within the tolerance over the eye box.
 
-    Judged at the eye box's centre and at four of its corners, no two of which share an edge, at `judged_pixels`. Where
-    no warp grid coarser than the picture's pixels is within the tolerance, its points are those pixels, whose rays are
-    read as they are.
+    Judged at the eye box's centre and at four of its corners, no two of which share an edge, at `judged_pixels`. There
+    are at most 256 cells along an axis: where that is not fine enough, the bound says what is reached.
 
     Args:
         mappings: any pair.
         device_from_camera: (3, 3) axes in which rays are known.
-        size_px: (width, height) of the picture that covers the panel.
         tolerance_arcmin: as `warp_grid_error_arcmin`.
     """
     panel = mappings.display.panel
-    finest_px = float(np.min(panel.size_px / size_px))
-    cell_px = float(np.min(panel.size_px)) / _COARSEST_CELLS
-    while cell_px > finest_px:
-        columns, rows = (np.ceil(panel.size_px / cell_px).astype(int) + 1).tolist()
+    finest_px = float(np.max(panel.size_px)) / _MOST_CELLS
+    cell_px = max(float(np.min(panel.size_px)) / _COARSEST_CELLS, finest_px)
+    while True:
+        columns, rows = np.maximum(np.ceil(panel.size_px / cell_px).astype(int) + 1, 3).tolist()
         warp_grid = WarpGrid.edge_to_edge(panel, columns, rows)
-        chosen = _judged(mappings, device_from_camera, warp_grid, judged_pixels(warp_grid))
-        if chosen.bound_arcmin <= tolerance_arcmin:
+        chosen = _judged(mappings, device_from_camera, warp_grid)
+        if chosen.bound_arcmin <= tolerance_arcmin or cell_px <= finest_px or chosen.hole_share == 1:
             return chosen
-        cell_px *= min(0.9, float(np.sqrt(_AIM * tolerance_arcmin / chosen.bound_arcmin)))
-    pixels = WarpGrid.of_pixels(panel, size_px)
-    return _judged(mappings, device_from_camera, pixels, _some_points(pixels))
+        cell_px = max(finest_px, cell_px * min(0.9, float(np.cbrt(_AIM * tolerance_arcmin / chosen.bound_arcmin))))
 
 
-def _judged(
-    mappings: EyeMappings, device_from_camera: FloatArray, warp_grid: WarpGrid, pixel: FloatArray
-) -> ChosenWarpGrid:
+def _judged(mappings: EyeMappings, device_from_camera: FloatArray, warp_grid: WarpGrid) -> ChosenWarpGrid:
+    pixel = judged_pixels(warp_grid)
     error = np.stack(
         [
             warp_grid_error_arcmin(mappings, device_from_camera, warp_grid, mappings.eye_box.at(unit), pixel)
@@ -95,16 +90,14 @@ def _judged(
 
 
 def judged_pixels(warp_grid: WarpGrid) -> FloatArray:
-    """Panel positions (n, 2): middles of cells out to the panel's corners, and fixed pseudo-random ones."""
-    columns, rows = (np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round()) + 0.5 for count in warp_grid.size)
-    middles = warp_grid.first_px + warp_grid.step_px * np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    """Panel positions (n, 2): in cells out to the panel's corners, and fixed pseudo-random ones."""
+    along = [
+        (np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round())[:, None] + _JUDGED_PLACES).reshape(-1)
+        for count in warp_grid.size
+    ]
+    in_cells = warp_grid.first_px + warp_grid.step_px * np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 2)
     rng = np.random.default_rng(20250102)
-    return np.concatenate([middles, rng.uniform(0.5, warp_grid.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))])
-
-
-def _some_points(warp_grid: WarpGrid) -> FloatArray:
-    """Fixed pseudo-random points of the warp grid itself, (n, 2)."""
-    return np.random.default_rng(20250102).choice(warp_grid.panel_pixel().reshape(-1, 2), _JUDGED_PIXELS)
+    return np.concatenate([in_cells, rng.uniform(0.5, warp_grid.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))])
 
 
 def warp_grid_error_arcmin(
@@ -114,7 +107,7 @@ def warp_grid_error_arcmin(
     viewpoint: FloatArray,
     pixel: FloatArray,
 ) -> FloatArray:
-    """Error of bilinear interpolation between a warp grid's exact rays, against the exact solve.
+    """Error of `WarpGrid.interpolated` between a warp grid's exact rays, against the exact solve.
 
     Args:
         mappings: any pair.
@@ -124,16 +117,24 @@ def warp_grid_error_arcmin(
         pixel: (n, 2) panel positions.
 
     Returns:
-        (n,) arcminutes, as `ray_error_arcmin`; NaN where a ray that the comparison needs is missing.
+        (n,) arcminutes, as `ray_error_arcmin`; NaN where a ray that the comparison needs is missing, and in the cells
+        beside a hole.
     """
-    place = np.clip((pixel - warp_grid.first_px) / warp_grid.step_px, 0, np.array(warp_grid.size) - 1)
-    cell = np.minimum(place.astype(int), np.array(warp_grid.size) - 2)
-    corner = cell[:, None] + _CORNERS
-    weight = np.prod(1.0 - np.abs(place[:, None] - corner), axis=-1)
-    asked = np.concatenate([pixel[:, None], warp_grid.first_px + warp_grid.step_px * corner], axis=1)
-    slope_offset = solve_pixels(mappings, device_from_camera, asked, viewpoint).slope_offset
-    exact, read = slope_offset[:, 0], np.einsum("nc,nck->nk", weight, slope_offset[:, 1:])
-    return ray_error_arcmin(read, exact)
+    at_points = solve_pixels(mappings, device_from_camera, warp_grid.panel_pixel(), viewpoint).slope_offset
+    exact = solve_pixels(mappings, device_from_camera, pixel, viewpoint).slope_offset
+    error = ray_error_arcmin(warp_grid.interpolated(np.moveaxis(at_points, -1, 0), pixel), exact)
+    return np.where(_beside_hole(warp_grid, at_points, pixel), np.nan, error)
+
+
+def _beside_hole(warp_grid: WarpGrid, at_points: FloatArray, pixel: FloatArray) -> NDArray[np.bool_]:
+    """Whether pixels (n, 2) lie beside a missing ray, where second differences are partial."""
+    missing = np.isnan(at_points).any(axis=-1)
+    around = cv2.dilate(missing.astype(np.uint8), np.ones((3, 3), np.uint8))
+    column, row = np.minimum((pixel - warp_grid.first_px) / warp_grid.step_px, np.array(warp_grid.size) - 2).T.astype(
+        int
+    )
+    corners = [around[row + down, column + right] for down in (0, 1) for right in (0, 1)]
+    return np.asarray(np.any(corners, axis=0))
 
 
 def ray_error_arcmin(slope_offset: FloatArray, exact: FloatArray) -> FloatArray:

@@ -1,13 +1,16 @@
 """Ownership of an OpenGL context, our own or an adopted one: state handling around draws, and cleanup."""
 
 import contextlib
+import ctypes
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary
 
-from wlr_render.errors import BadInputError
+from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.rendering.gl_state import GlState
-from wlr_render.rendering.native_contexts import CurrentContext
+from wlr_render.rendering.native_contexts import CurrentContext, EglBinding
 
 
 class ContextOwner(Protocol):
@@ -16,8 +19,14 @@ class ContextOwner(Protocol):
     def entered(self, third_party: bool) -> contextlib.AbstractContextManager[None]:
         """Return a block in which the context is current; `third_party` as in `GlState.kept`."""
 
-    def release(self, objects: list[Any]) -> None:
-        """Destroy the given ModernGL objects and those that Python has dropped."""
+    def odd_values(self) -> list[str]:
+        """OpenGL calls of the host that set what is not OpenGL's default now."""
+
+    def is_same_as(self, context: Any) -> bool:
+        """Whether another ModernGL context is around the same native context."""
+
+    def release(self, objects: list[Any]) -> bool:
+        """Destroy the given ModernGL objects and those that Python has dropped; whether that was possible."""
 
 
 class OwnContext:
@@ -56,43 +65,93 @@ class OwnContext:
                     )
             yield
 
-    def release(self, objects: list[Any]) -> None:
+    def odd_values(self) -> list[str]:
+        """See `ContextOwner`; there is no host."""
+        return []
+
+    def is_same_as(self, context: Any) -> bool:
+        """See `ContextOwner`; nobody else has it."""
+        return False
+
+    def release(self, objects: list[Any]) -> bool:
         """See `ContextOwner`; destroys the context with all its objects, and leaves any other current."""
         restore = self._save()
         self._ctx.release()
         restore()
+        return True
 
 
 class AdoptedContext:
     """A context of another program: each block leaves its state unchanged, and it is never destroyed here."""
 
-    def __init__(self, current: CurrentContext, state: GlState, ctx: Any) -> None:
-        self._current, self._state, self._ctx = current, state, ctx
+    def __init__(self, current: CurrentContext, state: GlState, ctx: Any, host_is_clean: bool) -> None:
+        """Wrap an adopted context; with a clean host only blocks of third parties save and restore its state."""
+        self._current, self._state, self._ctx, self._host_is_clean = current, state, ctx, host_is_clean
+        self._inside = False
+        self._same: WeakKeyDictionary[Any, bool] = WeakKeyDictionary()
+        self._set_depth_mask = current.function("glDepthMask", ctypes.c_ubyte)
 
     @contextlib.contextmanager
     def entered(self, third_party: bool) -> Iterator[None]:
         """See `ContextOwner`.
 
         Raises:
-            BadInputError: it is not current.
+            BadInputError: it is not current, or as `GlState.kept`.
         """
-        if not self._current.is_current():
-            raise BadInputError(
-                "The adopted OpenGL context is not current on this thread: make it current before drawing."
-            )
+        self._check_current()
+        if self._host_is_clean and not third_party:
+            outermost, self._inside = not self._inside, True
+            try:
+                yield
+            finally:
+                if outermost:
+                    self._inside = False
+                    self._set_depth_mask(1)  # ModernGL clears it for framebuffers without depth
+            return
         outermost = not self._state.inside
         with self._state.kept(third_party):
             if outermost:
                 self._ctx.screen.use()  # what ModernGL takes to be bound from now on
             yield
 
-    def release(self, objects: list[Any]) -> None:
-        """See `ContextOwner`; the context stays."""
+    def odd_values(self) -> list[str]:
+        """See `ContextOwner`."""
+        self._check_current()
+        return self._state.odd_values()
+
+    def is_same_as(self, context: Any) -> bool:
+        """See `ContextOwner`; found out with EGL only, by making the other one current once."""
+        if self._current.platform != "egl":
+            return False
+        if context not in self._same:
+            self._same[context] = EglBinding().makes_current(context.__enter__, self._current)
+        return self._same[context]
+
+    def _check_current(self) -> None:
+        if not self._current.is_current():
+            raise BadInputError(
+                "The adopted OpenGL context is not current on this thread: make it current before drawing."
+            )
+
+    def release(self, objects: list[Any]) -> bool:
+        """See `ContextOwner`; the context stays. Where it is not current nothing is destroyed, with a warning."""
+        if not self._current.is_current():
+            # No error: programs end with the context gone, and its objects with it, which nobody can ask about.
+            warnings.warn(
+                "The adopted OpenGL context is not current on this thread, so that nothing was released: make it "
+                "current and call release() again, before the context is destroyed.",
+                RuntimeWarning,
+                stacklevel=stacklevel_of_caller(),
+            )
+            return False
         # In a context that is gone its objects are, too.
-        if self._current.is_current():
-            with self._state.kept():
+        if self._state.is_same_context():
+            # What a clean host has bound may be ours, and cannot be bound again after it is deleted.
+            with contextlib.nullcontext() if self._host_is_clean else self._state.kept(checked=False):
                 self._ctx.gc()
                 for one in objects:
                     one.release()
+                self._state.release()
         # Objects that Python drops from now on are gone already.
         self._ctx.gc_mode = None
+        return True

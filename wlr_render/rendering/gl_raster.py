@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.gpu_image import GpuImage, rgb_of_rgba, shader_intrinsics
+from wlr_render.rendering.gpu_image import GpuImage, LatestViews, rgb_of_rgba, shader_intrinsics
 from wlr_render.rendering.scene import Mesh, Scene
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.view import GeometryImage, View
@@ -22,7 +23,7 @@ from wlr_render.rendering.view import GeometryImage, View
 NEAR_M = 0.05
 """Nothing nearer to the viewpoint than this is drawn."""
 
-_FORMATS = {"colour": (4, "f1"), "inverse_depth": (1, "f4")}
+_FORMATS = {"colour": (4, "srgb"), "inverse_depth": (1, "f4")}
 _EXTRA = {"position": (3, "f4"), "normal": (3, "f4"), "ids": (2, "i4")}
 
 
@@ -41,9 +42,10 @@ class GlRaster:
     def __init__(self, context: gl.GlContext, scene: Scene) -> None:
         self._context = context
         self._scene = scene
+        self._world_from_normal = [np.linalg.inv(each.world_from_mesh[:3, :3]).T for each in scene.instances]
         self._lamps = [light for light in scene.lights if light.kind == "point"]
         self._suns = [light for light in scene.lights if light.kind == "directional"]
-        self._targets = gl.RenderTargets(context)
+        self._targets, self._latest = gl.RenderTargets(context), LatestViews()
         self._passes: dict[bool, _Pass] = {}
         with context.drawing():
             self._textures = [None if m.texture is None else context.srgb_texture(m.texture) for m in scene.meshes]
@@ -56,6 +58,7 @@ class GlRaster:
                 raise BadInputError(f"There is no buffer '{name}'; ask for some of {', '.join(_EXTRA)}.")
         with self._context.drawing():
             textures = self._draw(view, with_extra=bool(buffers))
+            self._latest.drawn("", view)
             extra = {name: gl.read(textures[name], _EXTRA[name][1]) for name in buffers}
             ids = extra.get("ids")
             return GeometryImage(
@@ -71,7 +74,8 @@ class GlRaster:
         """Draw and leave the picture on the GPU; the next drawing of the same name overwrites it."""
         with self._context.drawing():
             textures = self._draw(view, with_extra=False, name=name)
-        return GpuImage(self._context, view.camera, textures["colour"], textures["inverse_depth"])
+        colour, inverse_depth = textures["colour"], textures["inverse_depth"]
+        return GpuImage(self._context, view.camera, colour, inverse_depth, view, self._latest.drawn(name, view))
 
     def _draw(self, view: View, with_extra: bool, name: str = "") -> dict[str, gl.Texture]:
         size = view.camera.width_px, view.camera.height_px
@@ -82,12 +86,13 @@ class GlRaster:
         target.framebuffer.clear(depth=1.0)
         self._context.depth_test()
         drawing = self._pass_for(with_extra)
-        self._set_view(drawing.program, view)
+        camera_from_world = transforms.inverse(view.world_from_camera)
+        self._set_view(drawing.program, view, camera_from_world)
         for index, instance in enumerate(self._scene.instances):
-            self._set_instance(drawing.program, view, index)
+            self._set_instance(drawing.program, camera_from_world, index)
             texture = self._textures[instance.mesh]
             if texture is not None:
-                texture.use(0)
+                gl.bind_textures(drawing.program, base_texture=texture)
             drawing.meshes[instance.mesh].render()
         gl.set_uniforms(drawing.background.program, background=_triple(encode_srgb(self._scene.background) / 255))
         drawing.background.render(vertices=3)
@@ -108,9 +113,8 @@ class GlRaster:
             self._passes[with_extra] = _Pass(program, meshes, background)
         return self._passes[with_extra]
 
-    def _set_view(self, program: gl.Program, view: View) -> None:
+    def _set_view(self, program: gl.Program, view: View, camera_from_world: FloatArray) -> None:
         scene, camera = self._scene, view.camera
-        camera_from_world = transforms.inverse(view.world_from_camera)
         lamps = [transforms.apply(camera_from_world, light.vector) for light in self._lamps]
         suns = [-transforms.rotate(camera_from_world, light.vector) for light in self._suns]
         gl.set_array(program, "point_light_position", lamps)
@@ -124,16 +128,15 @@ class GlRaster:
             near=NEAR_M,
             camera_in_world=_triple(view.position_in_world),
             ambient=_triple(scene.ambient),
-            base_texture=0,
         )
         gl.set_matrix(program, "world_from_camera", view.world_from_camera[:3, :3])
 
-    def _set_instance(self, program: gl.Program, view: View, index: int) -> None:
+    def _set_instance(self, program: gl.Program, camera_from_world: FloatArray, index: int) -> None:
         instance = self._scene.instances[index]
         mesh = self._scene.mesh_of(instance)
-        camera_from_mesh = transforms.inverse(view.world_from_camera) @ instance.world_from_mesh
-        gl.set_matrix(program, "camera_from_mesh", camera_from_mesh)
-        gl.set_matrix(program, "camera_from_mesh_normal", np.asarray(np.linalg.inv(camera_from_mesh[:3, :3]).T))
+        gl.set_matrix(program, "camera_from_mesh", camera_from_world @ instance.world_from_mesh)
+        # A rotation is its own inverse transpose.
+        gl.set_matrix(program, "camera_from_mesh_normal", camera_from_world[:3, :3] @ self._world_from_normal[index])
         gl.set_uniforms(
             program,
             base_colour=_triple(mesh.base_colour),

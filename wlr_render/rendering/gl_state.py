@@ -1,28 +1,35 @@
 """Save and restore the state of an adopted OpenGL context around draws.
 
-What no block of this library touches or minds is left out: bindings of uniform, storage and transform buffers, of
-images, of textures other than 2D, and units past the first eight; and of a row of viewports and scissor boxes only the
+What no block of this library touches or depends on is left out: bindings of uniform, storage and transform buffers, of
+images, of textures other than 2D, and units past the first nine; and of a row of viewports and scissor boxes only the
 first is put back.
 """
 
 import contextlib
 import ctypes
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
+from wlr_render.rendering.host_checks import HostChecks
 from wlr_render.rendering.native_contexts import CurrentContext
 
-UNITS = 8
+UNITS = 9
 """Texture units that are kept; a block must use no others."""
 
 _DRAW_BUFFERS = 8  # every OpenGL has as many
 _UINT, _INT, _BYTE = ctypes.c_uint, ctypes.c_int, ctypes.c_ubyte
 _FLOAT, _DOUBLE = ctypes.c_float, ctypes.c_double
-_GETTER = {_INT: "glGetIntegerv", _FLOAT: "glGetFloatv", _DOUBLE: "glGetDoublev"}
+_GETTER = {_INT: "glGetIntegerv", _FLOAT: "glGetFloatv", _DOUBLE: "glGetDoublev", _BYTE: "glGetBooleanv"}
 _INDEXED_GETTER = {_INT: "glGetIntegeri_v", _BYTE: "glGetBooleani_v"}
 _TEXTURE0, _TEXTURE_2D = 0x84C0, 0x0DE1
+_SLOT_BYTES = 8 * 8
+"""Room for what one getter writes; some drivers write two polygon modes."""
+_PLANS = 16
+"""States of a host that are remembered: a frame loop has a few."""
+
+_Call = Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,7 @@ class _Value:
         first: the setter's fixed arguments.
         neutral: what our own drawing needs; None if it does not matter or every drawing sets it.
         count: how many draw buffers have one each, 0 if it exists once; the setter takes the buffer's index first.
+        changed: whether our own drawing changes it; other values are restored only if they were not neutral.
     """
 
     setter: str
@@ -46,9 +54,11 @@ class _Value:
     first: tuple[int, ...] = ()
     neutral: tuple[float, ...] | None = None
     count: int = 0
+    changed: bool = False
 
 
 # (enum, number of them: 0 for a switch that exists once). All are off while we draw, but for those of _ON.
+# Our drawing switches on nothing else, and `GlContext.drawing` switches it off again.
 _SWITCHES = {
     "BLEND": (0x0BE2, _DRAW_BUFFERS),
     "SCISSOR_TEST": (0x0C11, 0),
@@ -60,49 +70,66 @@ _SWITCHES = {
     "PROGRAM_POINT_SIZE": (0x8642, 0),
     "PRIMITIVE_RESTART": (0x8F9D, 0),
     "PRIMITIVE_RESTART_FIXED_INDEX": (0x8D69, 0),
-    "TEXTURE_CUBE_MAP_SEAMLESS": (0x884F, 0),
     "DEPTH_CLAMP": (0x864F, 0),
     "DITHER": (0x0BD0, 0),
     "MULTISAMPLE": (0x809D, 0),
     "COLOR_LOGIC_OP": (0x0BF2, 0),
     "POLYGON_OFFSET_FILL": (0x8037, 0),
-    "POLYGON_OFFSET_LINE": (0x2A02, 0),
-    "POLYGON_OFFSET_POINT": (0x2A01, 0),
     "POLYGON_SMOOTH": (0x0B41, 0),
-    "LINE_SMOOTH": (0x0B20, 0),
     "SAMPLE_ALPHA_TO_COVERAGE": (0x809E, 0),
     "SAMPLE_ALPHA_TO_ONE": (0x809F, 0),
     "SAMPLE_COVERAGE": (0x80A0, 0),
     "SAMPLE_MASK": (0x8E51, 0),
+    "SAMPLE_SHADING": (0x8C36, 0),
     **{f"CLIP_DISTANCE{k}": (0x3000 + k, 0) for k in range(8)},
 }
+_SWITCHES_OF_OTHERS = {
+    "TEXTURE_CUBE_MAP_SEAMLESS": (0x884F, 0),
+    "POLYGON_OFFSET_LINE": (0x2A02, 0),
+    "POLYGON_OFFSET_POINT": (0x2A01, 0),
+    "LINE_SMOOTH": (0x0B20, 0),
+}
 _ON = {"MULTISAMPLE"}
+_OF_A_CLEAN_HOST = {0x0BD0, 0x8F9D}  # DITHER is on by default, and ModernGL switches PRIMITIVE_RESTART on
+# What is younger than OpenGL 4.1, by enum: version and extension.
+_YOUNGER = {0x935C: ((4, 5), "GL_ARB_clip_control"), 0x8D69: ((4, 3), "GL_ARB_ES3_compatibility")}
 
 _PACK, _UNPACK = (0x0D05, 0x0D02, 0x0D03, 0x0D04, 0x0D00), (0x0CF5, 0x0CF2, 0x0CF3, 0x0CF4, 0x0CF0)
+_PIXEL_PARTS = "ALIGNMENT", "ROW_LENGTH", "SKIP_ROWS", "SKIP_PIXELS", "SWAP_BYTES"
+_ENUM_NAMES = {0x88EB: "PIXEL_PACK_BUFFER", 0x88EC: "PIXEL_UNPACK_BUFFER", 0x0408: "FRONT_AND_BACK"} | {
+    enum: f"{way}_{part}"
+    for way, enums in (("PACK", _PACK), ("UNPACK", _UNPACK))
+    for enum, part in zip(enums, _PIXEL_PARTS, strict=True)
+}
 _PIXEL_STORE = (*zip(_PACK, (4, 0, 0, 0, 0), strict=True), *zip(_UNPACK, (4, 0, 0, 0, 0), strict=True))
 
 _VALUES = (
-    _Value("glUseProgram", (0x8B8D,)),
-    _Value("glBindVertexArray", (0x85B5,), neutral=(0,)),
-    _Value("glBindBuffer", (0x8894,), first=(0x8892,)),  # the element buffer's binding is the vertex array's
+    _Value("glUseProgram", (0x8B8D,), changed=True),
+    _Value("glBindVertexArray", (0x85B5,), neutral=(0,), changed=True),
+    _Value("glBindBuffer", (0x8894,), first=(0x8892,), changed=True),  # the element buffer's is the vertex array's
     _Value("glBindBuffer", (0x88ED,), first=(0x88EB,), neutral=(0,)),  # pixels packed into a buffer
     _Value("glBindBuffer", (0x88EF,), first=(0x88EC,), neutral=(0,)),  # pixels unpacked from one
-    _Value("glBindRenderbuffer", (0x8CA7,), first=(0x8D41,)),
-    _Value("glBindFramebuffer", (0x8CAA,), first=(0x8CA8,)),  # read
-    _Value("glBindFramebuffer", (0x8CA6,), first=(0x8CA9,)),  # draw
-    _Value("glViewport", (0x0BA2,), 4),
-    _Value("glScissor", (0x0C10,), 4),
+    _Value("glBindRenderbuffer", (0x8CA7,), first=(0x8D41,), changed=True),
+    _Value("glBindFramebuffer", (0x8CAA,), first=(0x8CA8,), changed=True),  # read
+    _Value("glBindFramebuffer", (0x8CA6,), first=(0x8CA9,), changed=True),  # draw
+    _Value("glViewport", (0x0BA2,), 4, changed=True),
     _Value("glDepthRange", (0x0B70,), 2, _DOUBLE, neutral=(0.0, 1.0)),
     _Value("glClipControl", (0x935C, 0x935D), neutral=(0x8CA1, 0x935E)),  # lower left, -1 to 1
-    _Value("glDepthFunc", (0x0B74,), neutral=(0x0203,)),  # <=
-    _Value("glDepthMask", (0x0B72,), neutral=(1,)),
+    _Value("glDepthFunc", (0x0B74,), changed=True),
+    _Value("glDepthMask", (0x0B72,), neutral=(1,), changed=True),  # ModernGL clears it for framebuffers without depth
     _Value("glColorMaski", (0x0C23,), 4, _BYTE, neutral=(1, 1, 1, 1), count=_DRAW_BUFFERS),
-    _Value("glClearColor", (0x0C22,), 4, _FLOAT),
-    _Value("glClearDepth", (0x0B73,), 1, _DOUBLE),
+    _Value("glClearColor", (0x0C22,), 4, _FLOAT, changed=True),
+    _Value("glClearDepth", (0x0B73,), 1, _DOUBLE, changed=True),
     _Value("glPolygonMode", (0x0B40,), first=(0x0408,), neutral=(0x1B02,)),  # both faces filled
-    *(_Value("glPixelStorei", (enum,), first=(enum,), neutral=(usual,)) for enum, usual in _PIXEL_STORE),
+    *(
+        _Value(
+            "glPixelStorei", (enum,), first=(enum,), neutral=(usual,), changed=usual == 4
+        )  # ModernGL sets alignments
+        for enum, usual in _PIXEL_STORE
+    ),
 )
 _VALUES_OF_OTHERS = (
+    _Value("glScissor", (0x0C10,), 4),
     _Value("glBlendFuncSeparatei", (0x80C9, 0x80C8, 0x80CB, 0x80CA), count=_DRAW_BUFFERS),
     _Value("glBlendEquationSeparatei", (0x8009, 0x883D), neutral=(0x8006, 0x8006), count=_DRAW_BUFFERS),  # sums
     _Value("glCullFace", (0x0B45,), neutral=(0x0405,)),  # back
@@ -116,106 +143,162 @@ _TEXTURE = _Value("glBindTexture", (0x8069,), first=(_TEXTURE_2D,))
 _SAMPLERS = [_Value("glBindSampler", (0x8919,), first=(unit,), neutral=(0,)) for unit in range(UNITS)]
 
 
-class _Part(Protocol):
-    def read(self) -> Any: ...
-    def neutralise(self, state: Any) -> None: ...
-    def write(self, state: Any) -> None: ...
-
-
 class _Kept:
-    """One value of one context."""
+    """One value of one context, with the numbers that were read last.
 
-    def __init__(self, current: CurrentContext, value: _Value, index: int = 0) -> None:
+    Attributes:
+        reads: calls that read the numbers.
+        neutral: as `_Value.neutral`.
+        changed: as `_Value.changed`.
+    """
+
+    def __init__(self, current: CurrentContext, value: _Value, slot: memoryview, index: int = 0) -> None:
         indices = (index,) if value.count else ()
         getter = current.function(
             (_INDEXED_GETTER if value.count else _GETTER)[value.kind], _UINT, *[_UINT] * len(indices), ctypes.c_void_p
         )
-        self._size = value.size * len(value.read)
-        self._numbers = (value.kind * (self._size + 4))()  # some drivers write two polygon modes
+        self._numbers = (value.kind * (value.size * len(value.read))).from_buffer(slot)
         address, part_bytes = ctypes.addressof(self._numbers), ctypes.sizeof(value.kind) * value.size
-        self._read = [
-            functools.partial(getter, _UINT(enum), *indices, ctypes.c_void_p(address + k * part_bytes))
+        self.reads: list[_Call] = [
+            functools.partial(getter, _UINT(enum), *map(_UINT, indices), ctypes.c_void_p(address + k * part_bytes))
             for k, enum in enumerate(value.read)
         ]
+        self._setter(current, value, indices)
+        self.neutral, self.changed = value.neutral, value.changed
+
+    def _setter(self, current: CurrentContext, value: _Value, indices: tuple[int, ...]) -> None:
         first = (*indices, *value.first)
-        setter = current.function(value.setter, *[_UINT] * len(first), *[value.kind] * self._size)
-        self._set = functools.partial(setter, *first)
-        self._neutral = None if value.neutral is None else list(value.neutral)
+        setter = current.function(value.setter, *[_UINT] * len(first), *[value.kind] * len(self._numbers))
+        self.set: Callable[..., object] = functools.partial(setter, *first)
 
-    def read(self) -> list[float]:
-        for read in self._read:
-            read()
-        numbers: list[float] = self._numbers[: self._size]
-        return numbers
+    def state(self) -> tuple[float, ...]:
+        """The numbers that were read."""
+        return tuple(self._numbers)
 
-    def neutralise(self, state: list[float]) -> None:
-        if self._neutral is not None and state != self._neutral:
-            self._set(*self._neutral)
-
-    def write(self, state: list[float]) -> None:
-        self._set(*state)
+    def is_odd(self) -> bool:
+        """Whether they are not what our drawing needs."""
+        return self.neutral is not None and self.state() != tuple(self.neutral)
 
 
-class _Switch:
-    """One switch of one context, or of one of its draw buffers or viewports."""
+class _Switch(_Kept):
+    """One switch of one context, or of one of its draw buffers."""
 
-    def __init__(self, current: CurrentContext, enum: int, neutral: bool, index: int | None) -> None:
-        indices = () if index is None else (index,)
+    def _setter(self, current: CurrentContext, value: _Value, indices: tuple[int, ...]) -> None:
         mark, types = "i" * len(indices), [_UINT] * (1 + len(indices))
-        self._is_on = functools.partial(current.function(f"glIsEnabled{mark}", *types, result=_BYTE), enum, *indices)
-        self._turn = tuple(
-            functools.partial(current.function(f"gl{turn}{mark}", *types), enum, *indices)
-            for turn in ("Disable", "Enable")
+        turn = [current.function(f"gl{name}{mark}", *types) for name in ("Disable", "Enable")]
+        self.set = lambda is_on: turn[bool(is_on)](*value.read, *indices)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Calls for one state of the host: to OpenGL's defaults, back after our own drawing, and after others' drawing."""
+
+    neutralise: Sequence[_Call]
+    restore: Sequence[_Call]
+    restore_all: Sequence[_Call]
+
+
+class _Part:
+    """Values of one context that are read together.
+
+    Hosts have the same state in most frames: what is to be set is worked out once for each state.
+    """
+
+    def __init__(
+        self, current: CurrentContext, values: tuple[_Value, ...], switches: dict[str, tuple[int, int]], units: int
+    ) -> None:
+        asked = [
+            *((_Kept, value) for value in values),
+            *(
+                (
+                    _Switch,
+                    _Value(
+                        "glDisable" if name in _ON else "glEnable", (enum,), 1, _BYTE, (enum,), (name in _ON,), count
+                    ),
+                )
+                for name, (enum, count) in switches.items()
+            ),
+        ]
+        available = [
+            (kind, value, index)
+            for kind, value in asked
+            if value.read[0] not in _YOUNGER or current.has(*_YOUNGER[value.read[0]])
+            for index in range(max(value.count, 1))
+        ]
+        self._memory = bytearray(_SLOT_BYTES * (len(available) + 1 + 2 * units))
+        slots = (memoryview(self._memory)[at : at + _SLOT_BYTES] for at in range(0, len(self._memory), _SLOT_BYTES))
+        self._kept = [kind(current, value, next(slots), index) for kind, value, index in available]
+        enum_names = _ENUM_NAMES | {enum: name for name, (enum, _) in switches.items()}
+        self._names = [
+            ""
+            if value.read[0] in _OF_A_CLEAN_HOST
+            else f"{value.setter}({', '.join(f'GL_{enum_names.get(enum, hex(enum))}' for enum in value.first)})"
+            for _, value, _ in available
+        ]
+        self._active = _Kept(current, _ACTIVE_TEXTURE, next(slots))
+        self._units = [
+            (
+                functools.partial(self._active.set, _TEXTURE0 + unit),
+                _Kept(current, _TEXTURE, next(slots)),
+                _Kept(current, _SAMPLERS[unit], next(slots)),
+            )
+            for unit in range(units)
+        ]
+        self._reads: list[_Call] = [read for kept in self._kept for read in kept.reads]
+        if units:
+            self._reads += self._active.reads
+        for activate, texture, sampler in self._units:
+            self._reads += [activate, *texture.reads, *sampler.reads]
+        self._plans: dict[bytes, _Plan] = {}
+
+    def read(self) -> _Plan:
+        """Read the state; returns what is to be set."""
+        for read in self._reads:
+            read()
+        state = bytes(self._memory)
+        plan = self._plans.get(state)
+        if plan is None:
+            if len(self._plans) >= _PLANS:
+                self._plans.clear()
+            plan = self._plans[state] = self._planned()
+        return plan
+
+    def odd_values(self) -> list[str]:
+        """OpenGL calls that set what is not the default now, but for what our own drawing leaves undefined."""
+        self.read()
+        named = [*zip(self._names, self._kept, strict=True)]
+        named += [(f"glBindSampler({unit})", sampler) for unit, (_, _, sampler) in enumerate(self._units)]
+        found = (
+            name
+            for name, kept in named
+            if name and kept.is_odd() and (not kept.changed or name.startswith("glDepthMask"))
         )
-        self._neutral = neutral
+        return list(dict.fromkeys(found))
 
-    def read(self) -> bool:
-        return bool(self._is_on())
+    def _planned(self) -> _Plan:
+        neutralise: list[_Call] = []
+        restore: list[_Call] = []
+        restore_all: list[_Call] = []
+        for kept in self._kept:
+            self._plan_one(kept, neutralise, restore, restore_all)
+        for activate, texture, sampler in self._units:
+            for calls in (restore, restore_all):
+                calls += [activate, functools.partial(texture.set, *texture.state())]
+            self._plan_one(sampler, neutralise, restore, restore_all)
+        if self._units:
+            for calls in (restore, restore_all):
+                calls.append(functools.partial(self._active.set, *self._active.state()))
+        return _Plan(neutralise, restore, restore_all)
 
-    def neutralise(self, state: bool) -> None:
-        if state != self._neutral:
-            self._turn[self._neutral]()
-
-    def write(self, state: bool) -> None:
-        self._turn[state]()
-
-
-class _Units:
-    """The active texture unit, and what is bound to each of the kept ones."""
-
-    def __init__(self, current: CurrentContext) -> None:
-        self._active, self._texture = _Kept(current, _ACTIVE_TEXTURE), _Kept(current, _TEXTURE)
-        self._samplers = [_Kept(current, sampler) for sampler in _SAMPLERS]
-
-    def _each(self) -> Iterator[_Kept]:
-        """Make each unit active in turn and yield its sampler."""
-        for unit, sampler in enumerate(self._samplers):
-            self._active.write([_TEXTURE0 + unit])
-            yield sampler
-
-    def read(self) -> list[list[float]]:
-        active = self._active.read()
-        return [active, *(numbers for sampler in self._each() for numbers in (self._texture.read(), sampler.read()))]
-
-    def neutralise(self, state: list[list[float]]) -> None:
-        for sampler, found in zip(self._samplers, state[2::2], strict=True):
-            sampler.neutralise(found)
-
-    def write(self, state: list[list[float]]) -> None:
-        active, *bound = state
-        for sampler, texture, of_sampler in zip(self._each(), bound[::2], bound[1::2], strict=True):
-            self._texture.write(texture)
-            sampler.write(of_sampler)
-        self._active.write(active)
-
-
-def _kept_values(current: CurrentContext, table: tuple[_Value, ...]) -> list[_Kept]:
-    return [
-        _Kept(current, value, index)
-        for value in table
-        if current.load_opengl_function(value.setter)  # glClipControl is younger than OpenGL 4.3
-        for index in range(max(value.count, 1))
-    ]
+    def _plan_one(self, kept: _Kept, neutralise: list[_Call], restore: list[_Call], restore_all: list[_Call]) -> None:
+        state = kept.state()
+        set_back = functools.partial(kept.set, *state)
+        is_odd = kept.is_odd()
+        if is_odd and kept.neutral is not None:
+            neutralise.append(functools.partial(kept.set, *kept.neutral))
+        if is_odd or kept.changed:
+            restore.append(set_back)
+        restore_all.append(set_back)
 
 
 class GlState:
@@ -226,36 +309,60 @@ class GlState:
     """
 
     def __init__(self, current: CurrentContext) -> None:
-        values, self._parts_of_others = (_kept_values(current, table) for table in (_VALUES, _VALUES_OF_OTHERS))
-        switches = [
-            _Switch(current, enum, name in _ON, index if count else None)
-            for name, (enum, count) in _SWITCHES.items()
-            for index in range(max(count, 1))
-        ]
-        self._parts: tuple[_Part, ...] = (*values, *switches, _Units(current))
-        self._error = current.function("glGetError", result=_UINT)
-        self.inside = False
+        """Prepare for the context that is current.
+
+        Raises:
+            BadInputError, GlError: as `HostChecks.check`.
+        """
+        self._checks = HostChecks(current)
+        self._part = _Part(current, _VALUES, _SWITCHES, UNITS)
+        self._part_of_others = _Part(current, _VALUES_OF_OTHERS, _SWITCHES_OF_OTHERS, 0)
+        self.inside, self._others_drew = False, False
 
     @contextlib.contextmanager
-    def kept(self, third_party: bool = False) -> Iterator[None]:
+    def kept(self, third_party: bool = False, checked: bool = True) -> Iterator[None]:
         """Return a block that starts from OpenGL's default state and restores the caller's, also after an exception.
 
-        Errors that OpenGL holds are dropped. A block within a block is a part of it and costs nothing.
+        A block within a block is a part of it and costs nothing.
 
         Args:
             third_party: software that draws in the block, ModernGL's start or pyrender, sets more than we do.
+            checked: check first that drawing disturbs nothing; a block that deletes objects only need not.
+
+        Raises:
+            BadInputError, GlError: as `HostChecks.check`.
         """
         outer = self.inside
-        parts: list[_Part] = [*([] if outer else self._parts), *(self._parts_of_others if third_party else [])]
-        found = [part.read() for part in parts]
-        self.inside = True
+        resume = self._checks.check() if checked and not outer else None
+        plans = [*([] if outer else [self._part.read()]), *([self._part_of_others.read()] if third_party else [])]
+        self.inside, self._others_drew = True, third_party or (outer and self._others_drew)
         try:
-            for part, state in zip(parts, found, strict=True):
-                part.neutralise(state)
+            for plan in plans:
+                for call in plan.neutralise:
+                    call()
             yield
+        except BaseException:
+            self._checks.take_error()
+            raise
         finally:
             self.inside = outer
-            for part, state in zip(parts, found, strict=True):
-                part.write(state)
-            while self._error():
-                pass
+            for plan in plans:
+                for call in plan.restore_all if self._others_drew else plan.restore:
+                    call()
+            if resume is not None:
+                resume()
+
+    def odd_values(self) -> list[str]:
+        """OpenGL calls of the host that set what is not OpenGL's default now, e.g. "glEnable(GL_BLEND)"."""
+        odd = self._part.odd_values()
+        for activate in self._part.read().restore[-1:]:  # reading makes each unit active
+            activate()
+        return odd
+
+    def is_same_context(self) -> bool:
+        """Whether the context that is current is the adopted one, and not another at its address."""
+        return self._checks.is_same_context()
+
+    def release(self) -> None:
+        """Delete our objects in the context, which is current."""
+        self._checks.release()

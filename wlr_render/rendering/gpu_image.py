@@ -1,14 +1,18 @@
-"""A rendered image on the GPU, and the range of its inverse depths around each tile."""
+"""A rendered image on the GPU, and the pyramid of its inverse depths' bounds."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering import gl
-from wlr_render.rendering.view import GeometryImage
+from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.stored_picture import Encoding
+from wlr_render.rendering.view import GeometryImage, View
 from wlr_render.rendering.warp import TILE
 
 
@@ -19,24 +23,61 @@ class GpuImage:
     Attributes:
         context: of the textures.
         camera: of the image.
-        colour: (height, width) RGBA8 sRGB, top row first.
+        colour: (height, width), top row first, of a format whose samples are linear light: SRGB8_ALPHA8, whose texels
+            are sRGB codes, or RGBA16F or RGBA32F.
         inverse_depth: (height, width) R32F, 1/m, 0 where nothing is.
+        view: from where it was drawn, if this library drew it.
+        is_overwritten: whether its renderer has since drawn another view into its textures.
+        encoding: of the texels: "srgb" codes or "linear" light.
+        has_alpha: whether the picture's colours are premultiplied with its alpha; otherwise alpha means nothing.
     """
 
     context: gl.GlContext
     camera: Pinhole
     colour: gl.Texture
     inverse_depth: gl.Texture
+    view: View | None = None
+    is_overwritten: Callable[[], bool] = lambda: False
+    encoding: Encoding = "srgb"
+    has_alpha: bool = False
 
     def read(self) -> GeometryImage:
-        """Fetch it."""
+        """Fetch it, as sRGB codes."""
         with self.context.drawing():
-            return GeometryImage(rgb_of_rgba(gl.read(self.colour, np.uint8)), gl.read(self.inverse_depth, np.float32))
+            inverse_depth = gl.read(self.inverse_depth, np.float32)
+            if self.encoding == "linear":
+                light = gl.read(self.colour, np.float16 if self.colour.dtype == "f2" else np.float32)
+                return GeometryImage(encode_srgb(light[..., :3].astype(np.float32)), inverse_depth)
+            return GeometryImage(rgb_of_rgba(gl.read(self.colour, np.uint8)), inverse_depth)
 
 
-def rgb_of_rgba(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
+class LatestViews:
+    """View of the latest drawing under each name, which tells pictures that another one has overwritten."""
+
+    def __init__(self) -> None:
+        self._views: dict[str, View] = {}
+
+    def drawn(self, name: str, view: View) -> Callable[[], bool]:
+        """Note a drawing; returns `GpuImage.is_overwritten` of its picture. The same view again shows the same."""
+        self._views[name] = view
+        own = view.world_from_camera
+        return lambda: not np.array_equal(self._views[name].world_from_camera, own)
+
+
+def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
     """Drop alpha: (height, width, 4) -> (height, width, 3). Faster than letting the driver read three of four."""
     return np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB))
+
+
+def read_rgb(texture: gl.Texture) -> NDArray[Any]:
+    """An RGBA texture's colours, (height, width, 3) of `colour_type`; call it in a drawing block."""
+    rgba = gl.read(texture, colour_type(texture))
+    return np.ascontiguousarray(rgba[..., :3]) if rgba.dtype == np.float16 else rgb_of_rgba(rgba)
+
+
+def colour_type(texture: gl.Texture) -> DTypeLike:
+    """Type of the numbers that a texture of colours is read as: uint8, uint16 (65535 is 1) or float16."""
+    return {"f1": "u1", "nu2": "u2", "f2": "f2"}[texture.dtype]
 
 
 def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:
@@ -45,45 +86,35 @@ def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:
     return float(focal_u), float(focal_v), float(centre_u), float(centre_v)
 
 
-@dataclass(frozen=True, eq=False)
-class DepthRanges:
-    """Smallest and largest inverse depths per tile, RG32F; the next image's overwrite them.
-
-    Attributes:
-        around_tiles: a texel for each tile of TILE x TILE px: of the tile and the eight around it.
-        coarse: a texel for each block of TILE x TILE tiles: of those alone.
-    """
-
-    around_tiles: gl.Texture
-    coarse: gl.Texture
-
-
 class GlDepthRanges:
-    """Computes `DepthRanges`; textures are reused between images of one size."""
+    """Computes the pyramid of bounds that `ranges.glsl` reads; textures are reused between images of one size."""
 
     def __init__(self, context: gl.GlContext) -> None:
-        self._targets = gl.RenderTargets(context)
+        self._context, self._targets = context, gl.RenderTargets(context)
+        self._last: tuple[GpuImage, gl.Texture] | None = None
         with context.drawing():
-            self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE, LOW=0, HIGH=0)
-            self._of_blocks = context.full_screen("tile_range.frag", TILE=TILE, LOW=0, HIGH=1)
-            self._of_neighbours = context.full_screen("neighbour_range.frag")
+            self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE)
 
-    def of(self, image: GpuImage) -> DepthRanges:
-        """Call within a `drawing` block."""
-        tiles = _tiles_of(image.inverse_depth.size)
-        sizes = {"tiles": tiles, "blocks": _tiles_of(tiles), "around": tiles}
-        of_tiles, of_blocks, around = (self._targets.get(name, size, (2, "f4")) for name, size in sizes.items())
-        _draw(self._of_tiles, of_tiles, values=image.inverse_depth)
-        _draw(self._of_blocks, of_blocks, values=of_tiles.textures[0])
-        _draw(self._of_neighbours, around, ranges=of_tiles.textures[0])
-        return DepthRanges(around.textures[0], of_blocks.textures[0])
+    def of(self, image: GpuImage) -> gl.Texture:
+        """RG32F, smallest and largest inverse depth; overwritten by the next image's. Call within a `drawing` block.
+
+        An image that is warped again, as for a newer pose, has them already.
+        """
+        if self._last is not None and self._last[0] is image:
+            return self._last[1]
+        width, height = (-(-side // TILE) for side in image.inverse_depth.size)
+        side = 1 << max(1, (max(width, height) - 1).bit_length())
+        tiles = self._targets.get("tiles", (width, height), (2, "f4"))
+        pyramid = self._targets.get("pyramid", (2 * side, side), (2, "f4"))
+        _draw(self._context, self._of_tiles, tiles, values=image.inverse_depth)
+        _draw(
+            self._context, self._context.full_screen("range_pyramid.frag", SIDE=side), pyramid, tiles=tiles.textures[0]
+        )
+        self._last = image, pyramid.textures[0]
+        return pyramid.textures[0]
 
 
-def _tiles_of(size: tuple[int, int]) -> tuple[int, int]:
-    return -(-size[0] // TILE), -(-size[1] // TILE)
-
-
-def _draw(full_screen: gl.VertexArray, target: gl.RenderTarget, **textures: gl.Texture) -> None:
-    target.framebuffer.use()
+def _draw(context: gl.GlContext, full_screen: gl.VertexArray, target: gl.RenderTarget, **textures: gl.Texture) -> None:
+    context.draw_to(target.framebuffer)
     gl.bind_textures(full_screen.program, **textures)
     full_screen.render(vertices=3)

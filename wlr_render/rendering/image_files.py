@@ -5,6 +5,7 @@ OpenCV stores colours as BGR; this is the only module that turns them round.
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,10 +13,18 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_image, written_whole
+from wlr_render.input_files import read_image
+
+_FASTEST_FPS = 1000
 
 
 def write_png(path: str | Path, image: NDArray[np.uint8]) -> Path:
-    """Write (height, width, 3) RGB or (height, width) grey uint8."""
+    """Write (height, width, 3) RGB or (height, width) grey uint8.
+
+    Raises:
+        BadInputError: an array of another type or shape, or a file that cannot be written.
+    """
+    _require_image(path, image, np.uint8, (2, 3))
     return write_image(path, _reversed_channels(image))
 
 
@@ -25,9 +34,7 @@ def read_png(path: str | Path) -> NDArray[np.uint8]:
     Raises:
         BadInputError: the file is missing or not a picture.
     """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise BadInputError(f"{path}: cannot be read as a picture.")
+    image = read_image(path, cv2.IMREAD_COLOR)
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
@@ -35,17 +42,25 @@ def write_map(path: str | Path, values: NDArray[np.float32]) -> Path:
     """Write a float32 map (height, width, 3) exactly, as .tiff or .pfm by its suffix; NaN stays NaN.
 
     Channel order in the file is that of the array: red is channel 0.
+
+    Raises:
+        BadInputError: an array of another type or shape, another suffix, or a file that cannot be written.
     """
+    _require_image(path, values, np.floating, (3,))
     if Path(path).suffix not in (".tiff", ".tif", ".pfm"):
         raise BadInputError(f"{path}: a float map is written as .tiff or .pfm.")
     return write_image(path, _reversed_channels(values.astype(np.float32)))
 
 
 def read_map(path: str | Path) -> NDArray[np.float32]:
-    """Read what `write_map` wrote, (height, width, 3) float32."""
-    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if values is None or values.dtype != np.float32:
-        raise BadInputError(f"{path}: cannot be read as a float map (.tiff or .pfm).")
+    """Read what `write_map` wrote, (height, width, 3) float32.
+
+    Raises:
+        BadInputError: the file is missing, or is not a picture of three floats per pixel.
+    """
+    values = read_image(path, cv2.IMREAD_UNCHANGED, "name a float map (.tiff or .pfm)")
+    if values.dtype != np.float32 or values.shape[2:] != (3,):
+        raise BadInputError(f"{path}: is not a float map of three channels; name what `render` wrote (.tiff or .pfm).")
     return np.ascontiguousarray(values[..., ::-1], dtype=np.float32)
 
 
@@ -55,16 +70,25 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
     The frames are counted in the closed file, since OpenCV hides write errors.
 
     Raises:
-        BadInputError: this OpenCV has no encoder for it, there are no frames, or the file lacks some of them.
+        BadInputError: this OpenCV has no encoder for it, there are no frames, a frame is of another size or type, a
+            rate is not from above 0 to 1000, or the file lacks some frames.
     """
+    if not 0 < frames_per_second <= _FASTEST_FPS:
+        raise BadInputError(
+            f"{path}: a video of {frames_per_second:g} frames per second cannot be written; give a rate above 0 and at "
+            f"most {_FASTEST_FPS}."
+        )
     with written_whole(path) as temporary:
-        writer, count = None, 0
+        writer, count, size = None, 0, (0, 0)
         for frame in frames:
+            _require_image(path, frame, np.uint8, (3,))
             if writer is None:
                 size = (frame.shape[1], frame.shape[0])
                 writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"vp09"), frames_per_second, size)
                 if not writer.isOpened():
                     raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
+            if (frame.shape[1], frame.shape[0]) != size:
+                raise BadInputError(f"{path}: frame {count} has another size than the first; give frames of one size.")
             writer.write(_reversed_channels(frame))
             count += 1
         if writer is None:
@@ -77,6 +101,17 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
                 "another folder. The PNG frames are complete."
             )
     return Path(path)
+
+
+def _require_image(path: str | Path, image: Any, kind: type[np.generic], axes: tuple[int, ...]) -> None:
+    """Refuse what OpenCV would convert in silence, or crash on."""
+    shape = np.shape(image)
+    is_picture = isinstance(image, np.ndarray) and np.issubdtype(image.dtype, kind) and image.size > 0
+    if not is_picture or len(shape) not in axes or shape[2:] not in ((), (3,)):
+        found = getattr(image, "dtype", type(image).__name__)
+        raise BadInputError(
+            f"{path}: a picture of {found} {shape} cannot be written; give {kind.__name__} (height, width, 3)."
+        )
 
 
 def _frame_count(path: Path) -> int:

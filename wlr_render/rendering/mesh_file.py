@@ -7,19 +7,31 @@ Colours become linear: material factors and glTF's vertex colours are so already
 sRGB. trimesh keeps glTF's factors in 8 bits. Opacity is ignored, and metallic materials are drawn as matt ones.
 """
 
+import functools
 import io
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
+from wlr_render.input_files import (
+    LIMITS,
+    decode_image,
+    inside_folder,
+    parsing,
+    read_bytes,
+    require_picture,
+    require_pixels,
+    shown,
+)
 from wlr_render.numerics.arrays import Float32Array
+from wlr_render.rendering.mesh_checks import GltfDocument, check_obj, check_ply
 from wlr_render.rendering.scene import Instance, LightSource, Mesh
 from wlr_render.rendering.srgb import decode_srgb
 
@@ -27,6 +39,9 @@ EXTENSION = "KHR_lights_punctual"
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 _GLTF = (".glb", ".gltf")
 _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
+_FARTHEST = 1e6  # metres, and scale of a placement
+_BRIGHTEST = 1e6
+_LARGEST = 1e12  # of a coordinate, whose squares must fit into 32 bits
 _UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_texture_webp"}
 
 
@@ -45,10 +60,14 @@ def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[L
         stated = listed[used["light"]]
         kind = stated["type"]
         if kind not in ("directional", "point"):
-            raise BadInputError(f"{path}: light '{node}' is of kind '{kind}'; make it a point or directional light.")
+            raise BadInputError(
+                f"{path}: light {shown(node)} is of kind {shown(kind)}; make it a point or directional light."
+            )
         matrix = np.array(graph.get(node)[0], dtype=np.float64)
         vector = matrix[:3, 3] if kind == "point" else normalised(-matrix[:3, 2])
         colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
+        if colour.shape != (3,) or not ((colour >= 0) & (colour <= _BRIGHTEST)).all():
+            raise BadInputError(f"{path}: light {shown(node)} must have a colour from 0 to {_BRIGHTEST:g}; correct it.")
         lights.append(LightSource(kind, vector, colour.astype(np.float32)))
     return tuple(lights)
 
@@ -78,13 +97,17 @@ def load_meshes(path: str | Path) -> MeshFile:
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise BadInputError(f"{path}: cannot read '{path.suffix}' files, only {', '.join(SUFFIXES)}.")
-    if not path.is_file():
-        raise BadInputError(f"{path}: there is no such file.")
-    _require_understood(path)
-    source = _loaded(path)
+        raise BadInputError(
+            f"{path}: cannot read {shown(path.suffix)} files, only {', '.join(SUFFIXES)}; convert it to one of these."
+        )
+    with parsing(path, "a mesh", "export it again"):
+        return _content(path, _loaded(path))
+
+
+def _content(path: Path, source: Any) -> MeshFile:
     names = [name for name, geometry in source.geometry.items() if hasattr(geometry, "faces")]
-    meshes = tuple(_mesh(path, name, source.geometry[name]) for name in names)
+    with np.errstate(all="ignore"):  # what overflows is refused below
+        meshes = tuple(_mesh(path, name, source.geometry[name]) for name in names)
     if not meshes:
         raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
     placed = [(node, *source.graph.get(node)) for node in source.graph.nodes_geometry]
@@ -93,94 +116,93 @@ def load_meshes(path: str | Path) -> MeshFile:
         for node, matrix, name in placed
         if name in names
     )
+    for instance in instances:
+        matrix = instance.world_from_mesh
+        if not np.abs(matrix).max() < _FARTHEST or not np.linalg.matrix_rank(matrix) == 4:
+            raise BadInputError(f"{path}: node {shown(instance.name)} has no size or no finite place; export it again.")
     return MeshFile(meshes, instances, lights_of_graph(path, source.metadata, source.graph))
-
-
-def _require_understood(path: Path) -> None:
-    """Refuse a glTF file that says it cannot be drawn without an extension that is not understood here."""
-    if path.suffix.lower() not in _GLTF:
-        return
-    content = path.read_bytes()
-    if path.suffix.lower() == ".glb":
-        # A GLB is a 12-byte header, then chunks of length, type, content, the first of which is the JSON.
-        content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
-    try:
-        required = set(json.loads(content).get("extensionsRequired", []))
-    except (ValueError, AttributeError) as error:
-        raise BadInputError(f"{path}: is not a glTF file ({error}).") from error
-    if required - _UNDERSTOOD:
-        unknown = ", ".join(sorted(required - _UNDERSTOOD))
-        raise BadInputError(f"{path}: needs the glTF extension {unknown}; export it again without.")
 
 
 class _Neighbours:
     """Gives trimesh the files that a file refers to, and keeps what trimesh would pass over in silence."""
 
     def __init__(self, path: Path) -> None:
-        self._folder = path.parent
-        self.faults: list[str] = []
+        self._path = path
+        self._left = LIMITS.mesh_bytes
+        self.file_name = path.name
+        self.faults: list[BadInputError] = []
+        self.get = functools.cache(self._get)
 
-    def get(self, name: str) -> bytes:
+    def __getitem__(self, name: str) -> bytes:
+        return self.get(name)
+
+    def _get(self, name: str) -> bytes:
         """The content of a file beside the one being read."""
-        from PIL import Image
-
         try:
-            content = (self._folder / unquote(name.strip())).read_bytes()
-            if Path(name.strip()).suffix.lower() in _IMAGES:
-                Image.open(io.BytesIO(content)).verify()
-        except (OSError, SyntaxError) as error:
-            self.faults.append(f"its file {name.strip()} is missing or broken ({type(error).__name__})")
+            file = inside_folder(self._path.parent, unquote(name.strip()), str(self._path))
+            if not file.is_file():
+                raise BadInputError(
+                    f"{self._path}: its file {shown(name)[1:-1]} is missing or no regular file; put it beside this one."
+                )
+            content = read_bytes(file, self._left, "put it beside the mesh")
+            self._left -= len(content)
+            if file.suffix.lower() in _IMAGES:
+                require_picture(f"{self._path}: its file {shown(name)[1:-1]}", content)
+        except BadInputError as error:
+            self.faults.append(error)
             raise
         return content
-
-    __getitem__ = get
 
 
 def _loaded(path: Path) -> Any:
     """The file as a trimesh.Scene, with everything that it refers to."""
     import trimesh
 
-    neighbours = _Neighbours(path)
-    try:
-        source = trimesh.load_scene(str(path), process=False, resolver=neighbours)
-    except Exception as error:
-        reason = neighbours.faults[0] if neighbours.faults else f"{type(error).__name__}: {error}"
-        raise BadInputError(f"{path}: cannot be read as a mesh ({reason}); export it again.") from error
+    content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
+    suffix = path.suffix.lower()
+    if suffix in _GLTF:
+        GltfDocument(path, content).check(_UNDERSTOOD, neighbours.get)
+    elif suffix == ".obj":
+        check_obj(path, content, neighbours.get)
+    else:
+        check_ply(path, content)
+    source = trimesh.load_scene(io.BytesIO(content), file_type=suffix[1:], process=False, resolver=neighbours)
     if neighbours.faults:
-        raise BadInputError(f"{path}: {neighbours.faults[0]}; put it beside this one.")
+        raise neighbours.faults[0]
     return source
 
 
 def _mesh(path: Path, name: str, source: Any) -> Mesh:
     """One trimesh.Trimesh as our Mesh."""
     position, triangles = np.asarray(source.vertices, dtype=np.float64), np.asarray(source.faces)
-    if not np.isfinite(position).all():
-        raise BadInputError(f"{path}: mesh '{name}' has a vertex that is not finite; mend it where it was made.")
+    if not (np.abs(position) < _LARGEST).all():
+        raise BadInputError(
+            f"{path}: mesh {shown(name)} has a vertex that is not finite in 32 bits; mend it where it was made."
+        )
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(position)):
-        raise BadInputError(f"{path}: mesh '{name}' refers to a vertex beyond its {len(position)}; the file is broken.")
+        raise BadInputError(
+            f"{path}: mesh {shown(name)} refers to a vertex beyond its {len(position)}; export it again."
+        )
     corners = position[triangles]
     doubled_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     triangles = triangles[doubled_area > 0]
     if len(triangles) == 0:
-        raise BadInputError(f"{path}: mesh '{name}' has no triangles with an area.")
+        raise BadInputError(f"{path}: mesh {shown(name)} has no triangles with an area; export it again.")
     factor, uv, texture = _material(path, name, source.visual)
-    return Mesh(
-        name,
-        position.astype(np.float32),
-        _unit_normals(source),
-        triangles.astype(np.uint32),
-        base_colour=factor,
-        uv=uv,
-        texture=texture,
-        vertex_colour=_vertex_colour(path, source.visual),
-    )
+    normal, colour = _unit_normals(source), _vertex_colour(path, source.visual)
+    for what, values in (("normal", normal), ("colour", factor), ("colour", colour), ("texture coordinate", uv)):
+        if values is not None and not np.isfinite(values).all():
+            raise BadInputError(f"{path}: mesh {shown(name)} has a {what} that is not finite; export it again.")
+    if factor.min() < 0 or (colour is not None and colour.size and colour.min() < 0):
+        raise BadInputError(f"{path}: mesh {shown(name)} has a negative colour; export it again.")
+    return Mesh(name, position.astype(np.float32), normal, triangles.astype(np.uint32), factor, uv, texture, colour)
 
 
 def _unit_normals(source: Any) -> Float32Array:
     """The file's normals or, where it has none, the mean of those of the triangles around."""
     normal = np.array(source.vertex_normals, dtype=np.float64)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    unit = np.where(length > 1e-12, normal / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
+    unit = np.where(~(length <= 1e-12), normal / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
     return unit.astype(np.float32)
 
 
@@ -195,12 +217,23 @@ def _material(path: Path, name: str, visual: Any) -> tuple[Float32Array, Float32
     else:
         image, factor = material.image, np.array(material.kwargs.get("kd", (1.0, 1.0, 1.0)))
     uv = None if visual.uv is None else np.asarray(visual.uv, dtype=np.float32)[:, :2] * [1, -1] + [0, 1]
+    if image is not None and uv is None:
+        raise BadInputError(
+            f"{path}: mesh {shown(name)} has a texture but no texture coordinates; export it with them."
+        )
     if image is None or uv is None:
         return factor.astype(np.float32), None, None
+    where, stored = f"{path}: the texture of mesh {shown(name)}", image.fp
+    require_pixels(where, image.size)
     try:
         texture = np.asarray(image.convert("RGB"), dtype=np.uint8)
     except (OSError, SyntaxError) as error:
-        raise BadInputError(f"{path}: the texture of mesh '{name}' cannot be read ({error}).") from error
+        raise BadInputError(
+            f"{where} cannot be read ({error}); replace the picture, or export the mesh again."
+        ) from error
+    if not texture[-1].any() and isinstance(stored, io.BytesIO):
+        # Pillow leaves rows that a PNG lacks black, and says nothing; OpenCV refuses them.
+        decode_image(where, stored.getvalue(), cv2.IMREAD_COLOR, "replace the picture, or export the mesh again")
     return factor.astype(np.float32), uv.astype(np.float32), texture
 
 

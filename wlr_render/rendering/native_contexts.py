@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 _MAJOR_VERSION, _MINOR_VERSION = 0x821B, 0x821C
+_EXTENSIONS, _EXTENSION_COUNT = 0x1F03, 0x821D
 _EGL_DRAW, _EGL_READ = 0x3059, 0x305A
 
 # What the library is called, and its two functions. OSMesa comes last: within Mesa it takes EGL's context for its own.
@@ -55,6 +56,18 @@ class CurrentContext:
         read(_MAJOR_VERSION, ctypes.byref(numbers))
         read(_MINOR_VERSION, ctypes.byref(numbers, ctypes.sizeof(ctypes.c_int)))
         return numbers[0], numbers[1]
+
+    def has(self, version: tuple[int, int], extension: str) -> bool:
+        """Whether the context has this version or the extension.
+
+        The address of a function tells neither: GLX and EGL return one for every name.
+        """
+        if self.version() >= version:
+            return True
+        count = ctypes.c_int()
+        self.function("glGetIntegerv", ctypes.c_uint, ctypes.c_void_p)(_EXTENSION_COUNT, ctypes.byref(count))
+        name = self.function("glGetStringi", ctypes.c_uint, ctypes.c_uint, result=ctypes.c_char_p)
+        return any(name(_EXTENSIONS, index) == extension.encode() for index in range(count.value))
 
     def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
         """An OpenGL function of this context, to be called while it is current."""
@@ -109,6 +122,17 @@ class EglBinding:
 
         return restore
 
+    def makes_current(self, make_current: Callable[[], object], current: CurrentContext) -> bool:
+        """Whether a function makes a certain context current; what is current now stays so."""
+        restore = self.save()
+        if self._context():
+            self._make_current(self._display(), None, None, None)
+        try:
+            make_current()
+            return current.is_current()
+        finally:
+            restore()
+
 
 def _library(platform: str) -> ctypes.CDLL | None:
     (name, file_name), *_ = _PLATFORMS[platform]
@@ -125,11 +149,11 @@ def _pointer_function(library: ctypes.CDLL, name: str, *argument_types: Any) -> 
 
 _RGBA, _UNSIGNED_BYTE = 0x1908, 0x1401
 # OSMESA_FORMAT, OSMESA_PROFILE = OSMESA_CORE_PROFILE, OSMESA_CONTEXT_MAJOR_VERSION and _MINOR_VERSION.
-_ATTRIBUTES = (0x22, _RGBA, 0x33, 0x34, 0x36, 4, 0x37, 3, 0)
+_ATTRIBUTES = (0x22, _RGBA, 0x33, 0x34, 0x36, 4, 0x37, 1, 0)
 
 
 class OsMesaContext:
-    """An OpenGL 4.3 core context; drawing goes to framebuffer objects; its own picture is not used.
+    """An OpenGL 4.1 core context; drawing goes to framebuffer objects; its own picture is not used.
 
     Raises:
         OSError: libOSMesa is not installed, or it cannot open the context.
@@ -142,7 +166,7 @@ class OsMesaContext:
         attributes = (ctypes.c_int * len(_ATTRIBUTES))(*_ATTRIBUTES)
         self._handle = ctypes.c_void_p(self._library.OSMesaCreateContextAttribs(attributes, None))
         if not self._handle:
-            raise OSError("libOSMesa cannot open an OpenGL 4.3 context")
+            raise OSError("libOSMesa cannot open an OpenGL 4.1 context")
         self._picture = ctypes.create_string_buffer(16 * 16 * 4)
         self.__enter__()
 

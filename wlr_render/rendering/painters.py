@@ -1,6 +1,6 @@
-"""Draw panel images of one eye for a viewpoint and a head pose, by ray tracing or by raster and warp."""
+"""Panel images of one eye for a viewpoint and a head pose, by ray tracing; `raster_painter.py` rasterises."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Protocol
@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.raster_backends import RasterBackend
-from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
-from wlr_render.rendering.ray_map import RayMap, RayMapPlan, WarmStart, choose_plan, ray_map
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.sampling import remap
-from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.sampling import bilinear_at
 from wlr_render.rendering.view import GeometryImage, View
+from wlr_render.rendering.warp import SURFACE_STEP
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +26,9 @@ class Frame:
 
     Attributes:
         colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
-        ray_maps: the world rays of each channel; `status` says why a pixel has none.
-        warp_status: (height, width) uint8, one `WarpStatus` each, the worst of the channels; None for frames that were
-            not met with a depth image.
+        solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
+        warp_status: (height, width) uint8, one `WarpStatus` each, the worst of the channels; on request, None for
+            frames that were not warped by depth.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
             where none; on request, empty for a frame that was not met with the mesh.
         sources: of each channel (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the
@@ -40,22 +38,22 @@ class Frame:
     """
 
     colour: NDArray[np.uint8]
-    ray_maps: tuple[RayMap, ...]
+    solve_ray_maps: Callable[[], tuple[RayMap, ...]]
     warp_status: NDArray[np.uint8] | None = None
     traced: tuple[Float32Array, ...] = ()
     sources: tuple[Float32Array, ...] = ()
     view: View | None = None
     intermediate: GeometryImage | None = None
 
+    @cached_property
+    def ray_maps(self) -> tuple[RayMap, ...]:
+        """World rays of each channel, solved at all pixels when first asked for; `status` says why a pixel has none."""
+        return self.solve_ray_maps()
+
     @property
     def ray_map(self) -> RayMap:
         """The only or the green channel's."""
         return self.ray_maps[len(self.ray_maps) // 2]
-
-    @property
-    def warm_start(self) -> "WarmStarts":
-        """Warm start of the eye's next frame."""
-        return tuple(each.warm_start for each in self.ray_maps)
 
     @property
     def source(self) -> Float32Array | None:
@@ -70,7 +68,21 @@ class Frame:
         return None if self.view is None or self.source is None else position_of_source(self.view, self.source)
 
 
-WarmStarts = tuple[WarmStart | None, ...]
+def is_blank(colour: NDArray[np.uint8]) -> bool:
+    """Whether all pixels of a frame (height, width, 3) have one colour: the eye sees nothing of the scene."""
+    flat = colour.reshape(-1)
+    return bool((flat[3:] == flat[:-3]).all())  # 30 times as fast as comparison with one pixel
+
+
+def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
+    """A sentence if there are frames that show nothing of a scene, given the names of those frames."""
+    if not names:
+        return []
+    which = names[0] if len(names) == 1 else f"{len(names)} frames, {names[0]} the first,"
+    return [
+        f"{which} {'shows' if len(names) == 1 else 'show'} nothing of the scene '{scene}': every pixel has the same "
+        "colour; place the scene within the field of view, in metres, with light on it."
+    ]
 
 
 class Painter(Protocol):
@@ -80,7 +92,6 @@ class Painter(Protocol):
         self,
         viewpoint: FloatArray,
         world_from_device: FloatArray,
-        warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
         """Render one frame.
@@ -88,26 +99,23 @@ class Painter(Protocol):
         Args:
             viewpoint: (3,) entrance pupil, device frame.
             world_from_device: (4, 4) head pose.
-            warm_start: `Frame.warm_start` of this eye's last frame.
             with_geometry: also give what `Frame` has on request.
         """
 
 
-def _channels(mappings: EyeMappings | Sequence[EyeMappings]) -> EyeChannels:
+def channels_of(mappings: EyeMappings | Sequence[EyeMappings]) -> EyeChannels:
+    """One pair of mappings, or one each for red, green and blue, as a tuple."""
     return (mappings,) if isinstance(mappings, EyeMappings) else tuple(mappings)
 
 
-def _by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+def by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     """The picture for all colours, or the red, green and blue of one picture each."""
     return pictures[0] if len(pictures) == 1 else np.stack([each[..., k] for k, each in enumerate(pictures)], axis=-1)
 
 
-def _ray_maps(
-    channels: EyeChannels, plans: Sequence[RayMapPlan], viewpoint: FloatArray, warm_start: WarmStarts | None
-) -> tuple[RayMap, ...]:
-    starts = warm_start or (None,) * len(channels)
-    each = zip(channels, plans, starts, strict=True)
-    return tuple(ray_map(mappings, viewpoint, plan, start) for mappings, plan, start in each)
+def ray_maps_of(channels: EyeChannels, plans: Sequence[RayMapPlan], viewpoint: FloatArray) -> tuple[RayMap, ...]:
+    """Ray map of each channel at a viewpoint (3,)."""
+    return tuple(ray_map(mappings, viewpoint, plan) for mappings, plan in zip(channels, plans, strict=True))
 
 
 class TracedPainter:
@@ -128,7 +136,7 @@ class TracedPainter:
             supersample: rays per pixel along each axis; geometry is always that of the pixel centre.
             shadows: whether surfaces cast shadows.
         """
-        self._channels = _channels(mappings)
+        self._channels = channels_of(mappings)
         self._renderer = renderer
         self._shadows = shadows
         self._plans = [choose_plan(each) for each in self._channels]
@@ -138,11 +146,10 @@ class TracedPainter:
         self,
         viewpoint: FloatArray,
         world_from_device: FloatArray,
-        warm_start: WarmStarts | None = None,
         with_geometry: bool = False,
     ) -> Frame:
         """See `Painter`."""
-        ray_maps = _ray_maps(self._channels, self._plans, viewpoint, warm_start)
+        ray_maps = ray_maps_of(self._channels, self._plans, viewpoint)
         colours, traced = [], []
         for mappings, rays, sample_plans in zip(self._channels, ray_maps, self._sample_plans, strict=True):
             if with_geometry or not sample_plans:
@@ -157,7 +164,7 @@ class TracedPainter:
                 sampled = (partial(each.world_rays, world_from_device) for each in samples)
                 colour = self._renderer.render_supersampled(rays.shape, sampled, self._shadows)
             colours.append(colour)
-        return Frame(_by_colour(colours), ray_maps, traced=tuple(traced))
+        return Frame(by_colour(colours), lambda: ray_maps, traced=tuple(traced))
 
 
 def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
@@ -171,108 +178,6 @@ def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
     ]
 
 
-class WarpedPainter:
-    """Renders an intermediate image near the viewpoint and warps it to display pixels by a warp map per frame.
-
-    The colours of an eye share it: its jagged edges must not fall differently in each.
-    """
-
-    def __init__(
-        self,
-        mappings: EyeMappings | Sequence[EyeMappings],
-        raster_backend: RasterBackend,
-        resolution: float = 1.0,
-        raster_camera: RasterPlace = "nearest",
-    ) -> None:
-        """Prepare.
-
-        Args:
-            mappings: any pair, or one each for red, green and blue.
-            raster_backend: of the scene.
-            resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
-            raster_camera: position of the camera of the intermediate image: "viewpoint", as in the paper, or "nearest"
-                to the bent rays (`raster_camera.py`), from where fewer pixels are disoccluded.
-        """
-        self._channels = _channels(mappings)
-        self._raster_backend = raster_backend
-        panel = self._channels[0].display.panel
-        self._plan = EyePlan.of(self._channels, (panel.width_px, panel.height_px), resolution, raster_camera)
-        axes = self._plan.device_from_camera
-        self._plans = [RayMapPlan.with_nodes(panel, choose_plan(each).node_count, axes) for each in self._channels]
-
-    def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
-        """From where the intermediate image is drawn; its camera is the same for all viewpoints in the eye box."""
-        return self._plan.view(viewpoint, world_from_device)
-
-    def paint(
-        self,
-        viewpoint: FloatArray,
-        world_from_device: FloatArray,
-        warm_start: WarmStarts | None = None,
-        with_geometry: bool = False,
-    ) -> Frame:
-        """See `Painter`."""
-        ray_maps = _ray_maps(self._channels, self._plans, viewpoint, warm_start)
-        view = self.view(viewpoint, world_from_device)
-        warped = self._raster_backend.draw_warped(view, ray_maps, self._plan.samples_per_axis, with_geometry)
-        image, intermediate = warped.image, warped.intermediate
-        if intermediate is None:
-            return Frame(image.colour, ray_maps, image.status)
-        sources = tuple(with_inverse_depth(intermediate, source) for source in warped.sources)
-        return Frame(image.colour, ray_maps, image.status, sources=sources, view=view, intermediate=intermediate)
-
-
-class MeshWarpedPainter:
-    """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
-
-    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour
-    is that of what hides it. Colours are interpolated bilinearly, without the filter of `WarpedPainter`.
-    """
-
-    def __init__(
-        self,
-        mappings: EyeMappings | Sequence[EyeMappings],
-        raster_backend: RasterBackend,
-        renderer: RayRenderer,
-        resolution: float = 1.0,
-        raster_camera: RasterPlace = "nearest",
-    ) -> None:
-        """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
-        self._plain = WarpedPainter(mappings, raster_backend, resolution, raster_camera)
-        self._traced = TracedPainter(mappings, renderer)
-        self._raster_backend = raster_backend
-        self._background = encode_srgb(renderer.scene.background)
-
-    def paint(
-        self,
-        viewpoint: FloatArray,
-        world_from_device: FloatArray,
-        warm_start: WarmStarts | None = None,
-        with_geometry: bool = False,
-    ) -> Frame:
-        """See `Painter`."""
-        traced = self._traced.paint(viewpoint, world_from_device, warm_start, with_geometry=True)
-        view = self._plain.view(viewpoint, world_from_device)
-        image = self._raster_backend.draw(view)
-        sources = tuple(source_of_position(view, position) for position in traced.traced)
-        colours = [remap(image.colour, source[..., :2], self._background)[0] for source in sources]
-        colour = _by_colour([np.asarray(each, np.uint8) for each in colours])
-        return Frame(colour, traced.ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image)
-
-
-def raster_painter(
-    mappings: EyeMappings | Sequence[EyeMappings],
-    raster_backend: RasterBackend,
-    renderer: RayRenderer | None,
-    resolution: float = 1.0,
-    raster_camera: RasterPlace = "nearest",
-) -> Painter:
-    """A `MeshWarpedPainter` with a renderer of the same scene; without, a `WarpedPainter`, which needs no mesh."""
-    if renderer is None:
-        return WarpedPainter(mappings, raster_backend, resolution, raster_camera)
-    return MeshWarpedPainter(mappings, raster_backend, renderer, resolution, raster_camera)
-
-
 def source_of_position(view: View, position: Float32Array) -> Float32Array:
     """World points (height, width, 3) -> where the view's camera sees them and their inverse depth; NaN stays NaN."""
     in_camera = transforms.apply(transforms.inverse(view.world_from_camera), position.astype(np.float64))
@@ -283,12 +188,26 @@ def source_of_position(view: View, position: Float32Array) -> Float32Array:
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:
     """Pull map (height, width, 2) -> (height, width, 3) with the inverse depth found at the source."""
-    from wlr_render.rendering.cpu_warp import inverse_depth_at
-
     found = np.isfinite(source[..., 0])
     depth = np.full(source.shape[:2], np.nan, np.float32)
     depth[found] = inverse_depth_at(intermediate.inverse_depth, source[found])
     return np.concatenate([source, depth[..., None]], axis=-1)
+
+
+def inverse_depth_at(inverse_depth: Float32Array, source: Float32Array) -> Float32Array:
+    """What the warp reads from an inverse depth image (height, width) at finite positions (n, 2): (n,) in 1/m.
+
+    Bilinear within a surface, the nearest texel at its edges, as `warp.py` states.
+    """
+    height, width = inverse_depth.shape
+    u, v = (np.clip(source[:, axis], 0, size).astype(np.float32) for axis, size in ((0, width), (1, height)))
+    texels = np.pad(inverse_depth, 1, mode="edge")
+    row, column = (v + np.float32(0.5)).astype(np.intp), (u + np.float32(0.5)).astype(np.intp)
+    around = np.stack([texels[row + i, column + j] for i in (0, 1) for j in (0, 1)])
+    low, high = around.min(axis=0), around.max(axis=0)
+    nearest_row, nearest_column = np.minimum(v, height - 1).astype(np.intp), np.minimum(u, width - 1).astype(np.intp)
+    is_edge = high - low > np.float32(SURFACE_STEP) * high
+    return np.where(is_edge, inverse_depth[nearest_row, nearest_column], bilinear_at(inverse_depth, u, v))
 
 
 def position_of_source(view: View, source: Float32Array) -> Float32Array:

@@ -10,6 +10,7 @@ import os
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import NEAR_M
-from wlr_render.rendering.gpu_image import GpuImage
+from wlr_render.rendering.gpu_image import GpuImage, LatestViews
 from wlr_render.rendering.picture_import import PictureImport
 from wlr_render.rendering.scene import LightSource, Mesh, Scene
 from wlr_render.rendering.srgb import encode_srgb
@@ -50,6 +51,7 @@ class PyrenderDrawing:
         if camera_node not in graph.camera_nodes:
             raise BadInputError("The node is not a camera of the pyrender scene: add it with scene.add(camera).")
         self._renderer = _renderer(self._pyrender)
+        self._latest = LatestViews()
         self._imports: defaultdict[str, PictureImport] = defaultdict(lambda: PictureImport(context))
 
     def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
@@ -62,7 +64,8 @@ class PyrenderDrawing:
             self._renderer.viewport_width, self._renderer.viewport_height = view.camera.width_px, view.camera.height_px
             with self._context.drawing(third_party=True), _without_multisampling(self._pyrender.renderer):
                 self._renderer.render(self._graph, self._pyrender.RenderFlags.OFFSCREEN)
-        return self._imports[name].from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
+        image = self._imports[name].from_framebuffer(view.camera, int(self._renderer._main_fb_ms), planes)
+        return replace(image, view=view, is_overwritten=self._latest.drawn(name, view))
 
 
 class PyrenderView:
@@ -82,21 +85,22 @@ class PyrenderView:
         meshes = [_mesh(pyrender, mesh) for mesh in scene.meshes]
         self._instance_nodes = [self._graph.add(meshes[instance.mesh]) for instance in scene.instances]
         self._light_nodes = [self._graph.add(_light(pyrender, light)) for light in scene.lights]
-        self._drawing = PyrenderDrawing(context, self._graph, camera)
+        self._drawing, self._latest = PyrenderDrawing(context, self._graph, camera), LatestViews()
 
     def draw(self, view: View) -> GeometryImage:
         """Draw and fetch colour and inverse depth."""
         return self.draw_on_gpu(view).read()
 
-    def draw_on_gpu(self, view: View) -> GpuImage:
-        """Draw and leave the picture on the GPU; the next drawing of this object overwrites it."""
+    def draw_on_gpu(self, view: View, name: str = "") -> GpuImage:
+        """Draw and leave the picture on the GPU; the next drawing of the same name overwrites it."""
         # The scene is put before a camera at the origin, in float64: pyrender computes in float32.
         camera_from_world = transforms.inverse(view.world_from_camera)
         for node, instance in zip(self._instance_nodes, self._scene.instances, strict=True):
             self._graph.set_pose(node, camera_from_world @ instance.world_from_mesh)
         for node, light in zip(self._light_nodes, self._scene.lights, strict=True):
             self._graph.set_pose(node, camera_from_world @ _world_from_light(light))
-        return self._drawing.draw_on_gpu(View(view.camera, np.zeros(3), np.eye(4)))
+        image = self._drawing.draw_on_gpu(View(view.camera, np.zeros(3), np.eye(4)), name)
+        return replace(image, view=view, is_overwritten=self._latest.drawn(name, view))
 
 
 @contextlib.contextmanager

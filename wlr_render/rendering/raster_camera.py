@@ -23,6 +23,7 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_grid
 from wlr_render.rendering.ray_map import middle_axes, required_tangents, solve_pixels
 from wlr_render.rendering.view import View
+from wlr_render.rendering.warp import SPACING_PX
 from wlr_render.rendering.warp_grid import WarpGrid
 
 RasterPlace = Literal["nearest", "viewpoint"]
@@ -117,8 +118,6 @@ class RasterPosition:
         return np.asarray(viewpoint + self._shift(np.clip(viewpoint, self._box.low, self._box.high)))
 
 
-SPACING_PX = 1.25
-"""Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""
 MAX_SAMPLES = 4
 _POINTS = 33
 
@@ -203,7 +202,7 @@ class EyePlan:
 
         The densest grid that any colour channel needs. Computed on first use; unused when every pixel is solved.
         """
-        chosen = [choose_warp_grid(mappings, self.device_from_camera, self.size_px) for mappings in self.channels]
+        chosen = [choose_warp_grid(mappings, self.device_from_camera) for mappings in self.channels]
         return min(chosen, key=lambda each: float(each.cell_px.min()))
 
     @classmethod

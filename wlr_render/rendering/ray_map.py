@@ -6,13 +6,15 @@ nodes from a measured error; `solve_every_pixel` is the slow plain version, whic
 """
 
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.mappings import EyeMappings, Panel, Status, StatusArray, worst_status
 from wlr_render.numerics import chebyshev
-from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.arrays import Float32Array, FloatArray, finite_array
+from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.rendering.warp_grid import WarpGrid
 
 NODE_COUNTS = (9, 13, 17, 21, 25, 33, 41, 49)
@@ -133,6 +135,36 @@ class SolvedRays:
     warm_start: WarmStart
 
 
+SolvedT = TypeVar("SolvedT", covariant=True)
+"""`RayMap`, or `gl_ray_maps.GpuRayMap`."""
+
+
+class RayMapSolver(Protocol[SolvedT]):
+    """Solves the rays of a warp grid for successive viewpoints."""
+
+    def solve(self, viewpoint: FloatArray) -> SolvedT:
+        """The ray map at a viewpoint (3,), device frame, metres; on the GPU the next solve overwrites it.
+
+        Raises:
+            BadInputError: the viewpoint is not three finite numbers; the last solution is kept.
+        """
+
+
+def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
+    """Return a copy of the viewpoint as (3,) float64.
+
+    Raises:
+        BadInputError: it is not three finite numbers.
+    """
+    return finite_array(
+        viewpoint,
+        (3,),
+        "viewpoint",
+        "three finite numbers, the eye's place in the device frame in metres, and hold the last good ones while the "
+        "eye is not seen",
+    )
+
+
 def solve_pixels(
     mappings: EyeMappings,
     device_from_camera: FloatArray,
@@ -201,6 +233,52 @@ def ray_map(
         return replace(exact, warm_start=solved.warm_start)
     status = _spread_status(plan, solved.status)
     return RayMap(viewpoint, axes, _spread(plan, solved.slope_offset), status, solved.warm_start)
+
+
+_FILL_DEGREE = 4
+_KNOWN_PER_TERM = 2
+
+
+class FilledRayMaps:
+    """Ray maps of one plan in bounded time: nodes without an answer are filled from the others.
+
+    A map is the exact one at the eye box's centre, solved once at every point, plus the interpolated change of the
+    nodes since then. The change is smooth: where a node has no answer, here or at the centre, it is that of a
+    polynomial of degree 4 through the other nodes' changes, and where too few have one the last map's. Points without
+    a ray at the centre have none in any map.
+    """
+
+    def __init__(self, mappings: EyeMappings, plan: RayMapPlan) -> None:
+        """Query every point of the warp grid and every node; the plan is of the mappings' panel."""
+        self._mappings, self._plan = mappings, plan
+        centre, axes = mappings.eye_box.centre, plan.device_from_camera
+        self._base = solve_every_pixel(mappings, centre, axes, plan.warp_grid.panel_pixel())
+        nodes = solve_pixels(mappings, axes, plan.node_pixel, centre)
+        self._base_nodes, self._warm_start = nodes.slope_offset, nodes.warm_start
+        scaled = (plan.node_pixel / plan.panel.size_px * 2 - 1).reshape(-1, 2)
+        self._terms = basis(scaled, total_degree(2, _FILL_DEGREE), Box(-np.ones(2), np.ones(2)))
+        self._last_change = np.zeros_like(self._base_nodes)
+
+    def at(self, viewpoint: FloatArray) -> RayMap:
+        """The ray map of a viewpoint (3,); its status names the points around filled nodes by the nodes' status."""
+        plan, base = self._plan, self._base
+        solved = solve_pixels(self._mappings, plan.device_from_camera, plan.node_pixel, viewpoint, self._warm_start)
+        self._last_change = self._filled(solved.slope_offset - self._base_nodes)
+        slope_offset = base.slope_offset + _spread(plan, self._last_change)
+        known_at_centre = np.isfinite(base.slope_offset).all(axis=0)
+        status = np.where(known_at_centre, _spread_status(plan, solved.status), base.status)
+        return RayMap(viewpoint, plan.device_from_camera, slope_offset, status.astype(np.uint8))
+
+    def _filled(self, change: FloatArray) -> FloatArray:
+        """Changes (rows, columns, 4) at the nodes without NaN."""
+        flat = change.reshape(-1, 4)
+        known = np.asarray(np.isfinite(flat).all(axis=-1))
+        if known.all():
+            return change
+        if known.sum() < _KNOWN_PER_TERM * self._terms.shape[1]:
+            return np.where(known[:, None], flat, self._last_change.reshape(-1, 4)).reshape(change.shape)
+        coefficients, *_ = np.linalg.lstsq(self._terms[known], flat[known])
+        return np.asarray(np.where(known[:, None], flat, self._terms @ coefficients).reshape(change.shape))
 
 
 def _spread(plan: RayMapPlan, at_nodes: FloatArray) -> Float32Array:

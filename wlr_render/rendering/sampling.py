@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import Float32Array
 
 _Pixel = TypeVar("_Pixel", bound=np.generic)
 
-_LONGEST = 32766
-"""cv2.remap indexes with 16 bits."""
+_LONGEST = LIMITS.picture_side  # cv2.remap indexes with 16 bits
 _ROW = 1024
 """Scattered positions are handed to cv2.remap as an image of this width."""
 

@@ -37,6 +37,13 @@ class Mesh:
     texture: NDArray[np.uint8] | None = None
     vertex_colour: Float32Array | None = None
 
+    @cached_property
+    def corners(self) -> NDArray[np.float64]:
+        """(8, 3): corners of the bounding box, mesh frame."""
+        bounds = np.stack([self.position.min(axis=0), self.position.max(axis=0)]).astype(np.float64)
+        x, y, z = np.meshgrid(*bounds.T)
+        return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+
 
 @dataclass(frozen=True, eq=False)
 class Instance:

@@ -1,6 +1,8 @@
 """Scenes as TOML files, by name or by path, and mesh files as scenes of their own. scenes/README.md has the keys."""
 
 import inspect
+import math
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from wlr_render import files
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
+from wlr_render.input_files import require_length, shown
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.mesh_file import SUFFIXES, load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
 from wlr_render.rendering.shapes.construction import turn
@@ -24,6 +28,17 @@ _DEFAULT_LIGHTS = (
     LightSource("directional", normalised(np.array([-0.7, -0.1, -0.5])), np.array([0.2, 0.22, 0.25], np.float32)),
 )
 _DEFAULT_DISTANCE_M = 1.0
+_FAR_M = 1000.0  # of an object or light from the world's origin
+_SHAPE_M = 50.0
+_MESH_ALONE_M = 30.0  # of a mesh around its own middle, 1 m ahead of the wearer
+_SCALES = 1e-6, 1e6
+_MOST_DEGREES = 3600.0
+_BRIGHTEST = 1e6
+_MOST_OBJECTS = 1000
+_MOST_LIGHTS = 100
+_MOST_TRIANGLES = 20_000_000  # over all placements
+_MOST_SEGMENTS = 2000
+_MOST_QUADS = 1_000_000  # of a shape
 
 Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...]]
 
@@ -55,13 +70,17 @@ def load_scene(spec: str | Path) -> Scene:
         path.stem,
         (),
         (),
-        tuple(_light(light) for light in table.tables("light", required=False)),
-        ambient=table.vector("ambient", 3, default=(0.25, 0.25, 0.25)).astype(np.float32),
-        background=table.vector("background", 3, default=(0.0, 0.0, 0.0)).astype(np.float32),
+        tuple(_light(light) for light in table.tables("light", required=False, most=_MOST_LIGHTS)),
+        ambient=_colour(table, "ambient", default=(0.25, 0.25, 0.25)),
+        background=_colour(table, "background", default=(0.0, 0.0, 0.0)),
     )
-    for entry in table.tables("object"):
+    for entry in table.tables("object", most=_MOST_OBJECTS):
+        first = len(scene.instances)
         scene = _with(scene, _object(entry, path.parent))
+        _require_drawable(entry.where, scene, first)
     table.finish()
+    if not scene.instances:
+        raise table.fail("'object' is empty; give at least one object.")
     return scene
 
 
@@ -85,16 +104,38 @@ def _with(scene: Scene, placed: Placed) -> Scene:
     )
 
 
+def _require_drawable(where: str, scene: Scene, first: int = 0) -> None:
+    """Refuse too many triangles, and instances from the `first` on that do not lie in the world."""
+    if scene.triangle_count > _MOST_TRIANGLES:
+        raise BadInputError(f"{where}: brings the scene to more than {_MOST_TRIANGLES} triangles; simplify it.")
+    for instance in scene.instances[first:]:
+        corners = scene.mesh_of(instance).corners @ instance.world_from_mesh[:3, :3].T + instance.world_from_mesh[:3, 3]
+        require_length(f"{where} ({shown(instance.name)} in the world)", corners, _FAR_M)
+
+
+def _colour(table: Table, key: str, default: tuple[float, float, float] | None = None) -> Float32Array:
+    colour = table.vector(key, 3, default)
+    if not ((colour >= 0) & (colour <= _BRIGHTEST)).all():
+        raise table.fail(f"'{key}' must lie between 0 and {_BRIGHTEST:g}, not {shown(colour.tolist())}.")
+    return colour.astype(np.float32)
+
+
+def _position(table: Table, default: tuple[float, float, float] | None = None) -> NDArray[np.float64]:
+    position = table.vector("position_m", 3, default)
+    require_length(f"{table.where}: 'position_m'", position, _FAR_M)
+    return position
+
+
 def _light(table: Table) -> LightSource:
     kind = table.text("kind", choices=("directional", "point"))
     if kind == "directional":
         vector = table.vector("direction", 3)
         if not np.linalg.norm(vector) > 0:
-            raise table.fail("'direction' has no length.")
+            raise table.fail("'direction' has no length; give three numbers that are not all 0.")
         vector = normalised(vector)
     else:
-        vector = table.vector("position_m", 3)
-    light = LightSource(kind, vector, table.vector("colour", 3).astype(np.float32))
+        vector = _position(table)
+    light = LightSource(kind, vector, _colour(table, "colour"))
     table.finish()
     return light
 
@@ -102,7 +143,7 @@ def _light(table: Table) -> LightSource:
 def _object(table: Table, folder: Path) -> Placed:
     """A shape or a mesh file, placed."""
     if table.has("mesh") == table.has("shape"):
-        raise table.fail("needs either 'mesh', a file, or 'shape', one of the built-in ones.")
+        raise table.fail("needs either 'mesh', a file, or 'shape', one of the built-in ones; write one of them.")
     world_from_object = _placement(table)
     if table.has("mesh"):
         return _mesh_object(table, folder, world_from_object)
@@ -114,9 +155,13 @@ def _object(table: Table, folder: Path) -> Placed:
 
 
 def _mesh_object(table: Table, folder: Path, world_from_object: NDArray[np.float64]) -> Placed:
-    path = folder / table.text("mesh")
+    path, stated = table.path("mesh", folder), shown(table.text("mesh"))
     name = table.text("name", default=path.stem)
     table.finish()
+    if path.suffix.lower() not in SUFFIXES:
+        raise table.fail(f"'mesh' is {stated}; it must be a file with {', '.join(SUFFIXES)}.")
+    if not os.path.exists(path):
+        raise table.fail(f"'mesh' is {stated}, and there is no such file; put it beside the scene.")
     content = load_meshes(path)
     instances = tuple(
         Instance(f"{name}/{instance.name}", instance.mesh, world_from_object @ instance.world_from_mesh)
@@ -140,15 +185,17 @@ def _placement(table: Table) -> NDArray[np.float64]:
     if table.has("quaternion_xyzw"):
         xyzw = table.vector("quaternion_xyzw", 4)
         if abs(np.linalg.norm(xyzw) - 1) > 1e-3:
-            raise table.fail(f"'quaternion_xyzw' has length {np.linalg.norm(xyzw):.6g}, not 1.")
+            raise table.fail(f"'quaternion_xyzw' has length {np.linalg.norm(xyzw):.6g}, not 1; normalise it.")
         rotation = transforms.rotation_of_quaternion(normalised(xyzw))
     else:
-        rotation = turn(*np.deg2rad(table.vector("rotation_deg", 3, default=(0.0, 0.0, 0.0))))
+        degrees = table.vector("rotation_deg", 3, (0.0, 0.0, 0.0), least=-_MOST_DEGREES, most=_MOST_DEGREES)
+        rotation = turn(*np.deg2rad(degrees))
     uniform = table.number("scale", default=1.0)
     scale = table.vector("scale_xyz", 3, default=(uniform, uniform, uniform))
-    if not (scale > 0).all():
-        raise table.fail(f"a scale must be positive, not {scale.tolist()}.")
-    return transforms.rigid(rotation * scale, table.vector("position_m", 3, default=(0.0, 0.0, 0.0)))
+    low, high = _SCALES
+    if not ((scale >= low) & (scale <= high)).all():
+        raise table.fail(f"a scale must be positive, from {low:g} to {high:g}, not {scale.tolist()}.")
+    return transforms.rigid(rotation * scale, _position(table, default=(0.0, 0.0, 0.0)))
 
 
 def _shape(table: Table, shape: str) -> Mesh:
@@ -159,7 +206,18 @@ def _shape(table: Table, shape: str) -> Mesh:
     unknown = [key for key in present if key not in parameters and key not in _PLACEMENT]
     if unknown:
         raise table.fail(f"unknown key '{unknown[0]}'; the shape '{shape}' has {', '.join(parameters)}.")
-    mesh = make(**{key: _value(table, key, parameters[key].default) for key in present if key in parameters})
+    values = {key: _value(table, key, parameters[key].default) for key in present if key in parameters}
+    counts = {key: each.default for key, each in parameters.items()} | values
+    parts = math.prod(count for count in counts.values() if isinstance(count, int))
+    if parts > _MOST_QUADS:
+        raise table.fail(f"asks for {parts} parts, more than {_MOST_QUADS}; lower its numbers.")
+    try:
+        with np.errstate(all="ignore"):  # the next check refuses what overflows
+            mesh = make(**values)
+    except BadInputError as error:
+        raise table.fail(str(error)) from error
+    if not np.isfinite(mesh.position).all() or not np.isfinite(mesh.normal).all():
+        raise table.fail(f"these keys make a '{shape}' that is not finite; change its sizes.")
     if len(mesh.triangles) == 0 or not mesh.normal.any(axis=1).all():
         raise table.fail(f"these keys make a '{shape}' without a surface; give it more segments or a size.")
     return mesh
@@ -171,12 +229,19 @@ def _value(table: Table, key: str, default: object) -> object:
         vector = table.vector(key, len(default))
         if (vector < 0).any():
             raise table.fail(f"'{key}' must not be negative, not {vector.tolist()}.")
+        require_length(f"{table.where}: '{key}'", vector if key.endswith("_m") else 0.0, _SHAPE_M)
+        if not key.endswith("_m") and (vector > _BRIGHTEST).any():
+            raise table.fail(f"'{key}' must lie between 0 and {_BRIGHTEST:g}, not {vector.tolist()}.")
         return tuple(vector.tolist())
     number = table.number(key)
     if number < 0 or (number == 0 and default != 0):
         raise table.fail(f"'{key}' must be positive, not {number:g}.")
     if isinstance(default, int) and number != int(number):
         raise table.fail(f"'{key}' must be a whole number, not {number:g}.")
+    if isinstance(default, int) and number > _MOST_SEGMENTS:
+        raise table.fail(f"'{key}' is {number:g}; {_MOST_SEGMENTS} is the most that is drawn.")
+    if not isinstance(default, int):
+        require_length(f"{table.where}: '{key}'", number, _SHAPE_M)
     return int(number) if isinstance(default, int) else number
 
 
@@ -191,4 +256,7 @@ def _scene_of_mesh_file(path: Path) -> Scene:
         replace(instance, world_from_mesh=world_from_file @ instance.world_from_mesh) for instance in content.instances
     )
     lights = tuple(_moved(light, world_from_file) for light in content.lights)
+    placed = replace(scene, instances=instances)
+    _require_drawable(str(path), placed)
+    require_length(f"{path} (place it in a scene file with its 'scale' otherwise)", placed.bounds, _MESH_ALONE_M)
     return replace(scene, instances=instances, lights=lights or _DEFAULT_LIGHTS)

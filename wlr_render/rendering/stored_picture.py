@@ -1,26 +1,70 @@
-"""Storage conventions of submitted pictures: kind of depth, and row order."""
+"""Storage conventions of submitted pictures: encoding of colours, kind of depth, and row order."""
 
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any
+from functools import cached_property
+from numbers import Real
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.view import GeometryImage
+from wlr_render.input_files import shown
+
+Encoding = Literal["srgb", "linear"]
+"""What numbers of a colour mean: sRGB codes, or linear light."""
+
+_CODE_BITS = 8, 10, 12, 16
+
+
+@dataclass(frozen=True)
+class StoredColour:
+    """Storage convention of a picture's colours.
+
+    Attributes:
+        encoding: "srgb" codes, or "linear" light, which is 1 where all primaries are at full power; larger and negative
+            numbers are kept, and clipped on output. Numbers of float arrays and textures are codes over the largest
+            code, or light. A texture of an sRGB format holds sRGB codes; as "linear" light it is read as OpenGL decodes
+            it.
+        bits: of a code: 8, 10, 12 or 16. uint16 arrays need it, and RGB10_A2 textures that are given as ModernGL
+            textures: pictures of 8 bits are kept in 8 bits, others in half floats.
+        alpha: whether the fourth component is the picture's alpha. Then colours are premultiplied, in linear light, and
+            composed frames have the filtered alpha, with 0 where nothing of the picture is seen.
+
+    Raises:
+        BadInputError: another encoding or number of bits, or `alpha` is neither True nor False.
+    """
+
+    encoding: Encoding = "srgb"
+    bits: int = 8
+    alpha: bool = False
+
+    def __post_init__(self) -> None:
+        if self.encoding not in get_args(Encoding):
+            raise BadInputError(f"encoding is {shown(self.encoding)}; choose from {', '.join(get_args(Encoding))}.")
+        if isinstance(self.bits, bool) or self.bits not in _CODE_BITS:
+            raise BadInputError(f"bits is {shown(self.bits)}; choose from {', '.join(map(str, _CODE_BITS))}.")
+        if not isinstance(self.alpha, bool):
+            raise BadInputError(f"alpha is {shown(self.alpha)}; give True or False.")
+
+
+CODES, PREMULTIPLIED = StoredColour(), StoredColour(alpha=True)
 
 
 class DepthKind(Enum):
     """Kinds of stored depth; all are measured along the camera's -z axis."""
 
     METRES = auto()
-    """Metres; 0 or infinity for background, as in pyrender's arrays."""
+    """Metres; 0, infinity or NaN for background, as in pyrender's arrays."""
     WINDOW = auto()
     """A depth buffer's value in 0..1 of a perspective projection; nothing is where it has the far plane's value."""
     INVERSE = auto()
-    """1/m; 0 for background."""
+    """1/m; 0, infinity or NaN for background."""
+
+
+NEAREST_M = 1e-4
+"""Nearest depth that a picture may hold: no near plane lies nearer. The warp divides by depths in float32."""
 
 
 class Rows(Enum):
@@ -40,7 +84,7 @@ class StoredDepth:
             buffer they change places: (inf, 0.05) stores the near plane as 1.
 
     Raises:
-        BadInputError: WINDOW without two different positive distances, one of them finite.
+        BadInputError: WINDOW without two different distances of at least `NEAREST_M`, one of them finite.
     """
 
     kind: DepthKind = DepthKind.METRES
@@ -50,56 +94,118 @@ class StoredDepth:
     def __post_init__(self) -> None:
         if not isinstance(self.kind, DepthKind):
             raise BadInputError(f"{self.kind!r} is not a kind of depth; give one of {', '.join(map(str, DepthKind))}.")
-        if self.kind is DepthKind.WINDOW and not (self.near_m > 0 and self.far_m > 0 and self.near_m != self.far_m):
+        if self.kind is DepthKind.WINDOW:
+            check_planes(self.near_m, self.far_m)
+        elif (self.near_m, self.far_m) != (0.0, np.inf):
             raise BadInputError(
-                f"Depth buffer values need two different positive distances, not near_m = {self.near_m} and "
-                f"far_m = {self.far_m}: give those of the projection that drew them."
+                f"near_m = {shown(self.near_m)} and far_m = {shown(self.far_m)} are used with DepthKind.WINDOW only; "
+                "leave them out, or give that kind."
             )
 
-    @property
+    @cached_property
     def inverse_of_0_and_1(self) -> tuple[float, float]:
         """1/m of the stored values 0 and 1, for WINDOW and INVERSE."""
         return (1 / self.near_m, 1 / self.far_m) if self.kind is DepthKind.WINDOW else (0.0, 1.0)
 
+    @property
+    def nothing(self) -> float:
+        """Stored number of background, beside NaN; for INVERSE also 0, the inverse depth of what is infinitely far."""
+        at_0, at_1 = self.inverse_of_0_and_1
+        if self.kind is DepthKind.WINDOW:
+            return 0.0 if at_0 < at_1 else 1.0
+        return 0.0 if self.kind is DepthKind.METRES else np.inf
 
-def picture_of_arrays(
-    camera: Pinhole, colour: NDArray[np.uint8], depth: NDArray[np.float32], stored: StoredDepth, rows: Rows
-) -> GeometryImage:
-    """Convert a picture in memory to a `GeometryImage`; `picture_import.PictureImport` is its twin on the GPU.
+    @cached_property
+    def limits(self) -> tuple[np.float32, np.float32]:
+        """Smallest and largest stored number of a surface."""
+        largest = np.finfo(np.float32).max
+        ends: dict[DepthKind, tuple[float, float]] = {
+            DepthKind.METRES: (NEAREST_M, float(largest)),
+            DepthKind.WINDOW: (0.0, 1.0),
+            DepthKind.INVERSE: (0.0, 1 / NEAREST_M),
+        }
+        low, high = ends[self.kind]
+        return np.float32(low), np.float32(high)
 
-    Args:
-        camera: drawn with.
-        colour: (height, width, 3 or 4) sRGB; alpha is not read.
-        depth: (height, width).
-        stored: what `depth` holds.
-        rows: their order, of both.
+
+METRES = StoredDepth()
+
+
+def check_planes(near_m: float, far_m: float) -> None:
+    """Check the distances of a projection's near and far plane; they may be exchanged, and one may be infinite.
 
     Raises:
-        BadInputError: shape, type or size is another, or a depth is negative or NaN.
+        BadInputError: they are not two different distances of at least `NEAREST_M`.
     """
-    check_arrays(colour, depth, (camera.width_px, camera.height_px))
-    down = slice(None, None, 1 if rows is Rows.TOP_FIRST else -1)
-    colour, depth = colour[down, :, :3], depth[down]
-    if stored.kind is DepthKind.METRES:
-        inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
-    else:
-        at_0, at_1 = stored.inverse_of_0_and_1
-        inverse = (1 - depth) * at_0 + depth * at_1
-        inverse[(depth == (0 if at_0 < at_1 else 1)) | (inverse < 0)] = 0  # on the far plane, also if it is finite
-    return GeometryImage(np.array(colour, order="C"), np.array(inverse, np.float32, order="C"))
+    planes: tuple[object, object] = near_m, far_m
+    numbers = all(isinstance(each, Real) and not isinstance(each, bool) for each in planes)
+    if not numbers or not (near_m >= NEAREST_M and far_m >= NEAREST_M and near_m != far_m):
+        raise BadInputError(
+            f"near_m is {shown(near_m)} and far_m is {shown(far_m)}: give two different positive distances of "
+            f"{NEAREST_M:g} m or more, those of the projection that draws the depth."
+        )
 
 
-def check_arrays(colour: NDArray[Any], depth: NDArray[Any], size: tuple[int, int]) -> None:
-    """Check that arrays are a picture of a size (width, height).
+def check_colour_array(colour: NDArray[Any], stored: StoredColour) -> None:
+    """Check that an array is (height, width, 3 or 4) of a type that `stored` can mean.
 
     Raises:
-        BadInputError: shape, type or size is another, or a depth is negative or NaN.
+        BadInputError: shape or type is another, codes are larger than their bits allow, or a number is not finite.
+    """
+    if str(colour.dtype) not in COLOUR_TYPES or colour.ndim != 3 or colour.shape[2] not in (3, 4):
+        raise BadInputError(
+            f"The colours must be (height, width, 3 or 4) of {', '.join(COLOUR_TYPES)}, not {colour.shape} of "
+            f"{colour.dtype}."
+        )
+    if stored.alpha and colour.shape[2] == 3:
+        raise BadInputError("The colours have three components and no alpha: give four, or StoredColour(alpha=False).")
+    if (colour.dtype == np.uint8) != (stored.bits == 8) and colour.dtype.kind == "u":
+        raise BadInputError(
+            f"The colours are {colour.dtype}, and StoredColour has bits={stored.bits}: give uint8 for 8 bits, and "
+            "uint16 for 10, 12 or 16."
+        )
+    largest = (1 << stored.bits) - 1
+    if colour.dtype == np.uint16 and colour.max(initial=0) > largest:
+        raise BadInputError(
+            f"The colours reach {colour.max()}, and codes of {stored.bits} bits {largest}: give such codes, or their "
+            "bits."
+        )
+    if colour.dtype.kind == "f" and not np.isfinite(colour).all():
+        row, column = np.argwhere(~np.isfinite(colour).all(axis=-1))[0]
+        raise BadInputError(f"The colour at row {row}, column {column} is not finite: give finite numbers.")
+
+
+COLOUR_TYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"}
+"""Types of arrays of colours, and the textures that hold them."""
+
+
+def check_depth_format(stored: StoredDepth) -> None:
+    """Check what is said about a depth image of a depth format.
+
+    Raises:
+        BadInputError: metres, which are the default; such a format holds a depth buffer's values, from 0 to 1.
+    """
+    if stored.kind is DepthKind.METRES:
+        raise BadInputError(
+            "the depth has a depth format, which holds no metres; say what 0 and 1 stand for with "
+            "stored=StoredDepth(DepthKind.WINDOW, near, far)."
+        )
+
+
+def check_arrays(
+    colour: NDArray[Any],
+    depth: NDArray[Any],
+    stored: StoredDepth,
+    size: tuple[int, int],
+    stored_colour: StoredColour = CODES,
+) -> None:
+    """Check that arrays are a picture of a size (width, height): colour (height, width, 3 or 4), depth (height, width).
+
+    Raises:
+        BadInputError: shape, type or size is another, or a depth is outside `StoredDepth.limits`.
     """
     shape = size[1], size[0]
-    if colour.dtype != np.uint8 or colour.ndim != 3 or colour.shape[2] not in (3, 4):
-        raise BadInputError(
-            f"The colours must be (height, width, 3 or 4) of uint8, not {colour.shape} of {colour.dtype}."
-        )
+    check_colour_array(colour, stored_colour)
     if depth.dtype != np.float32 or depth.ndim != 2:
         raise BadInputError(f"The depth must be (height, width) of float32, not {depth.shape} of {depth.dtype}.")
     for name, verb, found in (("colours", "have", colour.shape[:2]), ("depth", "has", depth.shape)):
@@ -108,8 +214,14 @@ def check_arrays(colour: NDArray[Any], depth: NDArray[Any], size: tuple[int, int
                 f"The {name} {verb} {found[1]}x{found[0]} pixels, the camera {size[0]}x{size[1]}: draw with that "
                 "camera."
             )
-    if not (depth >= 0).all():
-        row, column = np.argwhere(~(depth >= 0))[0]
+    low, high = stored.limits
+    outside = depth < low  # NaN is not
+    if stored.kind is not DepthKind.METRES:
+        outside |= depth > high
+    outside &= depth != np.float32(stored.nothing)
+    if outside.any():
+        row, column = np.argwhere(outside)[0]
         raise BadInputError(
-            f"The depth at row {row}, column {column} is {depth[row, column]}: it must be 0 (nothing) or positive."
+            f"The depth at row {row}, column {column} is {depth[row, column]}: depths in {stored.kind.name} run from "
+            f"{low:g} to {high:g}, and {stored.nothing:g} and NaN are background; give such depths, or their kind."
         )

@@ -10,9 +10,10 @@ where the image has inverse depth D(s). While D(s(w)) < w the ray is in front of
 surface where D(s(w)) = w. The algorithm:
 
 1. The path runs from the largest to the smallest inverse depth of the image along it, in equal steps of at most STEP_PX
-   in the image (and at most MAX_STEPS steps). Both bounds come from tiles of TILE px: from those within one tile of the
-   path's middle if the path from the whole image's largest w to 0 is at most 2 TILE long, otherwise from the whole
-   image. Most paths have one step, because most tiles show one smooth surface.
+   in the image (and at most MAX_STEPS steps). The bounds come from a pyramid whose finest texels hold the smallest and
+   the largest value of TILE x TILE px: first for all paths of a cell of the warp grid, by halving them, then for each
+   pixel. Most paths have one step. Where the bounds are less than DIRECT_PX apart in the image for a whole cell, the
+   source is s(D(s(w))) with w midway between them, and the following does not apply.
 2. A step may contain the intersection if the ray is in front at its near end and crosses one of the two surfaces seen
    at its ends (either surface may end within the step: thin objects), or if it is behind at its near end and crosses
    the surface seen at its far end (it leaves the occluder and reaches the surface behind).
@@ -31,10 +32,11 @@ D is bilinear where its four texels differ by at most SURFACE_STEP of the larges
 depth is linear in the pixel), otherwise the nearest texel; beyond the border it repeats the border's texels. The first
 query, at a path's near end, reads the nearest texel. The background has w = 0 and is intersected at (a, b).
 
-Colour is bilinear in the 8-bit sRGB values, as in cv2.remap, by four texel reads: hardware filters have 8-bit weights.
-Where the map minifies, `samples_per_axis` > 1 averages samples_per_axis squared such samples, spread evenly over the
-area that the display pixel covers in the image: `raster_camera.py` says how many are needed. The sides of a display
-pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as on GPUs; next to a hole they count as 0.
+Colour is bilinear in linear light, and encoded once in the end; hardware filters have 8-bit weights, which is worth a
+code of 255 at most. Where the map minifies, `samples_per_axis` > 1 averages samples_per_axis squared such samples,
+spread evenly over the area that the display pixel covers in the image: `raster_camera.py` says how many are needed. The
+sides of a display pixel in the image are differences of s(0) in blocks of 2 x 2 pixels, as on GPUs. Cells of the warp
+grid in which the map minifies by less than SPACING_PX have one sample.
 
 With one ray map per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
 three (the largest), the source that of green.
@@ -48,11 +50,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 STEP_PX = 1.0
-MAX_STEPS = 64
+MAX_STEPS = 256
 MAX_REFINEMENTS = 6
 CONVERGED_PX = 0.01
 SURFACE_STEP = 0.02
 TILE = 16
+DIRECT_PX = 0.05
+SPACING_PX = 1.25
+"""Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""
 
 
 class WarpStatus(IntEnum):

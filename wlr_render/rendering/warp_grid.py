@@ -1,4 +1,9 @@
-"""Regular grid of points on the panel at which rays are solved; between them they are interpolated bilinearly."""
+"""Regular grid of points on the panel at which rays are solved, and how they are interpolated between them.
+
+Each cell is two triangles, cut from the upper right to the lower left. Over a triangle values are interpolated
+linearly; what that misses of a quadratic is added from the second differences of the tangents between grid points,
+interpolated linearly too.
+"""
 
 from dataclasses import dataclass
 
@@ -54,15 +59,51 @@ class WarpGrid:
         """Panel positions of all points, (rows, columns, 2)."""
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
-    def has_pixel_centres_of(self, size_px: tuple[int, int]) -> bool:
-        """Whether the points are the pixel centres of a picture (width, height)."""
-        return self.size == tuple(size_px) and np.allclose(self.first_px, 0.5 * self.step_px)
+    def interpolated(self, slope_offset: FloatArray, pixel: FloatArray) -> FloatArray:
+        """Rays (n, 4) at panel positions (n, 2), as the warp interpolates those of the grid (4, rows, columns).
 
-    def texture_from_picture(self, size_px: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-        """(scale, offset), (2,) each: where a pixel of a picture (width, height) is read, in normalised coordinates.
-
-        `scale * pixel + offset` of a pixel position that counts from the picture's outer top left corner.
+        NaN in a triangle with a corner whose ray is NaN.
         """
-        panel_px_per_pixel = self.panel.size_px / size_px
-        scale = panel_px_per_pixel / self.step_px / self.size
-        return np.asarray(scale), np.asarray((0.5 - self.first_px / self.step_px) / self.size)
+        place = (pixel - self.first_px) / self.step_px
+        cell = np.clip(place.astype(int), 0, np.array(self.size) - 2)
+        x, y = (place - cell).T
+        is_upper = x + y < 1
+        upper, lower = (1 - x - y, x, y, 0 * x), (0 * x, 1 - y, 1 - x, x + y - 1)
+        weights = np.where(is_upper, upper, lower)
+        mixed = np.where(is_upper, x * y, (1 - x) * (1 - y))
+        shares = {"along_rows": -0.5 * x * (1 - x), "along_columns": -0.5 * y * (1 - y), "mixed": mixed}
+        differences = _second_differences(slope_offset[:2])
+        rays = np.zeros((len(pixel), 4))
+        for weight, (right, down) in zip(weights, ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
+            column, row = cell[:, 0] + right, cell[:, 1] + down
+            counts = weight > 0
+            rays[counts] += (weight * slope_offset[:, row, column]).T[counts]
+            for name, share in shares.items():
+                rays[:, :2] += (weight * share * differences[name][:, row, column]).T
+        return rays
+
+
+def _second_differences(values: FloatArray) -> dict[str, FloatArray]:
+    """Of values (k, rows, columns), in units of a grid step squared, at each point.
+
+    Where a neighbour is missing, or beyond the border, the mean of those about the next points; 0 if there are none.
+    Mixed ones are the mean of those of the cells around a point.
+    """
+    padded = np.pad(values, ((0, 0), (2, 2), (2, 2)), constant_values=np.nan)
+    found = {}
+    for name, axis in (("along_rows", 2), ("along_columns", 1)):
+        line = np.take(padded, np.arange(2, padded.shape[3 - axis] - 2), 3 - axis)
+        difference = np.diff(line, 2, axis=axis)  # about the points, and one more at either end
+        before, about, after = (np.take(difference, np.arange(k, k + values.shape[axis]), axis) for k in range(3))
+        found[name] = np.where(np.isnan(about), _mean_of_known([before, after]), about)
+    of_cells = np.diff(np.diff(padded[:, 1:-1, 1:-1], axis=1), axis=2)
+    found["mixed"] = _mean_of_known(
+        [of_cells[:, :-1, :-1], of_cells[:, :-1, 1:], of_cells[:, 1:, :-1], of_cells[:, 1:, 1:]]
+    )
+    return found
+
+
+def _mean_of_known(values: list[FloatArray]) -> FloatArray:
+    """Without those that are NaN; 0 where all are."""
+    known = np.isfinite(values)
+    return np.asarray(np.sum(np.where(known, values, 0.0), axis=0) / np.maximum(known.sum(axis=0), 1))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import jinja2
 
+from wlr_render.escapes import html_text, plotly_text
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.records import to_jsonable
 
@@ -39,7 +40,9 @@ def _kind(block: object) -> str:
 
 @functools.cache
 def _template() -> jinja2.Template:
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, finalize=html_text, undefined=jinja2.StrictUndefined, trim_blocks=True
+    )
     environment.filters["png"] = lambda path: base64.b64encode(path.read_bytes()).decode("ascii")
     environment.filters["figure"] = _figure_json
     return environment.from_string(importlib.resources.files(__package__).joinpath("page.html.j2").read_text("utf-8"))
@@ -47,7 +50,7 @@ def _template() -> jinja2.Template:
 
 def _figure_json(plot: Plot) -> str:
     """Plotly's figure as JSON that may stand inside a script element."""
-    text = json.dumps(to_jsonable({"data": plot.data, "layout": plot.layout}), allow_nan=False)
+    text = json.dumps(plotly_text(to_jsonable({"data": plot.data, "layout": plot.layout})), allow_nan=False)
     return text.replace("<", "\\u003c")
 
 

@@ -6,11 +6,13 @@ import hashlib
 import os
 import shlex
 import sys
+import urllib.parse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from wlr_render import __version__
+from wlr_render.escapes import markdown_text
 from wlr_render.files import write_text
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.html import html_page
@@ -106,9 +108,13 @@ def table_record(table: ReportTable) -> dict[str, object]:
 
 def markdown(report: Report, folder: Path) -> str:
     """The report as Markdown; links are relative to `folder`."""
-    parts = [f"# {report.title}\n"]
-    parts += [f"{sentence}\n" for sentence in (report.verdict, *report.warnings) if sentence]
-    parts += ["".join(f"{number}. {step}\n" for number, step in enumerate(report.advice, 1))] if report.advice else []
+    parts = [f"# {markdown_text(report.title)}\n"]
+    parts += [f"{markdown_text(sentence)}\n" for sentence in (report.verdict, *report.warnings) if sentence]
+    parts += (
+        ["".join(f"{number}. {markdown_text(step)}\n" for number, step in enumerate(report.advice, 1))]
+        if report.advice
+        else []
+    )
     parts += [_markdown_block(block, folder) for block in report.blocks]
     return "\n".join(parts)
 
@@ -116,24 +122,26 @@ def markdown(report: Report, folder: Path) -> str:
 def _markdown_block(block: Block, folder: Path) -> str:
     match block:
         case Section():
-            return f"## {block.title}\n"
+            return f"## {markdown_text(block.title)}\n"
         case Text():
-            return "\n".join([block.text, *(f"- {item}" for item in block.items)]) + "\n"
+            return "\n".join([markdown_text(block.text), *(f"- {markdown_text(item)}" for item in block.items)]) + "\n"
         case ReportTable():
             return markdown_table(block)
         case Picture():
-            return f"![{block.caption or block.title}]({os.path.relpath(block.path, folder)})\n"
+            target = urllib.parse.quote(os.path.relpath(block.path, folder), errors="replace")
+            return f"![{markdown_text(block.caption or block.title)}]({target})\n"
         case Plot():
-            return f"*{block.title}*: an interactive plot in the HTML page. {block.caption}\n"
+            title, caption = markdown_text(block.title), markdown_text(block.caption)
+            return f"*{title}*: an interactive plot in the HTML page. {caption}\n"
 
 
 def markdown_table(table: ReportTable) -> str:
     """A Markdown table with its title and notes."""
-    lines = [f"### {table.title}", "", _line(table.columns), _line(["---"] * len(table.columns))]
+    lines = [f"### {markdown_text(table.title)}", "", _line(table.columns), _line(["---"] * len(table.columns))]
     lines += [_line(row) for row in table.text_rows()]
-    lines += ["", *table.notes] if table.notes else []
+    lines += ["", *map(markdown_text, table.notes)] if table.notes else []
     return "\n".join(lines) + "\n"
 
 
 def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+    return "| " + " | ".join(markdown_text(cell).replace("|", "\\|") for cell in cells) + " |"

@@ -3,10 +3,11 @@
 Names and messages may come from files of others: control characters are escaped and markup is not interpreted.
 """
 
+import io
 import sys
-import unicodedata
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -15,6 +16,7 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
+from wlr_render.escapes import printable, printable_lines
 from wlr_render.progress import Item, Progress
 from wlr_render.report.blocks import Report, ReportTable
 
@@ -24,26 +26,30 @@ MAX_ROWS = 20
 """Rows of a table that the terminal shows."""
 
 
-def escaped(text: str) -> str:
-    """Text with its control, formatting and unencodable characters written as Python escapes, e.g. ESC as `\\x1b`."""
-    unsafe = ("Cc", "Cf", "Cs", "Zl", "Zp")
-    return "".join(
-        char.encode("unicode_escape").decode() if unicodedata.category(char) in unsafe else char for char in text
-    )
-
-
 def say(*lines: object, error: bool = False) -> None:
     """Print lines, escaped, on standard output, or on standard error if `error`."""
     for line in lines:
-        print(escaped(str(line)), file=sys.stderr if error else sys.stdout)
+        print(printable(str(line)), file=_stream(error))
+
+
+def _stream(error: bool) -> TextIO:
+    """A standard stream, on which characters that its encoding lacks become escapes."""
+    stream = sys.stderr if error else sys.stdout
+    if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        stream.reconfigure(errors="backslashreplace")
+    return stream
 
 
 def _console(stderr: bool = False, width: int | None = None) -> Console:
+    _stream(stderr)
     return Console(stderr=stderr, width=width, markup=False, emoji=False)
 
 
 class TerminalProgress(Progress):
-    """Progress on standard error, so that standard output stays clean for pipes."""
+    """Progress on standard error, so that standard output stays clean for pipes.
+
+    Where standard error is no terminal, nothing is shown: its reader expects at most the one sentence of an error.
+    """
 
     def __init__(self, status: Status) -> None:
         self._status = status
@@ -57,15 +63,15 @@ class TerminalProgress(Progress):
             MofNCompleteColumn(),
             TimeRemainingColumn(),
         )
-        with Bar(*columns, console=self._status.console) as bar:
-            task = bar.add_task(escaped(label), total=total)
+        with Bar(*columns, console=self._status.console, disable=not self._status.console.is_terminal) as bar:
+            task = bar.add_task(printable(label), total=total)
             for item in items:
                 yield item
                 bar.advance(task)
 
     def say(self, text: str) -> None:
         """Show what is being done."""
-        self._status.update(Text(escaped(text)))
+        self._status.update(Text(printable(text)))
         self._status.start()
 
 
@@ -89,15 +95,15 @@ def print_report(report: Report) -> None:
         if len(table.rows) > MAX_ROWS:
             console.print(f"{len(table.rows) - MAX_ROWS} more rows are in the report's files.", style="dim")
         for note in table.notes:
-            console.print(escaped(note), style="dim", highlight=False)
+            console.print(printable(note), style="dim", highlight=False)
     if report.files:
         say("Written: " + ", ".join(str(path) for path in report.files))
 
 
 def _drawn(table: ReportTable) -> Table:
-    drawn = Table(title=escaped(table.title), title_justify="left")
+    drawn = Table(title=printable(table.title), title_justify="left")
     for index, column in enumerate(table.columns):
-        drawn.add_column(escaped(column), justify="left" if index == 0 else "right", overflow="fold")
+        drawn.add_column(printable(column), justify="left" if index == 0 else "right", overflow="fold")
     for row in table.text_rows()[:MAX_ROWS]:
-        drawn.add_row(*("\n".join(map(escaped, cell.split("\n"))) for cell in row))
+        drawn.add_row(*map(printable_lines, row))
     return drawn

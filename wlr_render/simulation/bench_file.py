@@ -28,13 +28,15 @@ from wlr_render.simulation.bench import (
 from wlr_render.simulation.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
 from wlr_render.toml_files import Table, read_toml, write_toml
 
+_MOST_POSES = 10_000
+_MOST_SIGMA = 1e6
 FORMAT = "bench-session"
 VERSION = 1
 WRITTEN_FRAME = "opencv"
 """Of the files that `save_bench` writes."""
 
 _ROTATION = Entry("rotation", ("rotation",), "three rows", (3, 3), MATRIX, ROTATION)
-_TRANSLATION = Entry("translation", ("translation",), "mm", (3,), POINT)
+_TRANSLATION = Entry("translation", ("translation",), "mm", (3,), POINT, largest=1e5)
 _PITCH = Entry("pitch", ("pitch_mm",), "distance of neighbouring dots", rule=POSITIVE)
 
 
@@ -125,7 +127,7 @@ def _sections(bench: Bench, axes: FloatArray) -> dict[str, dict[str, Any]]:
 def _device(file: Table, folder: Path) -> Device:
     spec = file.text("device")
     try:
-        return load_device(folder / spec if spec.endswith(".toml") else spec)
+        return load_device(file.path("device", folder) if spec.endswith(".toml") else spec)
     except BadInputError as error:
         raise file.fail(f"'device': {error}") from error
 
@@ -160,14 +162,17 @@ def _priors_of_cause(table: Table) -> dict[str, tuple[float, float]]:
             pair.finish()
         else:
             mean, sigma = table.vector(name, 2).tolist()
-        if not sigma > 0.0:
-            raise table.fail(f"the sigma of '{name}' is {sigma:g}; it must be above 0.")
+        if not 0.0 < sigma < _MOST_SIGMA or abs(mean) > _MOST_SIGMA:
+            raise table.fail(
+                f"the mean and sigma of '{name}' are {mean:g} and {sigma:g}; they must be at most {_MOST_SIGMA:g}, and "
+                "the sigma above 0."
+            )
         priors[name] = (mean, sigma)
     return priors
 
 
 def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:
-    tables = file.tables("target_pose", required=False)
+    tables = file.tables("target_pose", required=False, most=_MOST_POSES)
     pitch = [MM * float(_PITCH.read(table, axes)) for table in tables]
     poses = [_pose(table, axes) for table in tables]
     if len(stated.get("bow", [0])) not in (1, len(poses)):

@@ -12,6 +12,7 @@ import numpy as np
 
 from wlr_render.captures.session_schema import CAMERA_PIXEL, MM, Quantity
 from wlr_render.geometry.transforms import is_rotation
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import bench as parts
 from wlr_render.toml_files import Table
@@ -40,6 +41,8 @@ class Rule:
 
 POSITIVE = Rule("above 0", lambda value: bool(np.all(value > 0)))
 COUNT = Rule("a whole number above 0", lambda value: bool(np.all((value > 0) & (value == np.round(value)))))
+INVERTIBLE = Rule("a matrix of determinant 0.1 or more", lambda value: bool(abs(np.linalg.det(value)) >= 0.1))
+WAVELENGTH = Rule("0.2 to 2 micrometres", lambda value: bool(np.all((value >= 0.2) & (value <= 2))))
 ROTATION = Rule("a rotation matrix (orthogonal to 1e-6, determinant +1)", is_rotation)
 
 
@@ -54,6 +57,8 @@ class Entry:
         shape: of what one key holds; a number, n numbers, or n (-1: any number of) lists of m numbers.
         quantity: unit and frame.
         rule: what must hold for each key, if anything.
+        largest: plausible absolute value; None: 10 m of lengths, a million of others.
+        least: smallest plausible absolute value but 0.
     """
 
     attribute: str
@@ -62,6 +67,8 @@ class Entry:
     shape: tuple[int, ...] = ()
     quantity: Quantity = PLAIN
     rule: Rule | None = None
+    largest: float | None = None
+    least: float = 0.0
 
     def read(self, table: Table, axes: FloatArray) -> FloatArray | float:
         """The attribute from its keys, in the units and the frame of the bench."""
@@ -86,6 +93,13 @@ class Entry:
                 value = table.vectors(key, self.shape[1])
         if self.shape and self.shape[0] not in (-1, len(value)):
             raise table.fail(f"'{key}' must be {self.shape[0]} lists of {self.shape[1]} numbers, not {len(value)}.")
+        largest = self.largest or (1e4 if self.quantity in (LENGTH, POINT) else 1e6)
+        if np.any(np.abs(value) > largest):
+            raise table.fail(f"'{key}' is {value.tolist()}; {largest:g} is the most ({self.meaning}): check its unit.")
+        if np.any((value != 0) & (np.abs(value) < self.least)):
+            raise table.fail(
+                f"'{key}' is {value.tolist()}; {self.least:g} is the least ({self.meaning}): check its unit."
+            )
         if self.rule is not None and not self.rule.holds(value):
             raise table.fail(f"'{key}' is {value.tolist()}; it must be {self.rule.demand} ({self.meaning}).")
         return value
@@ -137,7 +151,7 @@ SECTIONS = {
     "camera": BenchSection(
         parts.EyeballCamera,
         (
-            Entry("size_px", ("width", "height"), "image size, pixels", rule=COUNT),
+            Entry("size_px", ("width", "height"), "image size, pixels", rule=COUNT, largest=LIMITS.picture_side),
             Entry("focal_px", ("fx", "fy"), "focal length, pixels", rule=POSITIVE),
             Entry("centre_px", ("cx", "cy"), "principal point, pixels", (), CAMERA_PIXEL),
             Entry(
@@ -145,6 +159,8 @@ SECTIONS = {
                 ("point_sigma_px",),
                 "standard deviation of a reading per axis (noise), camera pixels",
                 rule=POSITIVE,
+                largest=100.0,
+                least=1e-6,
             ),
             Entry(
                 "distortion",
@@ -160,7 +176,7 @@ SECTIONS = {
         parts.Stage,
         (
             Entry("origin", ("origin",), "stage reading at which `axes` changes nothing, mm", (3,), POINT),
-            Entry("axes", ("axes",), _AXES, (3, 3), MATRIX),
+            Entry("axes", ("axes",), _AXES, (3, 3), MATRIX, INVERTIBLE, largest=2.0),
             Entry(
                 "backlash",
                 ("backlash_mm",),
@@ -228,13 +244,13 @@ SECTIONS = {
                 ("channels_um",),
                 "wavelengths of red, green and blue, micrometres",
                 (3,),
-                rule=POSITIVE,
+                rule=WAVELENGTH,
             ),
             Entry(
                 "target_wavelength_um",
                 ("target_um",),
                 "wavelength in which targets are observed, micrometres",
-                rule=POSITIVE,
+                rule=WAVELENGTH,
             ),
         ),
     ),

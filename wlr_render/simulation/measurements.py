@@ -62,6 +62,12 @@ def load_measurements(
     table = replace(table, device=table.device.removesuffix(TRACED))
     if bench_file is None:
         bench = direction_bench(load_device(device) if device else _named_device(table, captures), table, captures)
+        if table.panel is not None and table.panel != bench.optics.panel.pixels:
+            stated, panel = table.panel, bench.optics.panel.pixels
+            raise BadInputError(
+                f"{captures}: is of a panel of {stated.width_px} x {stated.height_px} pixels, but {bench.device.name} "
+                f"has {panel.width_px} x {panel.height_px}; name the headset that was measured."
+            )
         table = replace(table, device=bench.device.name)  # a calibration may have called it otherwise
     else:
         bench = load_bench(bench_file)

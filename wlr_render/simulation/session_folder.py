@@ -1,17 +1,21 @@
 """Read and write session folders: bench.toml and one to three tables (format: docs/bench-session.md)."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
+from wlr_render.captures.capture_file import require_on_panel
+from wlr_render.captures.lens_file import require_plausible_view
+from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES
+from wlr_render.input_files import require_length
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.bench import Bench, Target
 from wlr_render.simulation.bench_file import (
@@ -26,6 +30,13 @@ from wlr_render.toml_files import read_toml
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
+_TABLES = {"display": "display", "dot_pixel": "seethrough", "seen": "runtime"}
+_REACH_M = 0.5  # of stage and eye: beyond, lengths are in another unit
+_NEAREST_M = 0.03  # of a target to the camera
+_MOST_PITCHES = 1000  # of dots in a row of a target
+_MANY = 10  # rows that cannot all be of one point
+_FACTOR, _LEAST_OFFSET_M = 100, 5e-3
+_LEAST_TRAVEL_M = 0.5e-3
 _SAME_PITCH = 1e-4  # of it: a target that was not measured again
 
 
@@ -161,7 +172,8 @@ def check_enough_captures(session: Session) -> None:
 
 
 def _tables(folder: Path, schema: Schema) -> list[Path]:
-    return [path for suffix in _SUFFIXES if (path := folder / f"{schema.name}{suffix}").exists()]
+    # A link that leads nowhere is a table that cannot be read, not one that is left out.
+    return [path for suffix in _SUFFIXES if os.path.lexists(path := folder / f"{schema.name}{suffix}")]
 
 
 def _table_path(folder: Path, schema: Schema) -> Path | None:
@@ -172,18 +184,107 @@ def _table_path(folder: Path, schema: Schema) -> Path | None:
 
 
 def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:
-    """Readings that lie on the panel, and poses that the bench has."""
-    if "panel_pixel" in readings:
-        pixel, size = readings["panel_pixel"], bench.optics.panel.pixels.size_px
-        if np.all(np.any((pixel < 0) | (pixel > size), axis=1)):
-            raise BadInputError(
-                f"{folder}: in the display table every pixel_u, pixel_v is outside the panel of {bench.device.name} "
-                f"({size[0]:g} x {size[1]:g} pixels); name the device that was measured, or decode in its pixels."
+    """Refuse readings that the bench cannot have taken, such as lengths in metres, and poses that it lacks."""
+    camera = bench.camera
+    require_plausible_view(f"{folder}: [camera] of the bench", camera.size_px, camera.focal_px, camera.centre_px)
+    for name, plan in plans.items():
+        if name == "run_time":
+            require_length(
+                f"{folder}: the distance of the viewpoint from the eye box in the runtime table",
+                plan.viewpoint - bench.optics.eye_box.centre,
+                _REACH_M,
             )
+            continue
+        table = next(schema.name for schema in SCHEMAS if schema.plan == name)
+        require_length(
+            f"{folder}: the distance of the stage from 'origin' in the {table} table",
+            plan.stage - bench.stage.origin,
+            _REACH_M,
+        )
+        _require_one_unit(folder, table, plan.stage, bench.stage.origin)
+        _require_side(folder, table, plan.stage, bench)
+        travel = float(np.linalg.norm(np.ptp(plan.stage, axis=0)))
+        if 0 < travel < _LEAST_TRAVEL_M:
+            raise BadInputError(
+                f"{folder}: the stage travels {travel / MM:g} mm in the {table} table; are its readings in metres? "
+                "Convert them to millimetres."
+            )
+    if "panel_pixel" in readings:
+        size = bench.optics.panel.pixels.size_px
+        require_on_panel(f"{folder}: {bench.device.name}, display table", readings["panel_pixel"], size)
+    pictures: dict[str, FloatArray] = {name: readings[name] for name in ("dot_pixel", "seen") if name in readings}
+    if "display" in plans:
+        pictures["display"] = plans["display"].camera_pixel
+    for name, pixel in pictures.items():
+        _require_in_picture(folder, _TABLES[name], pixel.reshape(-1, 2), bench.camera.size_px)
+    if "display" in plans:
+        _require_spread(folder, "the camera pixels in the display table", plans["display"].camera_pixel)
+        _require_spread(folder, "the panel positions in the display table", readings["panel_pixel"])
     if "see_through" in plans:
+        _require_spread(folder, "the dots of the target in the seethrough table", plans["see_through"].dot)
+        _require_spread(folder, "the camera pixels in the seethrough table", readings["dot_pixel"])
+        _check_targets(folder, bench, plans["see_through"])
         poses, highest = len(bench.target.pitch), plans["see_through"].target_pose.max()
         if highest >= poses:
             raise BadInputError(
                 f"{folder}: the seethrough table names target_pose {highest}, but its bench has {poses} "
                 f"[[target_pose]], counted from 0; add the missing ones."
             )
+
+
+def _check_targets(folder: Path, bench: Bench, plan: SeeThroughPlan) -> None:
+    """Refuse targets behind the camera, and a pitch in another unit than the dots."""
+    for number, (pose, pitch) in enumerate(zip(bench.target.device_from_target, bench.target.pitch, strict=True)):
+        place = f"{folder}: [[target_pose]] number {number + 1} of the bench"
+        if bench.stage.origin[2] - pose[2, 3] < _NEAREST_M:
+            raise BadInputError(
+                f"{place}: 'translation' is not {_NEAREST_M / MM:g} mm or more in front of the stage's 'origin'; is it "
+                "in metres, or in another frame? Convert it."
+            )
+        dots = plan.dot[plan.target_pose == number]
+        extent = float(np.ptp(dots, axis=0).max()) if len(dots) else 0.0
+        if extent > 0 and not extent / _MOST_PITCHES < pitch < _FACTOR * extent:
+            raise BadInputError(
+                f"{place}: 'pitch_mm' is {pitch / MM:g}, but the dots in the seethrough table lie over "
+                f"{extent / MM:g} mm; is one of them in metres? Convert it to millimetres."
+            )
+
+
+def _require_spread(folder: Path, what: str, values: FloatArray) -> None:
+    """Refuse positions (n, 2) that are all the same: a column that was never filled in."""
+    known = values[np.isfinite(values).all(axis=1)]
+    if len(known) >= _MANY and np.ptp(known, axis=0).max() == 0.0:
+        raise BadInputError(f"{folder}: {what} are the same in all {len(known)} rows; record where each point is.")
+
+
+def _require_one_unit(folder: Path, table: str, stage: FloatArray, origin: FloatArray) -> None:
+    """Refuse an axis of a stage (n, 3) whose readings are far from its origin (3,) by a factor, as metres are."""
+    reading, stated = np.abs(stage), np.abs(origin)
+    small = (reading.max(axis=0) < stated / _FACTOR) & (stated > _LEAST_OFFSET_M)
+    large = (stated > 0) & (stated < reading.min(axis=0) / _FACTOR) & (reading.min(axis=0) > _LEAST_OFFSET_M)
+    if np.any(small | large):
+        axis = int(np.argmax(small | large))
+        raise BadInputError(
+            f"{folder}: stage_{'xyz'[axis]}_mm in the {table} table is {stage[0, axis] / MM:g} mm, but 'origin' in "
+            f"bench.toml is {origin[axis] / MM:g} mm; is one of them in metres? Convert it to millimetres."
+        )
+
+
+def _require_side(folder: Path, table: str, stage: FloatArray, bench: Bench) -> None:
+    """Refuse a camera that stood on the other side of the head than the eye of the bench."""
+    eye, place = float(bench.optics.eye_box.centre[0]), float(np.median(stage[:, 0]))
+    if abs(eye) > _LEAST_OFFSET_M and abs(place - eye) - abs(place + eye) > abs(eye):
+        raise BadInputError(
+            f"{folder}: stage_x_mm in the {table} table is {place / MM:.3g} mm, but the {bench.eye} eye of "
+            f"{bench.device.name} is at {eye / MM:.3g} mm; correct 'eye' or 'frame' in bench.toml, or the readings."
+        )
+
+
+def _require_in_picture(folder: Path, table: str, pixel: FloatArray, size_px: FloatArray) -> None:
+    """Refuse camera pixels (n, 2) outside the picture by more than its own size."""
+    far = np.any((pixel < -size_px) | (pixel > 2 * size_px), axis=1)
+    if far.any():
+        raise BadInputError(
+            f"{folder}: the {table} table has the camera pixel {pixel[far][0].tolist()}, far outside the picture of "
+            f"{size_px[0]:g} x {size_px[1]:g} pixels; correct it, or the size of the picture in [camera]."
+        )

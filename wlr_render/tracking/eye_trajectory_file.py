@@ -17,13 +17,23 @@ import numpy as np
 
 from wlr_render import files
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, RotatingEye
-from wlr_render.tracking.text_rows import Row, TextTable, read_text_table, require_ascending_rows, shortest
+from wlr_render.tracking.text_rows import (
+    Row,
+    TextTable,
+    read_text_table,
+    require_ascending_rows,
+    require_plausible_motion,
+    shortest,
+)
 from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, ViewpointTrack
 
 EYE_FORMAT = "wlr-eye-trajectory 1"
 EYE_FRAME = "openxr-device"
+_FAR_M = 0.5  # of an eye from the origin of the device
+_PUPIL_DISTANCE_M = 0.0, 0.03
 
 
 def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
@@ -31,7 +41,8 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
 
     Raises:
         BadInputError: unreadable or empty file, a missing or unknown header, wrong column count, unknown eye, a value
-            that is not finite, a gaze that is not of unit length or looks backwards, times that do not ascend.
+            that is not finite, a gaze that is not of unit length or looks backwards, times that do not ascend, times
+            or positions of another unit.
     """
     table = read_text_table(path)
     header = _Header(table)
@@ -42,6 +53,7 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
         time_s, vector = content[:, 0], content[:, 1:]
         require_ascending_rows(rows, time_s)
         name = f"{path} ({eye} eye)"
+        require_plausible_motion(name, time_s, 0.0 * vector if gaze else vector, _FAR_M)
         tracks[eye] = (
             GazeTrack(time_s, vector, header.eye_model(eye), name) if gaze else ViewpointTrack(time_s, vector, name)
         )
@@ -54,7 +66,7 @@ def _rows_by_eye(table: TextTable) -> dict[str, list[Row]]:
         row.require_columns((5,), "time eye x y z")
         eye = row.fields[1]
         if eye not in EYES:
-            raise row.fail(f"unknown eye '{eye}'; it must be one of {', '.join(EYES)}.")
+            raise row.fail(f"unknown eye {shown(eye)}; it must be one of {', '.join(EYES)}.")
         by_eye.setdefault(eye, []).append(row)
     return by_eye
 
@@ -81,7 +93,7 @@ class _Header:
         """Value of a header key, one of `choices`."""
         value = self._values.get(key)
         if value not in choices:
-            found = "is missing" if value is None else f"is '{value}'"
+            found = "is missing" if value is None else f"is {shown(value)}"
             raise BadInputError(f"{self._path}: header '# {key}:' {found}; it must be {' or '.join(choices)}.")
         return value
 
@@ -97,9 +109,18 @@ class _Header:
 
     def eye_model(self, eye: str) -> RotatingEye:
         """Eye model that the header states."""
-        centre = np.array(self.numbers(f"rotation_centre_{eye}_m", 3))
-        has_distance = "pupil_distance_m" in self._values
-        return RotatingEye(centre, self.numbers("pupil_distance_m", 1)[0] if has_distance else PUPIL_DISTANCE_M)
+        key = f"rotation_centre_{eye}_m"
+        centre = np.array(self.numbers(key, 3))
+        require_length(f"{self._path}: header '# {key}:'", centre, _FAR_M)
+        if "pupil_distance_m" not in self._values:
+            return RotatingEye(centre, PUPIL_DISTANCE_M)
+        (distance,), (low, high) = self.numbers("pupil_distance_m", 1), _PUPIL_DISTANCE_M
+        if not low <= distance <= high:
+            raise BadInputError(
+                f"{self._path}: header '# pupil_distance_m:' is {distance:g}; it must lie between {low:g} and {high:g} "
+                "metres."
+            )
+        return RotatingEye(centre, distance)
 
 
 def write_eye_trajectory(path: str | Path, trajectory: EyeTrajectory) -> Path:

@@ -14,8 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render import files
-from wlr_render.tracking.text_rows import Row, read_text_table, require_ascending_rows, shortest
+from wlr_render.input_files import shown
+from wlr_render.tracking.text_rows import (
+    Row,
+    read_text_table,
+    require_ascending_rows,
+    require_plausible_motion,
+    shortest,
+)
 from wlr_render.tracking.trajectory import HeadTrajectory
+
+_FAR_M = 1000.0  # from the origin of the world
 
 
 def read_head_trajectory(path: str | Path) -> HeadTrajectory:
@@ -23,12 +32,13 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
 
     Raises:
         BadInputError: unreadable or empty file, wrong column count, a value that is not finite, a quaternion that is
-            not of unit length, times that do not ascend.
+            not of unit length, times that do not ascend, times or positions of another unit.
     """
     table = read_text_table(path)
     read_row = _euroc_row if table.comma_separated else _tum_row
     content = np.array([read_row(row) for row in table.rows])
     require_ascending_rows(table.rows, content[:, 0])
+    require_plausible_motion(str(path), content[:, 0], content[:, 1:4], _FAR_M)
     return HeadTrajectory(content[:, 0], content[:, 1:4], content[:, 4:8], str(path))
 
 
@@ -45,7 +55,9 @@ def _euroc_row(row: Row) -> list[float]:
     try:
         time_s = int(row.fields[0]) / 1e9
     except ValueError:
-        raise row.fail(f"time '{row.fields[0]}' is not in integer nanoseconds, as EuRoC has it.") from None
+        raise row.fail(
+            f"time {shown(row.fields[0])} is not in integer nanoseconds, as EuRoC has it; convert it."
+        ) from None
     w, x, y, z = row.unit_vector(4, 4, "quaternion")
     return [time_s, *row.numbers(1, 3), x, y, z, w]
 

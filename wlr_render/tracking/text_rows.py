@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 
 UNIT_TOLERANCE = 1e-3
 """How far a printed quaternion or direction may be from unit length; beyond it, it is something else."""
+_SLOWEST_S = 4.0  # between rows
+_FASTEST_M_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Row:
         """Check the number of columns."""
         if len(self.fields) not in counts:
             allowed = " or ".join(str(count) for count in counts)
-            raise self.fail(f"{len(self.fields)} columns where {allowed} are expected ({layout}).")
+            raise self.fail(f"{len(self.fields)} columns where {allowed} are expected ({layout}); correct it.")
 
     def number(self, column: int) -> float:
         """A finite number."""
@@ -44,9 +47,11 @@ class Row:
         try:
             value = float(text)
         except ValueError:
-            raise self.fail(f"column {column + 1} is '{text}', not a number.") from None
+            raise self.fail(f"column {column + 1} is {shown(text)}, not a number; correct it.") from None
         if not np.isfinite(value):
-            raise self.fail(f"column {column + 1} is {text}; leave out lines without a measurement.")
+            raise self.fail(
+                f"column {column + 1} is {shown(text, quoted=False)}; leave out lines without a measurement."
+            )
         return value
 
     def numbers(self, start: int, count: int) -> list[float]:
@@ -86,12 +91,9 @@ def read_text_table(path: str | Path) -> TextTable:
         BadInputError: the file cannot be read or has no rows.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: is not a text file ({error.reason}).") from error
+    lines = read_text(path, "a trajectory", LIMITS.table_bytes).splitlines()
+    if len(lines) > LIMITS.rows:
+        raise BadInputError(f"{path}: has {len(lines)} lines, more than {LIMITS.rows}; cut it into parts.")
     stripped = [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
     comments = tuple(text.lstrip("#").strip() for _, text in stripped if text.startswith("#"))
     content = [(number, text) for number, text in stripped if not text.startswith("#")]
@@ -114,7 +116,38 @@ def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray) -> None:
     late = np.flatnonzero(np.diff(time_s) <= 0)
     if late.size:
         row = rows[int(late[0]) + 1]
-        raise row.fail(f"time {row.fields[0]} does not come after the row before it; sort the rows, drop duplicates.")
+        raise row.fail(
+            f"time {shown(row.fields[0], quoted=False)} does not come after the row before it; sort the rows, "
+            "drop duplicates."
+        )
+
+
+def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatArray, at_most_m: float) -> None:
+    """Ask about positions (n, 3) in millimetres and times (n,) in milliseconds.
+
+    Raises:
+        BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or most of five
+            or more rows are seconds apart.
+    """
+    if np.abs(time_s).max(initial=0.0) > LIMITS.time_s:
+        raise BadInputError(
+            f"{where}: a time is {np.abs(time_s).max():g} s, more than {LIMITS.time_s:g} s; correct it."
+        )
+    require_length(f"{where}: a position", position_m, at_most_m)
+    if len(time_s) < 2:
+        return
+    interval = np.diff(time_s)
+    speed = np.median(np.linalg.norm(np.diff(position_m, axis=0), axis=1) / interval)
+    if speed > _FASTEST_M_S:
+        raise BadInputError(
+            f"{where}: moves at {speed:.3g} m/s, faster than the plausible {_FASTEST_M_S:g} m/s; are its positions in "
+            "millimetres? Convert them to metres, and its times to seconds."
+        )
+    if len(interval) >= 4 and np.median(interval) > _SLOWEST_S:
+        raise BadInputError(
+            f"{where}: has a row every {np.median(interval):.3g} s, more than the plausible {_SLOWEST_S:g} s; are its "
+            "times in milliseconds? Convert them to seconds."
+        )
 
 
 def shortest(values: Iterable[float]) -> str:

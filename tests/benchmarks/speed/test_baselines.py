@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import offline
-from benchmarks.speed.baselines import bare_gl_frame, raw_embree
+from benchmarks.speed.baselines import bare_gl_frame, raw_embree, shaded_gl_frame
 from benchmarks.speed.workload import HEAD_POSE, bench_scene
 from wlr_render.errors import MissingGlError
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.painters import WarpedPainter
-from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.rendering.view import View
 
 
@@ -36,22 +36,54 @@ def test_raw_embree_finds_what_our_tracer_finds(scene, small_panel_model):
     assert (raw["primID"] == ours.triangle)[both].mean() > 0.999
 
 
-@pytest.mark.gl
-def test_the_bare_opengl_frame_draws_our_silhouette(scene, small_panel_model):
-    eye, centre = small_panel_model, small_panel_model.eye_box.centre
+@pytest.fixture(scope="module")
+def ours(scene, small_panel_model):
+    """Our picture from a view at the display's size, and that view."""
     try:
         context = gl.open_context("egl")
     except MissingGlError as error:
         pytest.skip(str(error))
-    camera = WarpedPainter(eye, open_raster_backend(scene, "cpu")).view(centre, HEAD_POSE).camera
-    axes = choose_plan(eye).device_from_camera
-    view = View(offline._at_display_size(camera, eye.display.panel), centre, HEAD_POSE, axes)
+    panel = small_panel_model.display.panel
+    camera = EyePlan.of((small_panel_model,), (panel.width_px, panel.height_px), 1.0).camera
+    axes = choose_plan(small_panel_model).device_from_camera
+    view = View(offline._at_display_size(camera, panel), small_panel_model.eye_box.centre, HEAD_POSE, axes)
     with context:
-        ours = GlRaster(context, scene).draw(view).inverse_depth > 0
-    assert 0.1 < ours.mean() < 0.9
-    # A map that leads to each pixel's own place, and one that leads to the place that is mirrored about both axes.
-    centres = np.stack(np.meshgrid((np.arange(90) + 0.5) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
-    for source_uv, expected in ((centres, ours), (1 - centres, ours[::-1, ::-1])):
-        run = bare_gl_frame(offline._in_world(scene), view, source_uv.astype(np.float32))
-        drawn = np.frombuffer(run(), np.uint8).reshape(100, 90, 4)[..., :3].max(axis=-1) > 0
-        assert (drawn != expected).mean() < 0.005
+        return view, GlRaster(context, scene).draw(view)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("make", [bare_gl_frame, shaded_gl_frame])
+def test_bare_opengl_frames_draw_our_silhouette_where_the_map_leads(scene, ours, make, mirrored):
+    view, picture = ours
+    shown = picture.inverse_depth > 0
+    assert 0.1 < shown.mean() < 0.9
+    own = np.stack(np.meshgrid((np.arange(90) + 0.5) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
+    run = make(scene, view, (1 - own if mirrored else own).astype(np.float32))
+    drawn = np.frombuffer(run(), np.uint8).reshape(100, 90, 4)[..., :3].max(axis=-1) > 0
+    assert (drawn != (shown[::-1, ::-1] if mirrored else shown)).mean() < 0.005
+
+
+@pytest.mark.gl
+def test_the_shaded_frame_has_our_colours(scene, ours):
+    view, picture = ours
+    own = np.stack(np.meshgrid((np.arange(90) + 0.5) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
+    drawn = np.frombuffer(shaded_gl_frame(scene, view, own.astype(np.float32))(), np.uint8).reshape(100, 90, 4)
+    shown = picture.inverse_depth > 0
+    assert picture.colour[shown].std() > 20
+    difference = np.abs(drawn[..., :3].astype(int) - picture.colour)[shown]
+    assert np.median(difference) <= 1
+    assert (difference > 2).mean() < 0.01
+
+
+@pytest.mark.gl
+def test_the_shaded_frame_is_filtered_in_linear_light(scene, ours):
+    """Half a pixel aside each pixel shows the mean of two; of codes it would be darker at silhouettes."""
+    view, picture = ours
+    aside = np.stack(np.meshgrid(np.arange(1, 91) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
+    drawn = np.frombuffer(shaded_gl_frame(scene, view, aside.astype(np.float32))(), np.uint8).reshape(100, 90, 4)
+    pair = np.stack([picture.colour[:, :-1], picture.colour[:, 1:]])
+    expected = encode_srgb(decode_srgb(pair).mean(axis=0))
+    edge = np.abs(pair[0].astype(int) - pair[1]).max(axis=-1) > 60
+    assert edge.sum() > 20
+    assert np.abs(drawn[:, :-1, :3].astype(int) - expected)[edge].max() <= 3

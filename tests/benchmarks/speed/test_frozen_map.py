@@ -19,6 +19,7 @@ from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.headset import open_eye
 from wlr_render.mappings import QueryResult, Status
+from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN
 from wlr_render.rendering.ray_map import middle_axes, solve_pixels
 
 PANEL_DEPTH_M = 0.5
@@ -138,7 +139,7 @@ def test_the_table_says_what_the_map_and_what_the_pupil_costs(bare_panel):
 
 
 def test_a_map_that_follows_the_eye_is_right_where_a_frozen_one_is_not(small_panel_model):
-    """So few pixels are points of the warp grid themselves."""
     *_, frozen, followed = frozen_map_table(small_panel_model).rows
-    assert max(followed[1:]) < 1e-6
+    # At the nearest depth, from viewpoints other than those at which the warp grid was chosen.
+    assert max(followed[1:]) < 1.5 * TOLERANCE_ARCMIN
     assert min(frozen[1:]) > 10

@@ -34,6 +34,8 @@ def test_a_saved_board_comes_back(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
+        ("pitch_mm = ", "pitch_mm = 9999", "0.05 to 2000 mm are plausible: check its unit"),
+        ("scale_sigma = 0", "scale_sigma = 90", "it must be a standard deviation, 0 to 0.5"),
         ("pitch_mm", "pitch_m", r"'pitch_mm' is missing \(found 'pitch_m' instead\)"),
         ("large_mm = 6.0", "large_mm = 60.0", "nearly touch"),
         ("columns = 18", "columns = 17", "'columns' is 17, but 'sizes' has 18 columns"),
@@ -153,6 +155,13 @@ def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "old", "new", "sentence"),
     [
+        (
+            "chessboard",
+            "corner_columns = ",
+            "corner_columns = 99999",
+            "'corner_columns' must be a whole number from 3 to 2000",
+        ),
+        ("circles", "rows = ", "rows = 9999", "'rows' must be a whole number from 3 to 2000"),
         ("charuco", 'kind = "charuco"', 'kind = "charucco"', "'kind' is 'charucco'; it must be one of dots, charuco"),
         ("charuco", "marker_mm = 19.05", "marker_mm = 30", "'marker_mm' is not smaller than 'square_mm'"),
         ("charuco", "DICT_4X4_1000", "DICT_4X4", "'dictionary' is 'DICT_4X4'; it must be one of"),

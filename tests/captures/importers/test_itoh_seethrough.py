@@ -93,7 +93,7 @@ def test_outer_corner_of_the_top_left_pixel_is_the_origin(tmp_path):
 @pytest.mark.parametrize(
     ("replaced", "sentence"),
     [
-        ({"P_IDS2Marker": None}, "P_IDS2Marker.txt: cannot be read"),
+        ({"P_IDS2Marker": None}, "P_IDS2Marker.txt: there is no such file"),
         ({"P_IDS2Marker": "1 2 3"}, "does not start as a text archive"),
         ({"P_IDS2Marker": archive(TIME_NS, pose([0, 0, 0, 1], [0, 0]))}, "has 18 tokens, a pose has 19"),
         ({"P_IDS2Marker": archive(TIME_NS, pose([0, 0, 1, 1], [0, 0, -1]))}, "quaternion has the length 1.41421"),
@@ -101,7 +101,7 @@ def test_outer_corner_of_the_top_left_pixel_is_the_origin(tmp_path):
         ({"2dPointsOnViewPoint": archive(TIME_NS, points(np.zeros((4, 2))))}, "5 dots on the grid, 4 seen without"),
         ({"2dPointsOnViewPoint": archive(TIME_NS, points(np.full((5, 2), np.nan)))}, "not finite"),
         ({"2dPointsOnViewPoint": archive(TIME_NS, points(DOTS[:, :2])[:-1])}, "holds 9 numbers"),
-        ({"2dPointsOnViewPoint": archive(TIME_NS, [*points(DOTS[:, :2])[:-1], "x"])}, "not a number"),
+        ({"2dPointsOnViewPoint": archive(TIME_NS, [*points(DOTS[:, :2])[:-1], "x"])}, "cannot be read as numbers"),
     ],
 )
 def test_faulty_files_are_refused_with_a_sentence(tmp_path, replaced, sentence):

@@ -130,11 +130,17 @@ def scrambled_monitor(folder):
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
-        (lambda folder: (folder / "CU_HeightCalibration.png").unlink(), "CU_HeightCalibration.png: cannot be read"),
-        (lambda folder: (folder / "config.json").write_text("{}"), "lacks the monitor's size"),
-        (lambda folder: (folder / "config.json").write_text("{"), "is not valid JSON"),
-        (lambda folder: (folder / "cameraCalibration.json").write_text("{}"), "lacks two cameras"),
-        (negative_baseline, "'baseline' is -0.06; it must be a positive number of metres"),
+        (
+            lambda folder: (folder / "CU_HeightCalibration.png").unlink(),
+            "CU_HeightCalibration.png: there is no such file",
+        ),
+        (
+            lambda folder: (folder / "config.json").write_text("{}"),
+            "key 'CalibrationMonitorActiveAreaMeters' is missing",
+        ),
+        (lambda folder: (folder / "config.json").write_text("{"), "cannot be read as settings of the rig"),
+        (lambda folder: (folder / "cameraCalibration.json").write_text("{}"), "key 'deviceCalibrations' is missing"),
+        (negative_baseline, "'baseline' has the value -0.06; it must be above 0, and at most 1"),
         (empty_map, "holds only 0 usable samples"),
         (wrong_size, "grey images of one size"),
         (scrambled_monitor, "the monitor misses its map"),

@@ -66,13 +66,13 @@ def test_several_captures_are_to_be_chosen_from(capture):
 def test_a_calibration_that_is_not_there_or_none_is_named(capture):
     file = capture.parent / "calibration_result.xml"
     file.write_text('<?xml version="1.0"?>\n<opencv_storage>\n<rms>1.</rms>\n</opencv_storage>\n')
-    with pytest.raises(BadInputError, match="holds no camera and projector"):
+    with pytest.raises(BadInputError, match="'img_shape' must be 2 finite numbers"):
         read_procam_graycode(capture)
     file.write_text("not xml")
-    with pytest.raises(BadInputError, match="holds no camera and projector"):
+    with pytest.raises(BadInputError, match="cannot be read as a calibration"):
         read_procam_graycode(capture)
     file.unlink()
-    with pytest.raises(BadInputError, match="there is no such calibration"):
+    with pytest.raises(BadInputError, match="there is no such file; copy it from the set"):
         read_procam_graycode(capture)
 
 

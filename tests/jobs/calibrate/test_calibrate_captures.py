@@ -378,7 +378,7 @@ def test_a_prescription_without_the_eye_is_refused(calibrated, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (["--noise-px", "-1"], "--noise-px is -1.0; it must be a finite number of 0 or more."),
+        (["--noise-px", "-1"], "--noise-px is -1.0; it must be between 0 and 600."),
         (["--degree", "13"], "--degree is 13; it must be between 1 and 12."),
         (["--kind", "cubic"], "Invalid value"),
         (["--kind", "grey-box"], "--kind grey-box needs --prescription DEVICE"),

@@ -74,12 +74,20 @@ def missing(session):
     os.remove(session.folder / SEEN)
 
 
+def a_pipe(session):
+    """In place of a photograph that an earlier run has read, which nobody writes into."""
+    session.read()
+    os.remove(session.folder / SEEN)
+    os.mkfifo(session.folder / SEEN)
+
+
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
         (without_a_board, "show more of the board"),
         (another_size, "is 400 x 200 pixels, but its camera has 400 x 320"),
-        (missing, "there is no such photograph"),
+        (missing, "there is no such file; take the photograph"),
+        pytest.param(a_pipe, "is a pipe", marks=pytest.mark.skipif(os.name == "nt", reason="makes a pipe")),
     ],
 )
 def test_a_board_photograph_that_is_not_what_it_should_be_is_a_fault(photo_session, spoil, reason):
@@ -173,7 +181,7 @@ def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, c
     tables = record["tables"]
     (aside,) = [table["rows"] for table in tables if table["title"] == "Excluded"]
     reasons = {row["photograph"]: row["reason"] for row in aside}
-    assert reasons[SEEN].startswith("there is no such photograph")
+    assert reasons[SEEN].startswith("there is no such file; take the photograph")
     assert reasons[SET].startswith("photograph 0 ('white')")
     (fits,) = [table["rows"] for table in tables if table["title"] == "Fit"]
     (sizes,) = [table["rows"] for table in tables if table["title"] == "Sizes"]
@@ -267,12 +275,15 @@ def in_metres(content):
     ("change", "complaint"),
     [
         (in_metres, r"'stage_mm (travel of [[bare]])' should be between 0.5 and 500 mm"),
-        (lambda content: content["eye_box"].update(size_mm=[0.01, 0.008, 0.006]), "'size_mm' should be between"),
+        (
+            lambda content: content["eye_box"].update(size_mm=[0.01, 0.008, 0.006]),
+            "below 0.5 mm on an axis; is it in metres",
+        ),
         (
             lambda content: content["tracking_camera"].update(translation_mm=[0.0, 0.05, 0.06]),
             "'translation_mm' should",
         ),
-        (lambda content: content.update(unit="m"), "'unit' is 'm'; a session is in millimetres"),
+        (lambda content: content.update(unit="m"), "'unit' is 'm'; a session is in mm: convert its lengths"),
         (lambda content: content.update(frame="openxr"), "check 'frame'"),
         (lambda content: content["eyeball_camera"].update(bits=12), "check its 'bits'"),
         (lambda content: content.update(bare=[]), "'bare' is empty"),
@@ -332,4 +343,5 @@ def test_three_camera_positions_are_fitted_and_the_report_says_what_one_more_row
 def test_two_camera_positions_are_refused_where_the_stage_turns(photo_session):
     """The motions of two cameras explain whatever the display does."""
     photo_session.edit(lambda content: content.update(display=content["display"][:2]))
-    assert "the display captures of tilted_plate do not determine a planar model" in photo_session.refusal()
+    # Rounding decides whether the fit has no solution or one that bends to and fro.
+    assert "add camera positions" in photo_session.refusal()

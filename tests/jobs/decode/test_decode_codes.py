@@ -44,6 +44,8 @@ def test_photographs_of_another_panel_are_refused(photographed, tmp_path):
     with pytest.raises(BadInputError, match="photograph"):
         decode(DecodeVerbOptions(photographed[0], panel=(300, 64), pattern="gray", out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
+    with pytest.raises(BadInputError, match=f"^{photographed[0]}: photograph 0"):
+        decode(DecodeVerbOptions(photographed[0], panel=(96, 64), pattern="gray", order="opencv", out=tmp_path / "out"))
 
 
 def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data, tmp_path):

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_headsets import changed_device
 
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
@@ -173,8 +174,8 @@ def test_captures_without_see_through_are_refused(bench, tmp_path):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--accuracy-arcmin", "0"], "--accuracy-arcmin is 0.0; it must be a finite number above 0."),
-        (["--repeatability-um", "-1"], "--repeatability-um is -1.0; it must be a finite number of 0 or more."),
+        (["--accuracy-arcmin", "0"], "--accuracy-arcmin is 0.0; it must be between 0.001 and 600."),
+        (["--repeatability-um", "-1"], "--repeatability-um is -1.0; it must be between 0 and 10000."),
         (["--depths-m", "0.5", "0.5"], "see-through needs targets at two distances at least"),
         (["--most-places", "5"], "--most-places is 5; it must be between 9 and 200."),
         (["--add", "3"], "--add is used with --calibration only"),
@@ -191,3 +192,10 @@ def test_bad_options_get_a_sentence(options, sentence, capsys, tmp_path):
 def test_a_fitted_model_is_no_prescription(tmp_path):
     with pytest.raises(BadInputError, match="is a fitted model; a plan needs the headset's prescription"):
         plan(PlanOptions("model.json", out=tmp_path))
+
+
+def test_a_panel_whose_middle_is_not_seen_is_refused(tmp_path):
+    device = changed_device(tmp_path, "no_optics", ("[1280, 720]", "[4, 4]"))
+    with pytest.raises(BadInputError, match="no_optics: the 8 x 8 pixels in the middle of the panel are not all seen"):
+        plan(PlanOptions(device, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()

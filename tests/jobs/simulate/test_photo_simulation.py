@@ -10,7 +10,7 @@ from small_photo_session import state_lenses
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.simulation.photographs.recipe import difference, load_recipe, save_recipe
-from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
+from wlr_render.simulation.photographs.simulate_photo_session import TakenPhotographs, simulate_photo_session
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, take
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
@@ -26,8 +26,13 @@ def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session):
     untouched = kept.stat()
     for name in LOST:
         (folder / name).unlink()
+    cut = next(folder.glob(f"{PANEL_SET}/002_*.png"))
+    whole = cut.read_bytes()
+    cut.unlink()  # a hard link of the session that all tests copy
+    cut.write_bytes(whole[:-100])
     made = simulate_photo_session(folder, photo_session.recipe)
-    assert made == (3, 200 - 3)
+    assert made == TakenPhotographs(4, 200 - 4, [cut])
+    assert cut.read_bytes() == whole
     photo_session.edit(state_lenses)  # as the copied session was edited
     assert {name: (folder / name).read_bytes() for name in LOST} == before
     assert kept.stat().st_mtime_ns == untouched.st_mtime_ns
@@ -35,7 +40,7 @@ def test_interrupted_work_goes_on_and_ends_as_if_it_had_not_been(photo_session):
 
 def test_a_finished_session_is_left_as_it_is(photo_session):
     made = simulate_photo_session(photo_session.folder, photo_session.recipe)
-    assert made == (0, 200)
+    assert made == TakenPhotographs(0, 200, [])
     assert photo_session.calibrate().reading.kept == 60
 
 
@@ -104,7 +109,7 @@ def photographed(bench, folder, eye):
     """A photograph of the board without the headset, which differs between eyes in its noise only."""
     shot = BoardShot(folder / "bare" / "board.png", bench.device_from_target[0])
     lens, sensor, at = bench.eyeball, bench.eyeball_sensor, bench.camera_at(np.zeros(3))
-    assert take(CameraPose(lens, sensor, at, None, bench.board, [shot], eye=eye)) == 1
+    assert take(CameraPose(lens, sensor, at, None, bench.board, [shot], eye=eye)) == [shot.path]
     return read_photograph(shot.path).astype(int)
 
 

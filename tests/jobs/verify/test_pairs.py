@@ -59,6 +59,26 @@ def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
     assert record["photographs"] == str(pairs)
 
 
+@pytest.mark.parametrize(
+    ("damage", "sentence"),
+    [
+        (lambda path: path.write_bytes(path.read_bytes()[:900]), "cannot be read as a"),
+        (
+            lambda path: write_photograph(path, np.full((40, 30), 99, np.uint8)),
+            "is 30 x 40 pixels of 8 bits, but its camera",
+        ),
+    ],
+    ids=["cut", "another size"],
+)
+def test_a_photograph_that_cannot_be_compared_is_named_before_anything_is_written(
+    photo_session, pairs, tmp_path, damage, sentence
+):
+    damage(pairs / "left_on_warped.png")
+    with pytest.raises(BadInputError, match=rf"left_on_warped\.png: {sentence}"):
+        verify_pairs(options(photo_session, pairs, tmp_path))
+    assert not (tmp_path / "out" / "misalignment.png").exists()
+
+
 def test_what_is_no_pair_is_named(photo_session, pairs, tmp_path):
     given = options(photo_session, pairs, tmp_path)
     (pairs / "left_off.png").unlink()

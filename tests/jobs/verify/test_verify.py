@@ -11,13 +11,13 @@ import pytest
 
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.cli import main
+from wlr_render.compositing.raster_painter import raster_painter
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.verify import session as verify
 from wlr_render.jobs.verify import session_photographs
 from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
-from wlr_render.rendering.painters import raster_painter
 from wlr_render.report.blocks import Plot
 from wlr_render.simulation.photographs.take_photographs import take
 from wlr_render.toml_files import write_toml
@@ -35,7 +35,7 @@ def options(photo_session, tmp_path):
         out=tmp_path / "verify",
         viewpoints=2,
         depths_m=(DEPTH_M,),
-        backend="cpu",
+        backend="auto",
     )
 
 
@@ -63,13 +63,13 @@ def test_the_raster_of_the_paper_covers_real_dots_too(options, monkeypatch):
     """Nothing hides anything from either place: both draw the same dots."""
     made = []
 
-    def spy(mappings, raster_backend, renderer, resolution, raster_camera):
-        made.append((renderer is not None, raster_camera))
-        return raster_painter(mappings, raster_backend, renderer, resolution, raster_camera)
+    def spy(mappings, raster, renderer, map_from, resolution, raster_camera):
+        made.append((map_from, raster_camera))
+        return raster_painter(mappings, raster, renderer, map_from, resolution, raster_camera)
 
     monkeypatch.setattr(verify, "raster_painter", spy)
     result = verify_session(replace(options, viewpoints=1, raster_camera="viewpoint", map_from="mesh"))
-    assert made == [(True, "viewpoint")]
+    assert made == [("mesh", "viewpoint")]
     assert all(0 < row[4] < 1.0 for row in result.tables[1].rows)
 
 

@@ -4,7 +4,9 @@ Device frame (OpenXR), metres; cameras have OpenCV's axes and pixels count from 
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +17,18 @@ from wlr_render.calibration.bench.checks import Pull, prior_pulls, reading_pulls
 from wlr_render.calibration.bench.observations import EYEBALL, TRACKING
 from wlr_render.calibration.bench.state import BOARD_SHAPE, BoardShape, StageModel
 from wlr_render.calibration.poses import Pose, adjoint
+from wlr_render.captures.lens_file import require_plausible_lens
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
 from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens
+from wlr_render.geometry.transforms import is_rotation
+from wlr_render.input_files import require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table, read_json
 
+_UNITS = {"length": "m", "angle": "rad", "pixel": "px"}
 FORMAT = "wlr-station"
 VERSION = 2
 
@@ -53,10 +59,15 @@ class SavedStation:
             BadInputError: there is no stage, or the reading is of an axis that calibration never saw moving.
         """
         if self.base is None or self.stage is None:
-            raise BadInputError("the calibrated bench has no stage: a reading has no camera pose.")
+            raise BadInputError(
+                "the calibrated bench has no stage, so a reading has no camera pose; calibrate with [stage]."
+            )
         travel = np.asarray(reading) - self.stage.middle
         if np.any(travel[~self.stage.twists.any(axis=1)]):
-            raise BadInputError("the stage is read along an axis that no photograph without the headset varies.")
+            raise BadInputError(
+                "the stage is read along an axis that no photograph without the headset varies; photograph the board "
+                "along it, or leave the reading out."
+            )
         return np.asarray(self.base @ self.stage.motion(np.asarray(reading)))
 
 
@@ -67,7 +78,7 @@ def save_station(path: str | Path, bench: CalibratedBench) -> Path:
         "format": FORMAT,
         "version": VERSION,
         "frame": "openxr",
-        "units": {"length": "m", "angle": "rad", "pixel": "px"},
+        "units": _UNITS,
         "eyeball_camera": _lens_record(state.lens[EYEBALL]),
         "device_from_target": {str(k): _pose_record(pose) for k, pose in bench.targets.items()},
         "board": _shape_record(state.shape["board"]) if "board" in state.shape else None,
@@ -107,30 +118,44 @@ def load_station(path: str | Path) -> SavedStation:
     table.text("format", choices=[FORMAT])
     if (version := table.number("version")) not in (1, VERSION):
         raise table.fail(f"has version {version:g}, and versions 1 and {VERSION} can be read; write it again.")
+    table.text("frame", choices=["openxr"])
+    if table.has("units") and table.unchecked("units") != _UNITS:
+        raise table.fail(f"'units' must be {_UNITS}; convert the file, or write it again.")
     tracking, base, stage = None, None, None
     if table.has("tracking_camera"):
         tracking = _lens(table.table("tracking_camera"))
     if table.has("stage"):
         part = table.table("stage")
-        base = part.table("device_from_camera").vectors("matrix", 4)
+        base = _rigid(part.table("device_from_camera"), "matrix")
         stage = _stage_of_version_1(part, base) if version == 1 else _stage(part)
     return SavedStation(
         _lens(table.table("eyeball_camera")),
         tracking,
-        table.vectors("device_from_tracking", 4) if tracking is not None else None,
+        _rigid(table, "device_from_tracking") if tracking is not None else None,
         base,
         stage,
         _shape(table.table("board")) if version > 1 and table.unchecked("board") else None,
     )
 
 
+def _rigid(table: Table, key: str) -> FloatArray:
+    """A rigid transform (4, 4)."""
+    matrix = table.vectors(key, 4)
+    if matrix.shape != (4, 4) or not is_rotation(matrix[:3, :3]) or np.any(matrix[3] != [0, 0, 0, 1]):
+        raise table.fail(f"'{key}' must be a rigid transform of 4 x 4 numbers; write the file again.")
+    require_length(f"{table.where}: '{key}'", matrix[:3, 3], 100.0)
+    return matrix
+
+
 def _stage(table: Table) -> StageModel:
-    return StageModel(
-        np.array(table.numbers("middle")),
-        np.array(table.numbers("half_range")),
-        table.vectors("twists", 6),
-        table.vectors("smooth_error", 6),
-    )
+    middle, half_range = table.numbers("middle"), table.numbers("half_range")
+    twists, smooth = table.vectors("twists", 6), table.vectors("smooth_error", 6)
+    if not len(middle) == len(half_range) == len(twists):
+        raise table.fail("'middle', 'half_range' and 'twists' differ in their number of axes; write the file again.")
+    for key, values in (("middle", middle), ("half_range", half_range), ("twists", twists), ("smooth_error", smooth)):
+        if np.any(np.abs(values) > 1e3):
+            raise table.fail(f"'{key}' has numbers above 1000 m or rad; write the file again.")
+    return StageModel(middle, half_range, twists, smooth)
 
 
 def _stage_of_version_1(table: Table, base: FloatArray) -> StageModel:
@@ -141,7 +166,9 @@ def _stage_of_version_1(table: Table, base: FloatArray) -> StageModel:
     except (TypeError, ValueError):
         axes = np.empty(0)
     if axes.shape != (3, 3):
-        raise table.fail(f"'axes_in_device' must be 3 columns of 3 numbers, or null, not {columns!r}.")
+        raise table.fail(
+            f"'axes_in_device' must be 3 columns of 3 numbers, or null, not {shown(columns)}; write the file again."
+        )
     twists = np.concatenate([np.zeros((3, 3)), axes @ base[:3, :3]], axis=1)
     return StageModel(table.vector("reference_m", 3), np.ones(3), twists, np.zeros((0, 6)))
 
@@ -186,14 +213,28 @@ def _lens_record(lens: Lens) -> dict[str, Any]:
 
 
 def _lens(table: Table) -> Lens:
-    width, height = (int(side) for side in table.vector("size_px", 2))
+    size = table.vector("size_px", 2)
+    width, height = (int(side) for side in size)
+    if (width, height) != tuple(size):
+        raise table.fail(f"'size_px' must be two whole numbers, not {size.tolist()}.")
     kind = table.text("kind", "brown")
     focal, centre = table.vector("focal_px", 2), table.vector("centre_px", 2)
+    make: Callable[[], LensCamera | SplinedLens]
     if kind == "splined":
-        rows, columns = (int(side) for side in table.vector("knots", 2))
-        control = table.vectors("control", 2).reshape(rows, columns, 2)
-        return SplinedLens((width, height), focal, centre, control, table.whole("order"), table.number("fov_x_deg"))
-    return LensCamera((width, height), focal, centre, np.array(table.numbers("distortion")), kind)
+        (rows, columns), control = table.vector("knots", 2), table.vectors("control", 2)
+        if rows != int(rows) or rows < 1 or rows * columns != len(control):
+            raise table.fail(f"'control' has {len(control)} points, 'knots' {rows:g} x {columns:g}; write it again.")
+        order, fov_x_deg = table.whole("order"), table.number("fov_x_deg")
+        grid = control.reshape(int(rows), -1, 2)
+        make = partial(SplinedLens, (width, height), focal, centre, grid, order, fov_x_deg)
+    else:
+        make = partial(LensCamera, (width, height), focal, centre, table.numbers("distortion"), kind)
+    try:
+        lens = make()
+    except BadInputError as error:
+        raise table.fail(str(error)) from error
+    require_plausible_lens(table.where, lens)
+    return lens
 
 
 def _pose_record(pose: Pose) -> dict[str, Any]:

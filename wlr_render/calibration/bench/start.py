@@ -57,10 +57,14 @@ def _brown_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensCam
     flat = [(view.point * [1.0, 1.0, 0.0]).astype(np.float32) for view in views]
     seen = [(view.pixel + OPENCV_PIXEL_SHIFT).astype(np.float32) for view in views]
     held = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)  # several add up the views in the order in which they finish, another one in each run
     try:
         _, matrix, found, _, _ = cv2.calibrateCamera(flat, seen, size_px, None, None, flags=held)
     except cv2.error as error:
         raise undetermined(views) from error
+    finally:
+        cv2.setNumThreads(threads)
     centre = matrix[:2, 2] - OPENCV_PIXEL_SHIFT
     return LensCamera(size_px, np.diag(matrix)[:2].copy(), centre, found.ravel()[:5].copy())
 
@@ -106,7 +110,10 @@ def board_pose(lens: Lens, view: BoardView) -> tuple[FloatArray, float]:
     direction = direction @ ahead.T
     good = seen & (direction[:, 2] > _LEAST_COSINE)
     if np.count_nonzero(good) < 4:
-        raise BadInputError(f"{view.name}: shows features where the camera's lens model has no inverse.")
+        raise BadInputError(
+            f"{view.name}: shows features where the camera's lens model has no inverse; leave it out, or "
+            "photograph the board nearer the middle of the picture."
+        )
     tangents = direction[good, :2] / direction[good, 2:]
     flat = view.point[good] * [1.0, 1.0, 0.0]
     # T. Collins and A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014) 252, has two solutions.
@@ -172,6 +179,11 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> Be
     twists = _start_twists(observations, [view for view in bound if view.camera == EYEBALL], seen)
     chain = _Chain(observations, tracking, twists)
     chain.join(bound, seen)
+    if observations.axes and not chain.base:
+        raise BadInputError(
+            "[[bare]]: the board is found in none of the photographs of the eyeball camera; compare [board] with the "
+            "print, and photograph it whole, sharp and bright."
+        )
     for number, axis in enumerate(observations.axes):
         if not twists[number].any() and chain.base:  # no view of a target tells how it moves
             twists[number] = stated_twist(axis, chain.base[min(chain.base)])

@@ -20,6 +20,7 @@ from numpy.polynomial import legendre
 from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.poses import adjoint, cross_matrix, motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
@@ -152,7 +153,12 @@ class BenchState:
 
     @property
     def first_mounting(self) -> int:
-        """The orientation in whose camera frame the stage's axes and errors are."""
+        """The orientation in whose camera frame the stage's axes and errors are; BadInputError where none was seen."""
+        if not self.base:
+            raise BadInputError(
+                "No photograph of the target without the headset or past its optics could be used, so nothing says "
+                "where the stage carries the camera; take [[bare]] or [[beside]] photographs again."
+            )
         return min(self.base)
 
     def mount(self, orientation: int) -> FloatArray:

@@ -56,7 +56,9 @@ def check_sizes(pitch_m: float, large_m: float, small_m: float, margin_m: float)
         BadInputError: the sentence has the sizes in millimetres and the remedy.
     """
     if not 0 < small_m < large_m:
-        raise BadInputError(f"{_mm(large_m, small_m)}: the large one must be larger, and both above zero.")
+        raise BadInputError(
+            f"large_mm and small_mm are {_mm(large_m, small_m)}: the large dot must be larger, and both above zero."
+        )
     if large_m > 0.85 * pitch_m:
         raise BadInputError(
             f"Large dots of {_mm(large_m)} nearly touch at a pitch of {_mm(pitch_m)}; take at most 0.85 of the pitch."

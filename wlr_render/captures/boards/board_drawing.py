@@ -7,6 +7,7 @@ of the print.
 import io
 from dataclasses import dataclass
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def write_board_svg(board: Board, path: str | Path) -> Path:
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
-        f"<title>{board.title}</title>",
+        f"<title>{escape(board.title)}</title>",
         '<rect width="100%" height="100%" fill="white"/>',
         *board.svg_shapes(),
         f'<path d="M {_EDGE_MM} {sheet.ruler_y:.4f} h {sheet.ruler:.4f} {ticks}" stroke="black" '
@@ -63,7 +64,7 @@ def write_board_svg(board: Board, path: str | Path) -> Path:
         f'<text x="{end + 2:.4f}" y="{sheet.ruler_y + 1:.4f}" font-size="{_TEXT_MM}" font-family="sans-serif">'
         f"{sheet.ruler:g} mm</text>",
         f'<text x="{_EDGE_MM}" y="{sheet.height - 1.5:.4f}" font-size="{_text_mm(sheet, board):.4f}" '
-        f'font-family="sans-serif">{board.title}</text>',
+        f'font-family="sans-serif">{escape(board.title)}</text>',
         "</svg>",
     ]
     return write_text(path, "\n".join(lines) + "\n")

@@ -15,11 +15,17 @@ from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.boards.markers import DICTIONARIES, dictionary_of
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import BoolArray
 from wlr_render.toml_files import Table, read_toml, write_toml
 
 KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")
 """Values of `kind`."""
+
+_LENGTH_M = (5e-5, 2.0)  # of a square, dot or gap: beyond, lengths are in another unit
+_LARGEST_PITCH_MM = 50.0
+_MOST_SIGMA = {"scale_sigma": 0.5, "flatness_mm": 100.0, "print_error_um": 10_000.0}
+_MOST = 2000  # rows or columns
 
 _COMMENT = """A calibration board. Lengths are millimetres as measured on the print:
 where the printer scaled it, measure the ruler and multiply all of them by measured / written.
@@ -116,8 +122,8 @@ class _Lengths:
         if not table.flag("screen", False):
             return cls(table, "mm", 1e-3)
         pitch = table.number("pixel_pitch_mm")
-        if pitch <= 0:
-            raise table.fail(f"'pixel_pitch_mm' is {pitch:g}; it must be above zero.")
+        if not 0 < pitch <= _LARGEST_PITCH_MM:
+            raise table.fail(f"'pixel_pitch_mm' is {pitch:g}; it must be above zero, at most {_LARGEST_PITCH_MM:g}.")
         return cls(table, "px", 1e-3 * pitch)
 
     def key(self, name: str) -> str:
@@ -129,6 +135,12 @@ class _Lengths:
         value = self.table.number(self.key(name), default)
         if value < 0 or (value == 0 and default is None):
             raise self.table.fail(f"'{self.key(name)}' is {value:g}; it must be above zero.")
+        least = 0.0 if default is not None else _LENGTH_M[0]
+        if not least <= value * self.unit_m <= _LENGTH_M[1]:
+            raise self.table.fail(
+                f"'{self.key(name)}' is {value:g}; {1e3 * _LENGTH_M[0]:g} to {1e3 * _LENGTH_M[1]:g} mm are plausible: "
+                "check its unit."
+            )
         return value * self.unit_m
 
 
@@ -153,18 +165,21 @@ def _april_grid(table: Table, lengths: _Lengths, tolerances: BoardTolerances) ->
     spacing = table.number("spacing", 0.3)
     if not 0 < spacing < 1:
         raise table.fail(f"'spacing' is {spacing:g}; it is the gap between tags over their side, between 0 and 1.")
-    border = table.whole("border_bits", 1) if table.has("border_bits") else 2
+    border = table.whole("border_bits", 1, 10) if table.has("border_bits") else 2
     first = table.whole("first_id") if table.has("first_id") else 0
     known = len(dictionary_of(DICTIONARY).bytesList)
     if first + columns * rows > known:
-        raise table.fail(f"the board needs tags up to {first + columns * rows - 1}, but 36h11 ends at {known - 1}.")
+        raise table.fail(
+            f"the board needs tags up to {first + columns * rows - 1}, but 36h11 ends at {known - 1}; use fewer."
+        )
     at_bottom = table.text("first_tag", _FIRST_TAGS[1], choices=_FIRST_TAGS) == _FIRST_TAGS[1]
     margin = lengths.number("margin", 0.0)
     return AprilGrid(columns, rows, tag, spacing, border, first, at_bottom, margin, tolerances)
 
 
 def _chessboard(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> Chessboard:
-    columns, rows = table.whole("corner_columns", 3), table.whole("corner_rows", 3)
+    columns, rows = table.whole("corner_columns", 3, _MOST), table.whole("corner_rows", 3, _MOST)
+    _check_count(table, columns, rows)
     if columns == rows:
         raise table.fail(
             f"a chessboard of {columns} x {rows} inner corners looks the same turned by 90 degrees; use one with "
@@ -175,7 +190,8 @@ def _chessboard(table: Table, lengths: _Lengths, tolerances: BoardTolerances) ->
 
 
 def _circles(table: Table, lengths: _Lengths, tolerances: BoardTolerances, staggered: bool) -> CircleGrid:
-    columns, rows = table.whole("columns", 2), table.whole("rows", 3)
+    columns, rows = table.whole("columns", 2, _MOST), table.whole("rows", 3, _MOST)
+    _check_count(table, columns, rows)
     if not staggered and columns == rows:
         raise table.fail(
             f"a grid of {columns} x {rows} circles looks the same turned by 90 degrees; use one with different numbers."
@@ -199,6 +215,13 @@ def _dot_board(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> 
     return DotBoard(pitch_m, large_m, small_m, margin_m, large, tolerances)
 
 
+def _check_count(table: Table, columns: int, rows: int) -> None:
+    if columns * rows > LIMITS.board_features:
+        raise table.fail(
+            f"the board has {columns} x {rows} features, more than {LIMITS.board_features}; correct their number."
+        )
+
+
 def _tolerances(table: Table) -> BoardTolerances:
     usual = BoardTolerances()
     given = BoardTolerances(
@@ -207,8 +230,8 @@ def _tolerances(table: Table) -> BoardTolerances:
         1e-6 * table.number("print_error_um", round(1e6 * usual.print_error_m, 6)),
     )
     for key, value in _tolerance_keys(given).items():
-        if value < 0:
-            raise table.fail(f"'{key}' is {value:g}; it must be a standard deviation, zero or more.")
+        if not 0 <= value <= _MOST_SIGMA[key]:
+            raise table.fail(f"'{key}' is {value:g}; it must be a standard deviation, 0 to {_MOST_SIGMA[key]:g}.")
     return given
 
 
@@ -222,8 +245,11 @@ def _tolerance_keys(tolerances: BoardTolerances) -> dict[str, float]:
 
 def _sizes(table: Table) -> BoolArray:
     rows = table.texts("sizes")
+    _check_count(table, len(rows[0]), len(rows))
     if len({len(row) for row in rows}) != 1 or set("".join(rows)) - {"0", "1"} or not rows[0]:
         raise table.fail("'sizes' must be texts of equal length, one per row of dots, of 1 for large and 0 for small.")
+    if len(set("".join(rows))) == 1:
+        raise table.fail("'sizes' has dots of one size only, which tell no place on the board; write both, as printed.")
     return np.array([[digit == "1" for digit in row] for row in rows])
 
 

@@ -5,6 +5,7 @@ with the headset before it, and the headset's own camera photographs the grid to
 line of text each. Ubitrack's frames are OpenGL's (x right, y up, looking along -z); its image rows run upwards.
 """
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.input_files import parsing, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 
 SIZE_PX = (1280, 1024)
@@ -23,6 +25,7 @@ _SIGNATURE = ["22", "serialization::archive"]
 _COUNT_AT, _VALUES_AT = 8, 12
 _POSE_TOKENS, _QUATERNION, _TRANSLATION = 19, slice(10, 14), slice(16, 19)
 _TIME_AT = 5
+_LARGEST = 1e6  # of pixels and metres
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,8 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
             not finite, a view's dots do not fit the others', or its three poses contradict one another.
     """
     root = Path(folder)
-    names = sorted((path.name for path in root.glob("*") if path.name.isdigit() and path.is_dir()), key=int)
+    folders = (path.name for path in root.glob("*") if re.fullmatch("[0-9]{1,6}", path.name) and path.is_dir())
+    names = sorted(folders, key=int)
     if not names:
         raise BadInputError(f"{root}: holds no numbered view folders; give the 'data' folder of the set.")
     views = [_ViewFolder.read(root / name) for name in names]
@@ -111,6 +115,7 @@ class _ViewFolder:
     def read(cls, folder: Path) -> "_ViewFolder":
         bare_file, through_file = folder / "2dPointsOnViewPoint.txt", folder / "2dPointsOnViewPointThroughHMD.txt"
         dots, bare, through = _points(folder / "3dPointsOnGrid.txt", 3), _points(bare_file, 2), _points(through_file, 2)
+        require_length(f"{folder / '3dPointsOnGrid.txt'}: the grid", dots, 10.0)
         if not len(dots) == len(bare) == len(through):
             raise BadInputError(
                 f"{folder}: {len(dots)} dots on the grid, {len(bare)} seen without and {len(through)} through the "
@@ -127,24 +132,17 @@ class _ViewFolder:
 
 
 def _tokens(path: Path) -> list[str]:
-    try:
-        tokens = path.read_text(encoding="ascii").split()
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: is not a text archive ({error.reason}).") from error
-    if tokens[:2] != _SIGNATURE or len(tokens) < _VALUES_AT or not tokens[_TIME_AT].isdigit():
+    tokens = read_text(path, "a text archive").split()
+    if tokens[:2] != _SIGNATURE or len(tokens) < _VALUES_AT or not re.fullmatch(r"[0-9]{1,19}", tokens[_TIME_AT]):
         raise BadInputError(f"{path}: does not start as a text archive, '22 serialization::archive ... time'.")
     return tokens
 
 
 def _numbers(path: Path, tokens: list[str]) -> FloatArray:
-    try:
+    with parsing(path, "numbers", "leave this view out"):
         values = np.array(tokens, dtype=np.float64)
-    except ValueError as error:
-        raise BadInputError(f"{path}: holds something that is not a number ({error}).") from error
-    if not np.isfinite(values).all():
-        raise BadInputError(f"{path}: holds a number that is not finite; leave this view out.")
+    if not np.all(np.abs(values) < _LARGEST):
+        raise BadInputError(f"{path}: holds a number that is not finite, or is {_LARGEST:g} or more; correct it.")
     return values
 
 
@@ -152,9 +150,9 @@ def _points(path: Path, columns: int) -> FloatArray:
     """A measured list of points, (n, columns)."""
     tokens = _tokens(path)
     values = _numbers(path, tokens[_VALUES_AT:])
-    if not tokens[_COUNT_AT].isdigit() or len(values) != int(tokens[_COUNT_AT]) * columns:
+    if not re.fullmatch(r"[0-9]{1,9}", tokens[_COUNT_AT]) or len(values) != int(tokens[_COUNT_AT]) * columns:
         raise BadInputError(
-            f"{path}: says {tokens[_COUNT_AT]} points of {columns} numbers and holds {len(values)} numbers; "
+            f"{path}: says {shown(tokens[_COUNT_AT])} points of {columns} numbers and holds {len(values)} numbers; "
             "download the file again."
         )
     return values.reshape(-1, columns)
@@ -166,6 +164,7 @@ def _pose(path: Path) -> FloatArray:
     if len(tokens) != _POSE_TOKENS:
         raise BadInputError(f"{path}: has {len(tokens)} tokens, a pose has {_POSE_TOKENS}; download it again.")
     quaternion, translation = _numbers(path, tokens[_QUATERNION]), _numbers(path, tokens[_TRANSLATION])
+    require_length(f"{path}: the translation", translation, 100.0)
     length = np.linalg.norm(quaternion)
     if abs(length - 1.0) > 1e-6:
         raise BadInputError(f"{path}: its quaternion has the length {length:.6g}, not 1; download the file again.")

@@ -7,18 +7,19 @@ A map is a 16-bit image of the two cameras' views side by side; value / 65535 is
 eye's half of the screen, 0 means no data. The code has 8 bits, and the maps were smoothed after decoding.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import cv2
 import numpy as np
 
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
+from wlr_render.input_files import read_image
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table, read_json
 
 PANEL = Panel(1440, 1600)
 """One eye's half of the screen of a North Star headset; the maps only know fractions of it."""
@@ -27,6 +28,8 @@ EYES = ("left", "right")
 _HEIGHTS = ("D", "U")
 _CODE_STEP = 1 / 256
 _FULL_SCALE = 65535.0
+_LARGEST_PX = 1e6
+_MONITOR_M = (0.05, 5.0)  # width and height
 _EDGE_PX = 12  # the smoothing mixed the map with its empty surround: beyond this the roughness no longer falls
 _EVERY_PX = 3  # of each axis: the smoothing makes neighbours copies of one another
 _MONITOR_EVERY_PX = 8
@@ -105,11 +108,8 @@ def read_northstar_vcam(folder: str | Path) -> VcamCaptures:
     """
     root = Path(folder)
     cameras = _cameras(root / "cameraCalibration.json")
-    area = _json(root / "config.json").get("CalibrationMonitorActiveAreaMeters", {})
-    try:
-        monitor_m = np.array([float(area["x"]), float(area["y"])])
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadInputError(f"{root / 'config.json'}: lacks the monitor's size in metres, x and y.") from error
+    area = read_json(root / "config.json", "settings of the rig").table("CalibrationMonitorActiveAreaMeters")
+    monitor_m = np.array([area.number(key, least=_MONITOR_M[0], most=_MONITOR_M[1]) for key in ("x", "y")])
     poses = {
         (eye, height): _pose(_map(root, "M" + height), eye, cameras[eye], monitor_m, height)
         for height in _HEIGHTS
@@ -128,50 +128,40 @@ def read_northstar_vcam(folder: str | Path) -> VcamCaptures:
     return VcamCaptures(left, right, tuple(pose.fit for pose in poses.values()), stated)
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except ValueError as error:
-        raise BadInputError(f"{path}: is not valid JSON ({error}).") from error
-    if not isinstance(content, dict):
-        raise BadInputError(f"{path}: must be a JSON object, not a {type(content).__name__}.")
-    return content
-
-
 def _cameras(path: Path) -> dict[str, _Camera]:
-    content = _json(path)
-    try:
-        matrices = [camera["cameraMatrix"] for camera in content["deviceCalibrations"][0]["cameras"]]
-        fx_fy_cx_cy = np.array(matrices, dtype=np.float64).reshape(2, 9)[:, [0, 4, 2, 5]]
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise BadInputError(f"{path}: lacks two cameras with a 3 x 3 'cameraMatrix' each.") from error
-    if not (np.isfinite(fx_fy_cx_cy).all() and (fx_fy_cx_cy[:, :2] > 0).all()):
-        raise BadInputError(f"{path}: the focal lengths of a 'cameraMatrix' must be positive numbers.")
+    rig = _rig(path)
+    cameras = rig.tables("cameras", most=len(EYES))
+    if len(cameras) != len(EYES):
+        raise rig.fail(
+            f"'cameras' has {len(cameras)} entries; it must have two, left and right: calibrate the rig again."
+        )
+    matrices = [camera.vector("cameraMatrix", 9, least=-_LARGEST_PX, most=_LARGEST_PX) for camera in cameras]
+    fx_fy_cx_cy = np.array(matrices)[:, [0, 4, 2, 5]]
+    if fx_fy_cx_cy[:, :2].min() <= 1:
+        raise rig.fail("the focal lengths of a 'cameraMatrix' must be above 1 pixel; calibrate the rig again.")
     # The calibration counts from the middle of the top-left pixel, as OpenCV does.
     return {eye: _Camera(row[:2], row[2:] + 0.5) for eye, row in zip(EYES, fx_fy_cx_cy, strict=True)}
 
 
 def _stated_baseline_m(path: Path) -> float | None:
-    stated = _json(path)["deviceCalibrations"][0].get("baseline")
-    if stated is not None and not (isinstance(stated, int | float) and 0.0 < stated < np.inf):
-        raise BadInputError(f"{path}: 'baseline' is {stated!r}; it must be a positive number of metres.")
-    return stated
+    rig = _rig(path)
+    return rig.number("baseline", most=1.0, above=0.0) if rig.unchecked("baseline") is not None else None
+
+
+def _rig(path: Path) -> Table:
+    """The two cameras; the first that a calibration file has."""
+    rigs = read_json(path, "a calibration of two cameras").tables("deviceCalibrations")
+    if not rigs:
+        raise BadInputError(f"{path}: 'deviceCalibrations' is empty; calibrate the rig again.")
+    return rigs[0]
 
 
 def _map(root: Path, name: str) -> FloatArray:
     """(2 eyes, height, width, 2) fractions, u right and v as the map has it; NaN where there is no data."""
-    from PIL import Image
-
     axes = []
     for axis in ("Width", "Height"):
         path = root / f"{name}_{axis}Calibration.png"
-        try:
-            with Image.open(path) as image:
-                axes.append(np.array(image, dtype=np.float64))
-        except OSError as error:
-            raise BadInputError(f"{path}: cannot be read as an image ({error}).") from error
+        axes.append(read_image(path, cv2.IMREAD_UNCHANGED).astype(np.float64))
     if axes[0].shape != axes[1].shape or axes[0].ndim != 2 or axes[0].shape[1] % 2:
         raise BadInputError(f"{root}: the two {name} maps must be grey images of one size, two views side by side.")
     both = np.stack(axes, axis=-1) / _FULL_SCALE

@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.input_files import parsing, read_text, require_length
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -17,6 +18,7 @@ PIXEL_MM = 0.05
 PANEL = Panel(1300, 1300)
 """The tables state millimetres from the lens axis: here in pixels of 0.05 mm, with the axis in the middle."""
 
+_LARGEST_SCREEN_MM = 500.0
 _NAME = re.compile(r"(\d+(?:\.\d+)?)_mm_Eye_Relief")
 
 
@@ -34,17 +36,14 @@ def read_osvr_hdk13(path: str | Path) -> LensTable:
     Raises:
         BadInputError: the file cannot be read, or a line is not four finite numbers.
     """
-    try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{path}: cannot be read as text ({error}).") from error
+    lines = read_text(path, "a table of a lens").split("\n")
     kept = [line for line in lines if line.strip() and "error" not in line.lower()]
-    try:
+    with parsing(path, "lines of four numbers"):
         rows = np.array([[float(word) for word in line.split()] for line in kept])
-    except ValueError as error:
-        raise BadInputError(f"{path}: holds a line that is not four numbers ({error}).") from error
     if rows.ndim != 2 or rows.shape[1:] != (4,) or not np.isfinite(rows).all():
         raise BadInputError(f"{path}: must hold lines of four finite numbers, two angles and two millimetres.")
+    if np.any(np.abs(rows[:, :2]) >= 90) or np.any(np.abs(rows[:, 2:]) > _LARGEST_SCREEN_MM):
+        raise BadInputError(f"{path}: angles must be degrees below 90, and places millimetres of a screen; correct it.")
     return LensTable(rows[:, :2], rows[:, 2:])
 
 
@@ -63,7 +62,8 @@ def read_osvr_captures(folder: str | Path) -> DisplayCaptures:
     if len(tables) < 2:
         raise BadInputError(f"{folder}: has {len(tables)} tables N_mm_Eye_Relief*.txt; two or more are needed.")
     reliefs = np.array([relief for relief, _ in tables])
-    read = [_unfolded(read_osvr_hdk13(path)) for _, path in tables]
+    require_length(f"{folder}: the eye relief of a file name", 1e-3 * reliefs, 0.5)
+    read = [_unfolded(path, read_osvr_hdk13(path)) for _, path in tables]
     counts = [len(table.field_deg) for table in read]
     field = np.concatenate([table.field_deg for table in read])
     screen = np.concatenate([table.screen_mm for table in read])
@@ -91,9 +91,10 @@ def _rounding(values: FloatArray) -> FloatArray:
     return np.asarray(10.0 ** (exponent - 2) / np.sqrt(12.0))
 
 
-def _unfolded(table: LensTable) -> LensTable:
+def _unfolded(path: Path, table: LensTable) -> LensTable:
     """The table without points next to which the picture is turned over."""
-    corners = Delaunay(table.field_deg).simplices
+    with parsing(path, "field angles that cover an area"):
+        corners = Delaunay(table.field_deg).simplices
     folded = _areas(table.screen_mm[corners]) * _areas(table.field_deg[corners]) <= 0.0
     kept = np.ones(len(table.field_deg), dtype=bool)
     kept[corners[folded]] = False

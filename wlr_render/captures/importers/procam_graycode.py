@@ -13,9 +13,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from wlr_render.captures.lens_file import check_nesting, require_plausible_lens
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
+from wlr_render.input_files import parsing, read_text
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -25,6 +27,13 @@ PANEL = Panel(1024, 768)
 _COUNT = 42
 _WHITE_AND_BLACK = (40, 41)
 _CALIBRATION = "calibration_result.xml"
+_SIZES = {
+    "img_shape": 2,
+    "cam_int": 9,
+    "cam_dist": 5,
+    "proj_int": 9,
+    "proj_dist": 5,
+}  # numbers of each key that is read
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,18 +88,20 @@ def _capture_of(folder: Path) -> Path:
 
 def _read_calibration(file: Path) -> tuple[LensCamera, LensCamera]:
     """Camera and projector."""
-    if not file.is_file():
-        raise BadInputError(f"{file}: there is no such calibration; copy it from the set, beside its captures.")
-    try:
-        storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
-        (height, width), *values = (
-            np.asarray(storage.getNode(key).mat(), dtype=np.float64).ravel()
-            for key in ("img_shape", "cam_int", "cam_dist", "proj_int", "proj_dist")
-        )
-        camera = _lens_camera((int(width), int(height)), *values[:2])
-        return camera, _lens_camera((PANEL.width_px, PANEL.height_px), *values[2:])
-    except (cv2.error, TypeError, ValueError, SystemError) as fault:
-        raise BadInputError(f"{file}: holds no camera and projector; copy it from the set again.") from fault
+    text = read_text(file, "a calibration", remedy="copy it from the set, beside its captures")
+    check_nesting(file, text)
+    with parsing(file, "a calibration", "copy it from the set again"):
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        found = {key: np.asarray(storage.getNode(key).mat(), dtype=np.float64).ravel() for key in _SIZES}
+    for key, values in found.items():
+        if values.shape != (_SIZES[key],) or not np.isfinite(values).all():
+            raise BadInputError(f"{file}: '{key}' must be {_SIZES[key]} finite numbers; copy it from the set again.")
+    height, width = found["img_shape"]
+    camera = _lens_camera((int(width), int(height)), found["cam_int"], found["cam_dist"])
+    projector = _lens_camera((PANEL.width_px, PANEL.height_px), found["proj_int"], found["proj_dist"])
+    for lens in (camera, projector):
+        require_plausible_lens(str(file), lens)
+    return camera, projector
 
 
 def _lens_camera(size_px: tuple[int, int], matrix: FloatArray, distortion: FloatArray) -> LensCamera:

@@ -13,6 +13,7 @@ import numpy as np
 from wlr_render.diagnosis.cause import PARTS, Cause, Role, unknown_cause, with_priors
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import read_text, reason_of, shown
 from wlr_render.simulation.bench import Bench
 
 ENTRY_POINTS = "wlr_render.causes"
@@ -69,7 +70,9 @@ def _loaded(source: str) -> Any:
         module = _module_of_file(Path(source)) if source.endswith(".py") else importlib.import_module(source)
     except BadInputError:
         raise
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a module may raise SystemExit or an exception of its own kind
         raise _failed(source, error) from error
     if not hasattr(module, "CAUSES"):
         raise BadInputError(f"{source}: defines no CAUSES; add CAUSES = (Cause(...),) as docs/diagnosis.md shows.")
@@ -77,8 +80,7 @@ def _loaded(source: str) -> Any:
 
 
 def _module_of_file(path: Path) -> Any:
-    if not path.is_file():
-        raise BadInputError(f"{path}: does not exist; name a Python file that defines CAUSES.")
+    read_text(path, "Python", remedy="name a Python file that defines CAUSES")  # no pipe, not endless
     name = f"wlr_render_causes_of_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None, "the name ends in .py"
@@ -91,18 +93,18 @@ def _module_of_file(path: Path) -> Any:
 
 def _failed(where: str, error: BaseException) -> BadInputError:
     return BadInputError(
-        f"{where}: cannot be loaded ({type(error).__name__}: {error}); import it in Python to see where."
+        f"{where}: cannot be loaded ({type(error).__name__}: {reason_of(error)}); import it in Python to see where."
     )
 
 
 def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
     """What a source states, if all of it is causes that act on the bench."""
     if not isinstance(stated, Iterable) or isinstance(stated, str | Mapping):
-        raise BadInputError(f"{where}: CAUSES is {stated!r:.60}; it must be a tuple or list of Cause.")
+        raise BadInputError(f"{where}: CAUSES is {shown(stated)}; it must be a tuple or list of Cause.")
     causes = list(stated)
     for cause in causes:
         if not isinstance(cause, Cause):
-            raise BadInputError(f"{where}: CAUSES holds {cause!r:.60}, which is no wlr_render.diagnosis.cause.Cause.")
+            raise BadInputError(f"{where}: CAUSES holds {shown(cause)}, which is no wlr_render.diagnosis.cause.Cause.")
         fault = _fault(cause, bench)
         if fault:
             raise BadInputError(f"{where}: cause '{cause.name}' {fault}.")
@@ -125,7 +127,7 @@ def _fault(cause: Cause, bench: Bench) -> str:
         try:
             perturbed = [cause.perturb(bench, cause.null() + share, variant) for share in (0.0 * sizes, sizes)]
         except Exception as error:
-            return f"fails in its variant '{variant}' ({type(error).__name__}: {error})"
+            return f"fails in its variant '{variant}' ({type(error).__name__}: {reason_of(error)})"
         if not all(isinstance(each, Bench) for each in perturbed):
             return f"returns {type(perturbed[-1]).__name__} in its variant '{variant}'; it must return a Bench"
     return ""

@@ -7,8 +7,10 @@ from typing import Annotated
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, save_models
+from wlr_render.input_files import naming
+from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, require_readable_models, save_models
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -31,6 +33,7 @@ class CalibrateCapturesOptions(Options):
     out: OutputFolder = Path("out/calibrate")
 
 
+@job
 def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Fit the models of one eye; writes model.json and the report into `options.out`.
 
@@ -38,6 +41,7 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
         BadInputError: captures, bench or prescription cannot be read, or the captures lack see-through captures or do
             not determine the models.
     """
+    require_readable_models(options.out)
     progress.say("fitting the models")
     if options.captures.is_dir():
         captures = captures_of(*load_session(options.captures, options.bench))
@@ -47,7 +51,8 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
         )
     else:
         captures = load_captures(options.captures)
-    comparison = options.fit.fit(captures)
+    with naming(options.captures):
+        comparison = options.fit.fit(captures)
     fit = comparison.chosen
     folder = output_folder(options.out)
     model, notes = save_models(folder, [fit])

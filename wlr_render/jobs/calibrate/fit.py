@@ -9,7 +9,7 @@ from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, EyeFit, KindCo
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.options import Degree, Options, described, flag_of
-from wlr_render.models.model_file import add_eye_models
+from wlr_render.models.model_file import add_eye_models, load_eye_models
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
 
@@ -104,8 +104,23 @@ OutputFolder = Annotated[
 ]
 
 
-def save_models(folder: Path, fits: Sequence[EyeFit], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
-    """Write a model file; returns its path, and a sentence if another eye of an earlier run stays in it."""
+def require_readable_models(folder: Path, name: str = MODEL_FILE) -> None:
+    """Refuse a folder whose model file is damaged, before work begins: the other eye's model may be saved from it."""
     path = folder / name
+    if path.exists():
+        try:
+            load_eye_models(path)
+        except BadInputError as error:
+            raise BadInputError(
+                f"{path}: cannot be added to ({error}); move it away, or choose another output folder."
+            ) from error
+
+
+def save_models(folder: Path, fits: Sequence[EyeFit], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
+    """Write a model file; returns its path, and sentences about what was in it before."""
+    path = folder / name
+    before = {model.device for model in load_eye_models(path).values()} if path.exists() else set()
     kept = add_eye_models(path, [fit.model() for fit in fits])
-    return path, tuple(f"{path} also holds the {eye} eye, from an earlier run." for eye in kept)
+    notes = [f"{path} also holds the {eye} eye, from an earlier run." for eye in kept]
+    notes += [f"{path} held models of {device}; they were replaced." for device in before - {fits[0].device}]
+    return path, tuple(notes)

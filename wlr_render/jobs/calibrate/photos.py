@@ -10,9 +10,18 @@ from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.files import output_folder
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, MODEL_FILE, FitOptions, OutputFolder, save_models
+from wlr_render.input_files import naming
+from wlr_render.jobs.calibrate.fit import (
+    DEFAULT_FIT,
+    MODEL_FILE,
+    FitOptions,
+    OutputFolder,
+    require_readable_models,
+    save_models,
+)
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks, set_names
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Workers, described
 from wlr_render.models.model_file import remove_eye_models
 from wlr_render.progress import SILENT
@@ -37,6 +46,7 @@ class CalibratePhotosOptions(Options):
     out: OutputFolder = Path("out/calibrate")
 
 
+@job
 def calibrate_photos(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Calibrate; writes model.json, station-EYE.json, captures-EYE.npz and the report into `options.out`.
 
@@ -56,12 +66,16 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
     _remove_results(folder, session.eyes)
     reading = read_session(session, folder / READ, options.workers, progress)
     progress.say("calibrating the bench, fitting the models")
-    return calibrate_session(session, reading, folder, options.fit.fit)
+    with naming(options.session):
+        return calibrate_session(session, reading, folder, options.fit.fit)
 
 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
     """Results of an earlier run must not stand beside those of one that is refused."""
-    for name in (MODEL_FILE, *_MODELS_OF_PRIMARIES.values()):
+    model_files = (MODEL_FILE, *_MODELS_OF_PRIMARIES.values())
+    for name in model_files:
+        require_readable_models(folder, name)
+    for name in model_files:
         remove_eye_models(folder / name, eyes)
     names = [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in _RESULTS]
     for name in (*names, *_REPORT, *(f"coverage-{eye}.png" for eye in eyes)):

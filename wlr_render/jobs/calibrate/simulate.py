@@ -14,9 +14,11 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.files import output_folder
 from wlr_render.geometry.directions import dir_of_tangents
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, save_models
+from wlr_render.jobs import limits
+from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, require_readable_models, save_models
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
-from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Range, Seed, described, eyes_of, seed_of
+from wlr_render.jobs.job import job
+from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Seed, described, eyes_of, seed_of
 from wlr_render.mappings import EyeMappings, FieldOfView
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -39,23 +41,24 @@ class CalibrateSimulateOptions(Options):
     device: Annotated[str, described("A shipped device or a device file (.toml).")]
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to calibrate.")] = "right"
-    viewpoints: Annotated[int, described("Number of camera positions."), Range(at_least=1)] = 25
+    viewpoints: Annotated[int, described("Number of camera positions."), limits.PLACES] = 25
     noise_px: Annotated[
-        float, described("Camera noise, standard deviation per axis, in pixels of 1 arcmin."), Range(at_least=0)
+        float, described("Camera noise, standard deviation per axis, in pixels of 1 arcmin."), limits.ANGLE_ARCMIN
     ] = 0.25
     stage_error_mm: Annotated[
-        float, described("Error of each camera position in mm, standard deviation per axis."), Range(at_least=0)
+        float, described("Error of each camera position in mm, standard deviation per axis."), limits.POSITION_MM
     ] = 0.0
     stage_turn_urad: Annotated[
         float,
         described("Rotation error of the camera at each position in microradians, standard deviation per axis."),
-        Range(at_least=0),
+        limits.ROTATION_URAD,
     ] = 0.0
     seed: Seed = 1
     fit: FitOptions = DEFAULT_FIT
     out: OutputFolder = Path("out/calibrate")
 
 
+@job
 def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Simulate, fit and compare; writes model.json, captures-EYE.npz and the report into `options.out`.
 
@@ -63,6 +66,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
         BadInputError: an unknown device, eye or prescription, an impossible bench, or captures that do not determine
             the models.
     """
+    require_readable_models(options.out)
     device = load_device(options.device)
     truths = {eye: replace(traced_eye(device, eye), name=device.name) for eye in eyes_of(options.eye)}
     for eye in truths:

@@ -6,6 +6,7 @@ from functools import partial
 from itertools import product
 from typing import Annotated, Literal, TypeVar
 
+from wlr_render.jobs import limits
 from wlr_render.jobs.evaluate.methods import DEFAULT_METHODS, chosen_methods, methods
 from wlr_render.jobs.evaluate.study import (
     FOUND_COLUMNS,
@@ -30,6 +31,7 @@ from wlr_render.jobs.evaluate.trials import (
     Outcome,
     SeeThroughTrial,
 )
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Degree, OnlyWith, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
@@ -48,7 +50,6 @@ STAGE_NOISE_ARCMIN = 0.25
 SAMPLINGS = ("planar", "volumetric")
 NOISE_MODELS = ("planar", "volumetric", "point-per-pixel", "static")
 SEE_THROUGH_MODELS = ("static", "volumetric", "planar")
-_NOT_NEGATIVE = Range(at_least=0)
 _REPEATS, _FULL_REPEATS = 3, 10
 
 
@@ -84,13 +85,13 @@ class EvaluateOptions(StudyOptions):
     counts: Annotated[
         tuple[int, ...],
         described("Numbers of camera positions to compare.", many=True),
-        Range(at_least=1, at_most=1000),
+        limits.PLACES,
         OnlyWith("experiment", ("camera-positions",)),
     ] = (5, 9, 12, 16, 25, 36, 49, 81, 121)
     goal_arcmin: Annotated[
         float,
         described("RMS error in arcmin that suffices; 0.1 is a tenth of what the eye resolves."),
-        Range(above=0),
+        Range(above=0, at_most=600),
         OnlyWith("experiment", ("camera-positions",)),
     ] = 0.1
     noise_arcmin: Annotated[
@@ -98,7 +99,7 @@ class EvaluateOptions(StudyOptions):
         described(
             "Camera noise of your bench in arcmin per axis (default: none; 0.25 in position-errors, 1 in see-through)."
         ),
-        _NOT_NEGATIVE,
+        limits.ANGLE_ARCMIN,
         OnlyWith("experiment", _OWN_MODELS),
     ] = None
     stage_error_mm: Annotated[
@@ -106,7 +107,7 @@ class EvaluateOptions(StudyOptions):
         described(
             "Camera position error of your bench in mm per axis (default: none; 0, 0.01 and 0.03 in position-errors)."
         ),
-        _NOT_NEGATIVE,
+        limits.POSITION_MM,
         OnlyWith("experiment", ("camera-positions", "position-errors", "see-through")),
     ] = None
     stage_turn_urad: Annotated[
@@ -115,13 +116,13 @@ class EvaluateOptions(StudyOptions):
             "Camera rotation error of your bench in microradians per axis (default: none; 0, 30 and 100 in "
             "position-errors)."
         ),
-        _NOT_NEGATIVE,
+        limits.ROTATION_URAD,
         OnlyWith("experiment", ("camera-positions", "position-errors", "see-through")),
     ] = None
     tracking_error_mm: Annotated[
         float,
         described("Error of eye tracking in mm per axis."),
-        _NOT_NEGATIVE,
+        limits.POSITION_MM,
         OnlyWith("experiment", ("position-errors", "methods")),
     ] = 0.05
     repeats: Annotated[
@@ -368,6 +369,7 @@ EXPERIMENTS: dict[ExperimentName, Callable[[EvaluateOptions, Study], Findings]] 
 _DEFAULTS = EvaluateOptions()
 
 
+@job
 def evaluate(options: EvaluateOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
     """Evaluate devices in simulation by the chosen experiments; writes the report into `options.out`.
 

@@ -22,6 +22,7 @@ from wlr_render.jobs.evaluate.trials import (
     run_trials,
     truth,
 )
+from wlr_render.jobs.kept_trials import damaged_outcomes
 from wlr_render.jobs.options import BoxSize, Eyes, Options, Seed, Workers, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -124,6 +125,7 @@ def run_study(
 
     for experiment in experiments.values():
         experiment(Study(eyes, record, repeats))
+    damaged = damaged_outcomes(folder / "trials", options.seed) if options.resume else []
     outcomes = run_trials(needed, options.seed, options.workers, progress, folder / "trials", options.resume)
     study = Study(eyes, outcomes.__getitem__, repeats)
     found = {name: experiment(study) for name, experiment in experiments.items()}
@@ -137,6 +139,7 @@ def run_study(
         f"{title} of {', '.join(dict.fromkeys(eye.name for eye in eyes))}",
         verdict=" ".join(next((findings.verdict for findings in found.values() if findings.verdict), ())),
         advice=[sentence for findings in found.values() for sentence in findings.advice],
+        warnings=[f"{path}: was not as it was written; its trial was run again." for path in damaged],
         blocks=blocks,
         inputs=[device_path(device) for device in dict.fromkeys(options.device)],
         record={"options": asdict(options), **records},

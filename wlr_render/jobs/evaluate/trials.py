@@ -22,6 +22,7 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, SeeThroughCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
+from wlr_render.input_files import LIMITS, read_bytes
 from wlr_render.jobs.kept_trials import kept_outcome, outcome_folder
 from wlr_render.mappings import EyeBox, EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
@@ -367,7 +368,7 @@ def _load(_: AnyTrial, content: dict[str, Any]) -> Outcome:
 def _file_of(trial: "AnyTrial") -> str:
     """Name of the file that keeps an outcome: it depends on the trial, the device file, and the program's version."""
     what = json.dumps([metadata.version("wlr_render"), type(trial).__name__, asdict(trial)])
-    digest = hashlib.sha256(what.encode() + device_path(trial.at.device).read_bytes())
+    digest = hashlib.sha256(what.encode() + read_bytes(device_path(trial.at.device), LIMITS.text_bytes))
     return f"{digest.hexdigest()[:32]}.json"
 
 

@@ -6,7 +6,9 @@ from typing import Annotated
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
+from wlr_render.jobs import limits
 from wlr_render.jobs.headset import is_model
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed, described, described_size, flag_of
 from wlr_render.jobs.plan.next_places import plan_next_places
 from wlr_render.jobs.plan.plan_report import places_csv, plan_report
@@ -35,31 +37,31 @@ class PlanOptions(Options):
     _: KW_ONLY
     eye: Annotated[Eye, described("Eye to calibrate.")] = "right"
     accuracy_arcmin: Annotated[
-        float, described("Wanted registration error in arcmin, of 95 % of the eye box."), Range(above=0)
+        float, described("Wanted registration error in arcmin, of 95 % of the eye box."), Range(0.001, 600)
     ] = 0.3
     repeatability_um: Annotated[
-        float, described("Repeatability of the stage in um, standard deviation per axis."), Range(at_least=0)
+        float, described("Repeatability of the stage in um, standard deviation per axis."), limits.REPEATABILITY_UM
     ] = _USUAL.repeatability_um
     turn_jitter_urad: Annotated[
-        float, described("Random rotation of each visit in urad, standard deviation per axis."), Range(at_least=0)
+        float, described("Random rotation of each visit in urad, standard deviation per axis."), limits.ROTATION_URAD
     ] = _USUAL.turn_jitter_urad
     turn_urad: Annotated[
-        float, described("Smooth pitch, yaw and roll of the stage in urad, rms along each axis."), Range(at_least=0)
+        float, described("Smooth pitch, yaw and roll of the stage in urad, rms along each axis."), limits.ROTATION_URAD
     ] = _USUAL.turn_urad
     dot_noise_px: Annotated[
-        float, described("Noise of a dot of the board, per axis, in camera pixels."), Range(above=0)
+        float, described("Noise of a dot of the board, per axis, in camera pixels."), limits.NOISE_PX
     ] = _READINGS.dot_px
     panel_noise_px: Annotated[
-        float, described("Noise of a decoded panel position, per axis, in panel pixels."), Range(above=0)
+        float, described("Noise of a decoded panel position, per axis, in panel pixels."), limits.NOISE_PX
     ] = _READINGS.panel_px
-    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), Range(at_least=1)] = (
+    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), limits.CAMERA_PIXELS] = (
         PhotoBenchOptions.camera_px
     )
     depths_m: Annotated[
-        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), Range(above=0)
+        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), limits.DISTANCE_M
     ] = PhotoBenchOptions.target_depths_m
     pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
-    seconds: Annotated[float, described("Seconds a photograph takes."), Range(above=0)] = 2.0
+    seconds: Annotated[float, described("Seconds a photograph takes."), Range(above=0, at_most=3600)] = 2.0
     most_places: Annotated[int, described("Camera places at most."), Range(at_least=LEAST_PLACES, at_most=200)] = 81
     calibration: Annotated[
         Path | None,
@@ -73,6 +75,7 @@ class PlanOptions(Options):
         super().__post_init__()
         if self.calibration is None and self.add != type(self).add:
             raise BadInputError(f"{flag_of(type(self), 'add')} is used with --calibration only; leave it out.")
+        self._check_product(limits.DEPTHS, "distances", "depths_m")
         if len(set(self.depths_m)) < 2:
             raise BadInputError(
                 f"{flag_of(type(self), 'depths_m')} is {' '.join(f'{each:g}' for each in self.depths_m)}; see-through "
@@ -94,6 +97,7 @@ class PlanOptions(Options):
         return SimulationRecipe(self.headset, self.eye, self.most_places, self.pattern, bench)
 
 
+@job
 def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Plan a session, or the places to add to one; writes places.csv and the report into `options.out`.
 
@@ -108,7 +112,6 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
     device = load_device(options.headset)
     truth = replace(traced_eye(device, options.eye), name=device.name)
     inputs = [device_path(options.headset)]
-    folder = output_folder(options.out)
     if options.calibration is not None:
         report, places = plan_next_places(
             truth, options.calibration, options.accuracy_arcmin, options.add, progress.say
@@ -119,6 +122,7 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
         search = find_design(bench, options.accuracy_arcmin, options.most_places, progress.say)
         report = plan_report(search, options.accuracy_arcmin, options.seconds)
         places = bench.places(search.recommended.design.unit) - truth.eye_box.centre
+    folder = output_folder(options.out)
     written = write_text(folder / PLACES_FILE, places_csv(places))
     record = {"options": options, "places_mm": 1e3 * places} | dict(report.record)
     report = replace(report, inputs=[*inputs, *report.inputs], files=[written], record=record)

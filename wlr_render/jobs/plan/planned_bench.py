@@ -7,6 +7,7 @@ import numpy as np
 
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
@@ -78,10 +79,19 @@ class PlannedBench:
 
     @cached_property
     def panel_arcmin(self) -> float:
-        """Arcminutes per pixel of the panel, in its middle."""
+        """Arcminutes per pixel of the panel, in its middle.
+
+        Raises:
+            BadInputError: four pixels from the middle, in each direction, is not seen.
+        """
         middle = 0.5 * np.array(self.truth.display.panel.size_px)
         pixel = middle + np.array([[-4.0, 0.0], [4.0, 0.0], [0.0, -4.0], [0.0, 4.0]])
         seen = self.truth.display.view_dir_of_pixel(pixel, self.truth.eye_box.centre).value
+        if not np.isfinite(seen).all():
+            raise BadInputError(
+                f"{self.truth.name}: the 8 x 8 pixels in the middle of the panel are not all seen from the middle of "
+                "the eye box; check the panel, the surfaces and their apertures."
+            )
         return float(np.mean(arcmin_between(seen[::2], seen[1::2])) / 8.0)
 
     @cached_property

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import Board
-from wlr_render.captures.photographs import Photograph, read_photograph
+from wlr_render.captures.photographs import Photograph, describe_pixels, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
@@ -90,10 +90,22 @@ def judge_pair(
         camera: that took them.
         shown: (rows, columns) which dots the panel can show whole; None for all.
         model: name of the models that drew, where several are compared.
+
+    Raises:
+        BadInputError: a photograph cannot be read, has another size than the camera's, or another depth than the other.
     """
     off, on = photographs
+    images = [read_photograph(path) for path in photographs]
+    for path, image in zip(photographs, images, strict=True):
+        if image.shape[::-1] != tuple(camera.size_px):
+            raise BadInputError(
+                f"{path}: is {describe_pixels(image)}, but its camera was calibrated for {camera.size_px[0]} x "
+                f"{camera.size_px[1]}; take both photographs with the camera of the calibration."
+            )
+    if images[0].dtype != images[1].dtype:
+        raise BadInputError(f"{on}: is {describe_pixels(images[1])}, {off.name} has another depth; take both alike.")
     try:
-        real, virtual = (board.find(read_photograph(path), path.name) for path in photographs)
+        real, virtual = (board.find(image, path.name) for path, image in zip(photographs, images, strict=True))
     except BadInputError as error:
         return Judged(position, method, off, on, None, str(error), model)
     if shown is not None:
@@ -102,7 +114,12 @@ def judge_pair(
 
 
 def misalignment_report(
-    judged: Sequence[Judged], name: str, folder: Path, inputs: Sequence[Path], record: Options
+    judged: Sequence[Judged],
+    name: str,
+    folder: Path,
+    inputs: Sequence[Path],
+    record: Options,
+    warnings: Sequence[str] = (),
 ) -> Report:
     """Write tables and pictures of judged pairs; `name` is that of the models or of the photographs."""
     into = output_folder(folder)
@@ -126,7 +143,10 @@ def misalignment_report(
     report = Report(
         f"Verification of {name}",
         verdict=" ".join(sentences),
-        warnings=[f"{one.position.name}, {one.label}: {one.complaint}" for one in judged if one.complaint],
+        warnings=[
+            *warnings,
+            *(f"{one.position.name}, {one.label}: {one.complaint}" for one in judged if one.complaint),
+        ],
         blocks=blocks,
         inputs=inputs,
         files=[arrows, close_up],

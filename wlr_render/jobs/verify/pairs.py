@@ -9,6 +9,7 @@ from wlr_render.calibration.bench.bench_file import load_station
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, described
 from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report
 from wlr_render.progress import SILENT
@@ -35,6 +36,7 @@ class VerifyPairsOptions(Options):
     out: Annotated[Path, described("Output folder.")] = Path("out/verify")
 
 
+@job
 def verify_pairs(options: VerifyPairsOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Measure how far drawn dots lie from real ones; writes pictures and the report into `options.out`.
 
@@ -50,8 +52,8 @@ def verify_pairs(options: VerifyPairsOptions, *, progress: ProgressArgument = SI
 
 def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[Judged]:
     """Judge NAME_off.png with every NAME_on.png or NAME_on_METHOD.png beside it."""
-    board, camera = load_board(board_file), load_station(station).eyeball_camera
     photographs = photographs_in(folder)
+    board, camera = load_board(board_file), load_station(station).eyeball_camera
     off = {match["name"]: path for path in photographs if (match := _OFF.fullmatch(path.stem))}
     judged = []
     for path in photographs:
@@ -63,5 +65,7 @@ def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[Judged]:
             raise BadInputError(f"{path}: has no photograph with the display off beside it; name that {name}_off.png.")
         judged.append(judge_pair(PairPosition(name), method, (off[name], path), board, camera))
     if not judged:
-        raise BadInputError(f"{folder}: holds no pairs of photographs named NAME_off.png and NAME_on.png.")
+        raise BadInputError(
+            f"{folder}: holds no pairs of photographs named NAME_off.png and NAME_on.png; name them so."
+        )
     return judged

@@ -7,6 +7,7 @@ the session. Nothing of the truth goes into the judgement. Several calibrations 
 targets and photographs with the display off.
 """
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
@@ -19,8 +20,11 @@ from wlr_render.calibration.bench.bench_file import SavedStation, load_station
 from wlr_render.calibration.bench.observations import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
 from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
+from wlr_render.jobs import limits
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
     MapFrom,
@@ -46,9 +50,9 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
-from wlr_render.rendering.painters import Painter, TracedPainter, raster_painter
-from wlr_render.rendering.raster_backends import open_raster_backend
+from wlr_render.rendering.painters import Painter, TracedPainter
 from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.scene_raster import open_scene_raster
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
 from wlr_render.simulation.photographs.photo_plan import Visit, later_visits
@@ -77,8 +81,8 @@ class VerifySessionOptions(Options):
             many=True,
         ),
     ] = (Path("out/calibrate"),)
-    viewpoints: Annotated[int, described("Number of camera positions in the eye box."), Range(at_least=1)] = 5
-    depths_m: Annotated[tuple[float, ...], described("Distances of the target in m.", many=True), Range(at_least=0)] = (
+    viewpoints: Annotated[int, described("Number of camera positions in the eye box."), limits.PLACES] = 5
+    depths_m: Annotated[tuple[float, ...], described("Distances of the target in m.", many=True), limits.DISTANCE_M] = (
         0.5,
         0.8,
     )
@@ -97,7 +101,9 @@ class VerifySessionOptions(Options):
         Range(at_least=-60, at_most=60),
     ] = 20.0
     shift_mm: Annotated[
-        float, described("Displacement of the shifted target to the right in mm; half as much down."), Range()
+        float,
+        described("Displacement of the shifted target to the right in mm; half as much down."),
+        Range(-1000, 1000),
     ] = 60.0
     seed: Seed = 1
     raster_camera: RasterCamera = "nearest"
@@ -105,6 +111,11 @@ class VerifySessionOptions(Options):
     backend: Backend = "auto"
     workers: Workers = None
     out: Annotated[Path, described("Output folder.")] = Path("out/verify")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_product(limits.DEPTHS, "distances", "depths_m")
+        self._check_product(10_000, "photographs", "viewpoints", "depths_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +144,7 @@ class _Calibration:
         return tuple(self.prefix + method for method in METHODS)
 
 
+@job
 def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Draw, photograph and match; writes photographs, pictures and the report into `options.out`.
 
@@ -153,11 +165,12 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     found = [[_tracked_pose(each.station, bench, seen) for seen in tracked] for each in calibrations]
     viewpoints = [each.viewpoints(visits) for each in calibrations]
     frames: list[dict[str, NDArray[np.uint8]]] = [{} for _ in range(len(targets) * len(visits))]
+    warnings: list[str] = []
     drawn = (
         images
         for each, poses, places in zip(calibrations, found, viewpoints, strict=True)
         for pose in poses
-        for images in _draw(each, bench, pose, places, options)
+        for images in _draw(each, bench, pose, places, options, warnings)
     )
     for number, images in enumerate(progress(drawn, len(calibrations) * len(frames), "frames")):
         frames[number % len(frames)] |= images
@@ -178,7 +191,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     ]
     inputs = [options.session, *(each / "model.json" for each in options.calibration)]
     name = calibrations[0].models.name if len(calibrations) == 1 else f"{len(calibrations)} calibrations"
-    return misalignment_report(judged, name, folder, inputs, options)
+    return misalignment_report(judged, name, folder, inputs, options, warnings[:1])
 
 
 def _calibrations(options: VerifySessionOptions, bench: PhotoBench) -> list[_Calibration]:
@@ -257,23 +270,26 @@ def _draw(
     target: FloatArray,
     viewpoints: FloatArray,
     options: VerifySessionOptions,
+    warnings: list[str],
 ) -> Iterator[dict[str, NDArray[np.uint8]]]:
     """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method.
 
-    The target has the shape that calibration found.
+    The target has the shape that calibration found. `warnings` receives a sentence if frames are ray traced for want of
+    OpenGL.
     """
     scene, models = target_scene(bench.board, calibration.station.shape, target), calibration.models
-    raster_backend, renderer = open_raster_backend(scene, options.backend), RayRenderer(scene)
-    mesh = renderer if options.map_from == "mesh" else None
+    raster, renderer = open_scene_raster(scene, options.backend), RayRenderer(scene)
+    warnings += traced_instead(raster, options.backend)
     painters: tuple[Painter, ...] = (
-        raster_painter(models, raster_backend, mesh, 2.0, options.raster_camera),
+        raster_painter(models, raster, renderer, options.map_from, 2.0, options.raster_camera),
         TracedPainter(models, renderer, _SUPERSAMPLE),
     )
-    for viewpoint in viewpoints:
-        yield {
-            name: painter.paint(viewpoint, np.eye(4)).colour[..., 1]
-            for name, painter in zip(calibration.shown(), painters, strict=True)
-        }
+    with raster.context if raster else contextlib.nullcontext():
+        for viewpoint in viewpoints:
+            yield {
+                name: painter.paint(viewpoint, np.eye(4)).colour[..., 1]
+                for name, painter in zip(calibration.shown(), painters, strict=True)
+            }
 
 
 def _judge(

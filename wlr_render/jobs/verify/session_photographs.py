@@ -16,7 +16,7 @@ from wlr_render.progress import Progress
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import Visit
 from wlr_render.simulation.photographs.simulate_photo_session import poses_on
-from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
+from wlr_render.simulation.photographs.take_photographs import BoardShot, PanelShots, take
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def photograph_tracking(
     """The target as the tracking camera sees it at each place; BadInputError where it does not."""
     shots = tuple(BoardShot(folder / f"tracking_{each.stem}.png", each.device_from_target) for each in targets)
     pose = poses_on(bench, seed)
-    _retake(pose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, boards=shots))
+    take(pose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, boards=shots))
     return [bench.board.find(read_photograph(shot.path), shot.path.name) for shot in shots]
 
 
@@ -90,15 +90,8 @@ def photograph(
             panels.append(PanelShots(on_folder(folder, target, number), Frames(tuple(drawn), tuple(drawn.values()))))
         camera = visit.device_from_camera
         places.append(pose(bench.eyeball, bench.eyeball_sensor, camera, bench.optics, boards=boards, panels=panels))
-    for _ in progress(as_finished(_retake, places, workers), len(places), "viewpoints"):
+    for _ in progress(as_finished(take, places, workers), len(places), "viewpoints"):
         pass
-
-
-def _retake(pose: CameraPose) -> int:
-    """Take all photographs, also those that are there: they may be of other models."""
-    for path in pose.paths():
-        path.unlink(missing_ok=True)
-    return take(pose)
 
 
 def off_path(folder: Path, target: TargetPlace, viewpoint: int) -> Path:

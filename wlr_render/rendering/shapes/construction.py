@@ -146,6 +146,7 @@ def turn(about_x: float, about_y: float, about_z: float) -> FloatArray:
 
 
 _TEXELS_PER_PITCH = 40
+_MOST_DOTS = 10_000
 
 
 def plane(width_m: float = 1.0, height_m: float = 1.0, colour: Colour = (0.7, 0.7, 0.7)) -> Mesh:
@@ -204,8 +205,10 @@ def dot_board(
         marker_diameter_m: of three larger dots near the centre that tell up and right; 0 for none.
 
     Raises:
-        BadInputError: markers on a board of fewer than 5 columns or 3 rows.
+        BadInputError: markers on a board of fewer than 5 columns or 3 rows, or more dots than its texture holds.
     """
+    if columns * rows > _MOST_DOTS:
+        raise BadInputError(f"A dot board of {columns} x {rows} has more than {_MOST_DOTS} dots; make it smaller.")
     if marker_diameter_m > 0 and (columns < 5 or rows < 3):
         raise BadInputError(f"A dot board of {columns} x {rows} has no room for markers; 5 x 3 is the least.")
     diameter = np.full((rows, columns), diameter_m)

@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
+from wlr_render.input_files import LIMITS, read_bytes
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import (
@@ -56,7 +57,7 @@ def save_recipe(folder: Path, recipe: SimulationRecipe) -> Path:
     """Write simulation.toml; a device file of one's own is copied beside it."""
     content = asdict(recipe)
     if Path(recipe.device).suffix == ".toml":
-        write_bytes(folder / _DEVICE_COPY, Path(recipe.device).read_bytes())
+        write_bytes(folder / _DEVICE_COPY, read_bytes(recipe.device, LIMITS.text_bytes))
         content["device"] = _DEVICE_COPY
     return write_toml(folder / FILE, content, "how these photographs were simulated; calibration does not read this")
 
@@ -83,7 +84,7 @@ def load_recipe(folder: Path) -> SimulationRecipe:
         own["tracking_px"] = _value(table, "tracking_px")
     bench = PhotoBenchOptions(**own, imperfections=imperfections)
     table.finish()
-    device = file.text("device")
+    device = file.file_stem("device")
     recipe = SimulationRecipe(
         str(folder / device) if device == _DEVICE_COPY else device,
         file.text("eye"),
@@ -106,7 +107,7 @@ def _flat(recipe: SimulationRecipe) -> dict[str, Any]:
     bench = content.pop("bench")
     flat: dict[str, Any] = content | bench.pop("imperfections") | bench
     if Path(recipe.device).suffix == ".toml":
-        digest = hashlib.sha256(Path(recipe.device).read_bytes()).hexdigest()[:8]
+        digest = hashlib.sha256(read_bytes(recipe.device, LIMITS.text_bytes)).hexdigest()[:8]
         flat["device"] = f"a device file ({digest})"
     return flat
 

@@ -4,8 +4,8 @@
 take more photographs on the same bench. Calibration never opens it.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, Ses
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
+from wlr_render.finished_files import FinishedFiles, digest_of
+from wlr_render.input_files import hashes_of_inputs
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import as_finished, few_workers
 from wlr_render.progress import SILENT, Progress
@@ -39,17 +41,33 @@ BOARD = "board.toml"
 _MOST_WORKERS = 4  # each takes up to 0.4 GB
 
 
+@dataclass(frozen=True)
+class TakenPhotographs:
+    """What a run did for a session.
+
+    Attributes:
+        taken, kept: numbers of photographs taken by this run, and kept from an earlier one.
+        changed: those of an earlier run that were no longer as it had taken them, and were taken again.
+    """
+
+    taken: int
+    kept: int
+    changed: Sequence[Path]
+
+
 def simulate_photo_session(
     folder: Path, recipe: SimulationRecipe, workers: int | None = None, progress: Progress = SILENT
-) -> tuple[int, int]:
-    """Take all photographs of a session that an earlier run has not taken; returns the numbers taken and kept.
+) -> TakenPhotographs:
+    """Take all photographs of a session that an earlier run has not taken.
 
     Raises:
-        BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way.
+        BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way or with
+            other input files.
     """
     if recipe.bench.stage == "hand":
         raise BadInputError("Photographs past the optics are not rendered; choose a stage of 1 to 3 axes.")
-    bench = recipe.build()  # what cannot be simulated is refused before a folder is made
+    with hashes_of_inputs() as inputs:
+        bench = recipe.build()  # what cannot be simulated is refused before a folder is made
     root = output_folder(folder)
     pattern = make_pattern(recipe.pattern, bench.optics.panel.pixels)
     if (root / recipe_file.FILE).is_file():
@@ -61,16 +79,27 @@ def simulate_photo_session(
         raise BadInputError(f"{root}: holds a session that was not simulated; choose another folder.")
     else:
         recipe_file.save_recipe(root, recipe)
+    # By content: the same device file may lie elsewhere.
+    finished = FinishedFiles(root, digest_of(sorted(inputs.values())))
     plan = plan_photographs(bench, recipe.viewpoints)
     visits = true_camera_poses(bench, plan)
     session = planned_session(root, bench, plan, visits, pattern)
-    poses = list(camera_poses(session, bench, plan, visits))
-    total = sum(len(pose.paths()) for pose in poses)
-    taken = sum(progress(as_finished(take, poses, workers or few_workers(_MOST_WORKERS)), len(poses), "camera poses"))
+    tasks = [(pose, pose.paths()) for pose in camera_poses(session, bench, plan, visits)]
+    total = sum(len(paths) for _, paths in tasks)
+    tasks = [(pose, missing) for pose, paths in tasks if (missing := finished.not_whole(paths))]
+    changed = finished.changed(path for _, missing in tasks for path in missing)
+    taken = 0
+    for paths in progress(as_finished(_take, tasks, workers or few_workers(_MOST_WORKERS)), len(tasks), "camera poses"):
+        finished.add(paths)
+        taken += len(paths)
     save_board(session.board, root / BOARD)
     write_board_svg(session.board, root / "board.svg")
     save_photo_session(session, {"pattern": recipe.pattern}, BOARD)
-    return taken, total - taken
+    return TakenPhotographs(taken, total - taken, changed)
+
+
+def _take(task: tuple[CameraPose, Sequence[Path]]) -> list[Path]:
+    return take(*task)
 
 
 def camera_poses(

@@ -99,11 +99,9 @@ class CameraPose:
         return [shot.path for shot in self.boards] + [path for shots in self.panels for path in shots.paths()]
 
 
-def take(pose: CameraPose) -> int:
-    """Take the photographs that are not there yet; returns how many."""
-    missing = {path for path in pose.paths() if not path.is_file()}
-    if not missing:
-        return 0
+def take(pose: CameraPose, missing: Sequence[Path] | None = None) -> list[Path]:
+    """Take the photographs that are missing, by default all; returns their paths."""
+    missing = pose.paths() if missing is None else missing
     if pose.optics is None:
         view = CameraView.without_headset(pose.lens, pose.frame_from_camera)
     else:
@@ -118,7 +116,7 @@ def take(pose: CameraPose) -> int:
             if path in missing:
                 light = view.panel_light(shots.pictures.image(number)) + dark
                 _photograph(pose, light, path)
-    return len(missing)
+    return list(missing)
 
 
 def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:

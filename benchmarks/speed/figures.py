@@ -1,0 +1,55 @@
+"""Figures of the summary: what we measure, what it is compared with, and whether the goal is reached."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from benchmarks.speed.timing import Estimate
+from wlr_render.report.blocks import Cell, ReportTable
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One row of the summary.
+
+    Attributes:
+        quantity: what is measured.
+        ours, compared_with: with units; `compared_with` says what it is.
+        ratio: ours to the other; empty where there is none.
+        goal: in words and numbers; empty where there is none.
+        is_reached: whether the goal is; None without a goal, or where this machine cannot tell.
+    """
+
+    quantity: str
+    ours: str
+    compared_with: str = ""
+    ratio: str = ""
+    goal: str = ""
+    is_reached: bool | None = None
+
+    def row(self) -> list[Cell]:
+        """The row of the table."""
+        verdict = {True: ": reached", False: ": missed", None: ""}[self.is_reached]
+        return [self.quantity, self.ours, self.compared_with or None, self.ratio or None, self.goal + verdict or None]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One measurement: its figures of the summary, and its tables."""
+
+    figures: Sequence[Figure] = ()
+    tables: Sequence[ReportTable] = ()
+
+
+Measurement = Callable[[], Part]
+
+
+def ratio_figure(quantity: str, ours: str, compared_with: str, found: Estimate, at_most: float | None = None) -> Figure:
+    """Figure of a ratio of times, with the largest that is wanted."""
+    goal, is_reached = ("", None) if at_most is None else (f"<= {at_most:g}", found.value <= at_most)
+    return Figure(quantity, ours, compared_with, str(found), goal, is_reached)
+
+
+def summary_table(figures: Iterable[Figure], notes: Sequence[str]) -> ReportTable:
+    """The first table of the report."""
+    columns = "quantity", "ours", "compared with", "ratio", "goal"
+    return ReportTable("Summary", columns, [each.row() for each in figures], notes)

@@ -1,0 +1,138 @@
+"""Counts of OpenGL calls, by ctypes and by ModernGL alike, and drawing calls that do nothing.
+
+Each OpenGL function is loaded by its address. In its place the loader gets the address of a few bytes of machine code
+that count the call and jump on: to the function, or, for drawing, to a return.
+"""
+
+import contextlib
+import ctypes
+import mmap
+import platform
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import glcontext
+import moderngl
+
+from wlr_render.errors import BadInputError
+from wlr_render.rendering import gl
+from wlr_render.rendering.native_contexts import CurrentContext
+
+_SIZE = 1 << 20
+_FUNCTION_BYTES = 64
+# mov r11, counter; inc [r11]; mov r11, slot; jmp [r11]: r11 carries no argument and need not be preserved.
+_COUNT, _LOAD, _JUMP = b"\x49\xbb", b"\x49\xff\x03\x49\xbb", b"\x41\xff\x23"
+_NOTHING = b"\x31\xc0\xc3"  # xor eax, eax; ret
+_IS_GET = re.compile(r"gl(Get|Is|Check)[A-Z]")
+_IS_DRAWING = re.compile(
+    r"gl(MultiDraw|Draw(Arrays|Elements|Range)|BlitFramebuffer|Clear$|ClearBuffer|DispatchCompute)"
+)
+
+
+def is_get(name: str) -> bool:
+    """Whether a function only reads state, for which threaded drivers wait."""
+    return bool(_IS_GET.match(name))
+
+
+class GlCalls:
+    """Counts the calls of OpenGL functions that are looked up inside `counted`.
+
+    Raises:
+        BadInputError: the processor is no x86-64.
+    """
+
+    def __init__(self) -> None:
+        if platform.machine().lower() not in ("x86_64", "amd64"):
+            raise BadInputError(
+                f"OpenGL calls are counted by machine code for x86-64, and this processor is a {platform.machine()}."
+            )
+        self._memory = mmap.mmap(-1, _SIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
+        self._address = ctypes.addressof(ctypes.c_char.from_buffer(self._memory))
+        self._memory[: len(_NOTHING)] = _NOTHING
+        self._end = _FUNCTION_BYTES
+        # By name: the counting code of each address, where it counts, where it jumps to, and the function.
+        self._functions: dict[str, list[tuple[ctypes.c_uint64, ctypes.c_uint64, int]]] = {}
+        self._codes: dict[tuple[str, int], int] = {}
+
+    def address(self, name: str, function: int) -> int:
+        """Address of code that counts a call of a function and calls it; 0 for 0."""
+        if not function:
+            return 0
+        if (name, function) not in self._codes:
+            start, self._end = self._end, self._end + _FUNCTION_BYTES
+            counter, slot = (ctypes.c_uint64.from_address(self._address + start + k) for k in (40, 48))
+            counter.value, slot.value = 0, function
+            numbers = [(self._address + start + k).to_bytes(8, "little") for k in (40, 48)]
+            code = _COUNT + numbers[0] + _LOAD + numbers[1] + _JUMP
+            self._memory[start : start + len(code)] = code
+            self._functions.setdefault(name, []).append((counter, slot, function))
+            self._codes[name, function] = self._address + start
+        return self._codes[name, function]
+
+    def start(self) -> None:
+        """Count from 0."""
+        for counter, _, _ in self._each():
+            counter.value = 0
+
+    def found(self) -> dict[str, int]:
+        """Calls since `start`, by name of the function, without those that were not called."""
+        counts = {name: sum(each[0].value for each in found) for name, found in self._functions.items()}
+        return {name: count for name, count in counts.items() if count}
+
+    @contextlib.contextmanager
+    def without_drawing(self) -> Iterator[None]:
+        """Let drawing, clearing and copying of framebuffers do nothing."""
+        drawing = [each for name, found in self._functions.items() if _IS_DRAWING.match(name) for each in found]
+        for _, slot, _ in drawing:
+            slot.value = self._address
+        try:
+            yield
+        finally:
+            for _, slot, function in drawing:
+                slot.value = function
+
+    @contextlib.contextmanager
+    def counted(self) -> Iterator[None]:
+        """Count functions that are looked up in this block, also when they are called after it."""
+        load, openers = CurrentContext.load_opengl_function, dict(gl._OPENERS)
+        calls = self
+
+        def counting(self: CurrentContext, name: str) -> int:
+            return calls.address(name, load(self, name))
+
+        CurrentContext.load_opengl_function = counting  # type: ignore[method-assign]
+        gl._OPENERS["egl"] = lambda: _opened(_CountedEgl(self))
+        try:
+            yield
+        finally:
+            CurrentContext.load_opengl_function = load  # type: ignore[method-assign]
+            gl._OPENERS.update(openers)
+
+    def _each(self) -> Iterator[tuple[ctypes.c_uint64, ctypes.c_uint64, int]]:
+        return (each for found in self._functions.values() for each in found)
+
+
+def _opened(loader: Any) -> moderngl.Context:
+    return moderngl.create_context(standalone=True, require=410, context=loader)
+
+
+class _CountedEgl:
+    """An EGL context for ModernGL whose functions are counted."""
+
+    def __init__(self, calls: GlCalls) -> None:
+        backend: Any = glcontext.get_backend_by_name("egl")
+        self._inner, self._calls = backend(mode="standalone", glversion=410), calls
+
+    def load_opengl_function(self, name: str) -> int:
+        return self._calls.address(name, self._inner.load(name))
+
+    def __enter__(self) -> "_CountedEgl":
+        self._inner.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._inner.__exit__(*exception)
+
+    def release(self) -> None:
+        self._inner.release()

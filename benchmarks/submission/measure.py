@@ -1,0 +1,146 @@
+"""One host program for each way of using a compositor; its frames are counted and timed without drawing."""
+
+import contextlib
+import gc
+import statistics
+import time
+import tracemalloc
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from benchmarks.submission.gl_calls import GlCalls, is_get
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.mappings import EyeMappings
+from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
+
+WAYS = {
+    "own": "own context",
+    "kept": "adopted context, state kept by each call",
+    "block": "adopted context, state kept once a frame",
+    "clean": "adopted context, clean host",
+}
+"""Ways of using a compositor, with their names in the table."""
+
+_WARM_UP = 5
+_STORED = StoredDepth(DepthKind.WINDOW, 0.05, np.inf)
+
+
+@dataclass(frozen=True)
+class Submission:
+    """What a frame of all eyes costs the CPU without drawing.
+
+    Attributes:
+        calls, gets: OpenGL calls, and those of them that read state, of one frame.
+        begin_ms, submit_ms, compose_ms, frame_ms: medians of the CPU time of this thread.
+        peak_bytes: median of the memory that Python allocates at most during a frame.
+        kept_bytes: memory that Python keeps after the frames, per frame.
+        by_name: calls by function.
+    """
+
+    calls: int
+    gets: int
+    begin_ms: float
+    submit_ms: float
+    compose_ms: float
+    frame_ms: float
+    peak_bytes: float
+    kept_bytes: float
+    by_name: Mapping[str, int]
+
+
+class Host:
+    """A program that draws both eyes into framebuffers of its own and composes into one of twice the width."""
+
+    def __init__(self, models: Mapping[str, EyeMappings], size: tuple[int, int], way: str) -> None:
+        settings: Any = {"standalone": True, "require": 410, "backend": "egl"}
+        self._caller = None if way == "own" else moderngl.create_context(**settings)
+        host_state: Any = "clean" if way == "clean" else "kept"
+        self.compositor = Compositor(
+            models, size, context="egl" if self._caller is None else self._caller, host_state=host_state
+        )
+        self._models, self._in_block = models, way == "block"
+        with self._working():
+            ctx = self._caller or vars(self.compositor.context)["_ctx"]
+            cameras = {eye: self.compositor.plan(eye).camera for eye in models}
+            self._drawn = {
+                eye: ctx.simple_framebuffer((camera.width_px, camera.height_px)) for eye, camera in cameras.items()
+            }
+            self._screen = ctx.simple_framebuffer((len(models) * size[0], size[1]))
+
+    def frame(self, number: int) -> list[float]:
+        """Times at the start of a frame and after each of its steps, CPU seconds of this thread."""
+        unit = np.array([0.3 * np.sin(0.1 * number), 0.2 * np.cos(0.07 * number), 0.0])
+        viewpoints = {eye: mappings.eye_box.at(unit) for eye, mappings in self._models.items()}
+        pose, late = np.eye(4), np.eye(4)
+        late[:3, 3] = 1e-3 * unit
+        times = [time.thread_time()]
+        self.compositor.begin_frame(pose, viewpoints)
+        times.append(time.thread_time())
+        with self.compositor.context.drawing() if self._in_block else contextlib.nullcontext():
+            for eye, framebuffer in self._drawn.items():
+                self.compositor.submit(framebuffer, eye=eye, stored=_STORED)
+            times.append(time.thread_time())
+            self.compositor.compose(self._screen, pose=late)
+        return [*times, time.thread_time()]
+
+    def release(self) -> None:
+        """Free everything."""
+        self.compositor.release()
+        if self._caller is not None:
+            self._caller.release()
+
+    def _working(self) -> contextlib.AbstractContextManager[object]:
+        return self.compositor.context.drawing() if self._caller is None else contextlib.nullcontext()
+
+
+def measure(models: Mapping[str, EyeMappings], size: tuple[int, int], way: str, frames: int) -> Submission:
+    """Measure one of `WAYS` over some frames of displays of (width, height).
+
+    Raises:
+        BadInputError: the processor is no x86-64, or as `Compositor`.
+        MissingGlError: no EGL.
+    """
+    calls = GlCalls()
+    with calls.counted():
+        host = Host(models, size, way)
+        try:
+            for number in range(_WARM_UP):
+                host.frame(number)
+            with calls.without_drawing():
+                calls.start()
+                host.frame(_WARM_UP)
+                by_name = calls.found()
+                times = np.array([host.frame(number) for number in range(frames)])
+                peaks, kept = _allocations(host, frames)
+        finally:
+            host.release()
+    begin, submit, compose = 1e3 * np.median(np.diff(times, axis=1), axis=0)
+    frame = 1e3 * float(np.median(times[:, -1] - times[:, 0]))
+    gets = sum(count for name, count in by_name.items() if is_get(name))
+    numbers = float(begin), float(submit), float(compose), frame, peaks, kept
+    return Submission(sum(by_name.values()), gets, *numbers, by_name)
+
+
+def _allocations(host: Host, frames: int) -> tuple[float, float]:
+    """Median of the peak of each frame over its start, and growth per frame, in bytes."""
+    peaks = []
+    tracemalloc.start()
+    try:
+        for number in range(_WARM_UP):  # the last frames are kept
+            host.frame(number)
+        gc.collect()
+        first, _ = tracemalloc.get_traced_memory()
+        for number in range(frames):
+            before, _ = tracemalloc.get_traced_memory()
+            tracemalloc.reset_peak()
+            host.frame(number)
+            peaks.append(tracemalloc.get_traced_memory()[1] - before)
+        gc.collect()
+        last, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    return float(statistics.median(peaks)), (last - first) / frames

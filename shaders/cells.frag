@@ -1,0 +1,144 @@
+#version 430
+#include "conventions.glsl"
+#include "ranges.glsl"
+// For each point of a warp grid: where its ray appears in the image, the second differences of that, and the bounds of
+// the inverse depth for the cell of which it is the upper left corner. Channels lie one below the other.
+
+uniform sampler2D slope_offset[CHANNELS];
+#if ROWS
+uniform sampler2D camera_matrices;  // from the rays, for each row of the grid; three texels in each row
+#else
+uniform vec4 camera_matrix[3];  // from the rays
+#endif
+uniform vec2 size_px;  // of the image
+uniform vec2 display_px_per_cell;
+
+layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without a ray
+layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
+layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, `marked`
+
+const int NARROWINGS = 6;
+const float SLACK_PX = 6.0;  // reach of the depth's filter, and how far paths bulge within a cell
+
+vec4 path_at(int channel, ivec2 point)
+{
+    if (any(lessThan(point, ivec2(0))) || any(greaterThanEqual(point, textureSize(slope_offset[0], 0))))
+        return vec4(MISSING, 0.0, 0.0, 0.0);
+    vec4 ray = vec4(0.0);
+    for (int k = 0; k < CHANNELS; ++k)
+        ray = k == channel ? texelFetch(slope_offset[k], point, 0) : ray;
+    vec4 found;
+#if ROWS
+    vec4 row_u = texelFetch(camera_matrices, ivec2(0, point.y), 0);
+    vec4 row_v = texelFetch(camera_matrices, ivec2(1, point.y), 0);
+    project_ray(ray, row_u, row_v, texelFetch(camera_matrices, ivec2(2, point.y), 0), found.xy, found.zw);
+#else
+    project_ray(ray, camera_matrix[0], camera_matrix[1], camera_matrix[2], found.xy, found.zw);
+#endif
+    // By its bits: compilers may take isnan for false.
+    bool known = all(notEqual(floatBitsToUint(found) & 0x7f800000u, uvec4(0x7f800000u)));
+    return known ? found : vec4(MISSING, 0.0, 0.0, 0.0);
+}
+
+bool is_known(vec4 one)
+{
+    return one.x < 0.5 * MISSING;
+}
+
+// Second difference along a step about the point, or where a neighbour is missing about those next to it.
+vec2 second_difference(int channel, ivec2 point, ivec2 along)
+{
+    vec4 line[5];
+    for (int k = 0; k < 5; ++k)
+        line[k] = path_at(channel, point + (k - 2) * along);
+    vec3 sum[3];
+    for (int k = 0; k < 3; ++k) {
+        bool known = is_known(line[k]) && is_known(line[k + 1]) && is_known(line[k + 2]);
+        sum[k] = known ? vec3(line[k].xy - 2.0 * line[k + 1].xy + line[k + 2].xy, 1.0) : vec3(0.0);
+    }
+    vec3 beside = sum[0] + sum[2];
+    return sum[1].z > 0.0 ? sum[1].xy : beside.xy / max(beside.z, 1.0);
+}
+
+// Mean of the mixed differences of the cells around the point that have all their corners.
+vec2 mixed_difference(int channel, ivec2 point)
+{
+    vec4 around[9];
+    for (int k = 0; k < 9; ++k)
+        around[k] = path_at(channel, point + ivec2(k % 3 - 1, k / 3 - 1));
+    vec3 sum = vec3(0.0);
+    for (int k = 0; k < 4; ++k) {
+        int first = k % 2 + 3 * (k / 2);
+        bool known = is_known(around[first]) && is_known(around[first + 1]) && is_known(around[first + 3]) && is_known(around[first + 4]);
+        vec2 difference = around[first].xy - around[first + 1].xy - around[first + 3].xy + around[first + 4].xy;
+        sum += known ? vec3(difference, 1.0) : vec3(0.0);
+    }
+    return sum.xy / max(sum.z, 1.0);
+}
+
+// Largest singular value: image pixels per display pixel in the direction where they are most.
+float largest_stretch(mat2 image_by_display)
+{
+    float squares = dot(image_by_display[0], image_by_display[0]) + dot(image_by_display[1], image_by_display[1]);
+    float area = determinant(image_by_display);
+    return sqrt(0.5 * (squares + sqrt(max(squares * squares - 4.0 * area * area, 0.0))));
+}
+
+// Whether one bilinear sample for each display pixel would miss some of the image.
+bool is_minified(vec4 corner[4])
+{
+    vec2 upper = corner[1].xy - corner[0].xy, lower = corner[3].xy - corner[2].xy;
+    vec2 left = corner[2].xy - corner[0].xy, right = corner[3].xy - corner[1].xy;
+    mat2 first = mat2(upper / display_px_per_cell.x, left / display_px_per_cell.y);
+    mat2 last = mat2(lower / display_px_per_cell.x, right / display_px_per_cell.y);
+    return max(largest_stretch(first), largest_stretch(last)) > SPACING_PX;
+}
+
+// Minified cells have negative bounds.
+vec2 marked(vec2 range, bool minified)
+{
+    return minified ? -1.0 - range : range;
+}
+
+// Far and near bound; the near one first where the cell is sampled directly, because they lie so close together.
+vec2 range_of_cell(int channel, ivec2 point)
+{
+    vec4 corner[4];
+    vec4 low = vec4(MISSING), high = vec4(-MISSING);
+    for (int k = 0; k < 4; ++k) {
+        corner[k] = path_at(channel, point + ivec2(k % 2, k / 2));
+        if (is_known(corner[k])) {
+            low = min(low, corner[k]);
+            high = max(high, corner[k]);
+        }
+    }
+    if (low.x > high.x)
+        return vec2(0.0);
+    vec4 middle = 0.5 * (low + high), size = high - low;
+    vec2 within = range_around(middle.xy, 1e9);
+    for (int k = 0; k < NARROWINGS; ++k) {
+        float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
+        within = narrowed(middle.xy, middle.zw, within, width_px, size_px);
+        // Half of the path along which the image shows nothing so near, or so far, is not searched.
+        float half_way = 0.5 * (within.x + within.y);
+        float near = range_along(middle.xy, middle.zw, vec2(half_way, within.y), width_px, size_px).y;
+        within.y = min(within.y, max(half_way, near));
+        float far = range_along(middle.xy, middle.zw, vec2(within.x, half_way), width_px, size_px).x;
+        within.x = max(within.x, min(min(half_way, within.y), far));
+    }
+    float px_per_inverse_depth = length(max(abs(low.zw), abs(high.zw)));
+    bool direct = px_per_inverse_depth * (within.y - within.x) <= DIRECT_PX;
+    return marked(direct ? within.yx : within, is_minified(corner));
+}
+
+void main()
+{
+    int rows = textureSize(slope_offset[0], 0).y, channel = int(gl_FragCoord.y) / rows;
+    ivec2 point = ivec2(gl_FragCoord.x, int(gl_FragCoord.y) - channel * rows);
+    ivec2 last = textureSize(slope_offset[0], 0) - 1;
+    path = path_at(channel, point);
+    bend = vec4(second_difference(channel, point, ivec2(1, 0)), second_difference(channel, point, ivec2(0, 1)));
+    vec2 mixed = mixed_difference(channel, point);
+    bool has_cell = all(lessThan(point, last));
+    mixed_bend_and_range = vec4(mixed, has_cell ? range_of_cell(channel, point) : vec2(0.0));
+}

@@ -1,0 +1,84 @@
+"""CPU cost of a frame: what is counted, and what a clean host is promised."""
+
+import ctypes
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fitted_eyes import fitted_eye
+
+from benchmarks.submission import study
+from benchmarks.submission.gl_calls import GlCalls, is_get
+from benchmarks.submission.measure import WAYS, measure
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import Panel
+from wlr_render.rendering import gl
+
+pytestmark = pytest.mark.gl
+
+SIZE = 60, 50
+
+
+@pytest.fixture(scope="module")
+def models():
+    eye = fitted_eye("northstar", 3)
+    return {"left": replace(eye, eye="left"), "right": eye}
+
+
+@pytest.fixture
+def egl(gl_context):
+    if gl_context.backend != "egl":
+        pytest.skip("EGL does not open here.")
+
+
+def test_calls_of_ctypes_and_moderngl_are_counted_and_drawing_can_be_left_out(egl):
+    calls = GlCalls()
+    with calls.counted(), gl.open_context("egl") as context, context.drawing():
+        texture = context.target((4, 4), 4, "f1")
+        framebuffer = context.framebuffer([texture])
+        scissor = context.function("glScissor", *[ctypes.c_int] * 4)
+        calls.start()
+        scissor(0, 0, 4, 4)
+        framebuffer.clear(1.0, 1.0, 1.0, 1.0)
+        assert {name: calls.found()[name] for name in ("glClear", "glScissor")} == {"glClear": 1, "glScissor": 1}
+        with calls.without_drawing():
+            framebuffer.clear(0.0, 0.0, 0.0, 0.0)
+        assert calls.found()["glClear"] == 2
+        assert (gl.read(texture, np.uint8) == 255).all()
+        framebuffer.clear(0.0, 0.0, 0.0, 0.0)
+        assert (gl.read(texture, np.uint8) == 0).all()
+
+
+def test_gets_are_told_from_other_calls():
+    gets = "glGetIntegerv", "glIsEnabled", "glIsEnabledi", "glGetError", "glCheckFramebufferStatus"
+    assert all(map(is_get, gets))
+    assert not any(map(is_get, ("glEnable", "glGenTextures", "glIsolate", "glUseProgram")))
+
+
+def test_a_clean_host_has_no_gets_and_few_calls(egl, models):
+    clean = measure(models, SIZE, "clean", 2)
+    assert {name: count for name, count in clean.by_name.items() if is_get(name)} == {}
+    assert 20 < clean.calls <= 150
+    assert clean.gets == 0
+    assert clean.kept_bytes < 2000
+    kept, block = (measure(models, SIZE, way, 2) for way in ("kept", "block"))
+    assert clean.calls + 100 < block.calls < kept.calls - 200
+    assert 50 < block.gets < kept.gets - 100
+
+
+def test_the_report_has_a_row_for_each_way(egl, models, tmp_path):
+    small = {eye: replace(each, display=replace(each.display, panel=Panel(*SIZE))) for eye, each in models.items()}
+    report = study.run(study.SubmissionOptions(frames=2, out=tmp_path), models=small)
+    costs, functions = report.blocks
+    assert [row[0] for row in costs.rows] == list(WAYS.values())
+    assert all(len(row) == len(costs.columns) for row in costs.rows)
+    totals = [sum(row[1:]) for row in functions.rows]
+    assert totals == sorted(totals, reverse=True)
+    assert totals[-1] > 0
+    assert (tmp_path / "submission.md").exists()
+
+
+def test_other_processors_are_refused_in_a_sentence(monkeypatch):
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
+    with pytest.raises(BadInputError, match="this processor is a aarch64"):
+        GlCalls()

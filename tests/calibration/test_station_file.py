@@ -1,0 +1,29 @@
+"""Station files whose JSON is sound and whose content is not."""
+
+import json
+
+import pytest
+from corpus.base_texts import STATION
+
+from wlr_render.calibration.bench.bench_file import load_station
+from wlr_render.errors import BadInputError
+
+
+@pytest.mark.parametrize(
+    ("changes", "camera", "sentence"),
+    [
+        ({"units": {"length": "mm", "angle": "rad", "pixel": "px"}}, {}, "'units' must be"),
+        ({}, {"size_px": [640.5, 480]}, "'size_px' must be two whole numbers"),
+        ({}, {"focal_px": [600.0, 100.0]}, "no camera's two differ by 3 times"),
+        ({}, {"focal_px": [8.0, 8.0]}, "not in millimetres"),
+    ],
+)
+def test_a_station_that_nobody_has_is_refused(tmp_path, changes, camera, sentence):
+    path = tmp_path / "station-right.json"
+    path.write_text(json.dumps(STATION), encoding="utf-8")
+    assert load_station(path).eyeball_camera.size_px == (640, 480)
+    content = STATION | changes | {"eyeball_camera": STATION["eyeball_camera"] | camera}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(BadInputError, match=sentence) as caught:
+        load_station(path)
+    assert str(caught.value).startswith(str(path))

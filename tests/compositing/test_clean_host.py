@@ -1,0 +1,127 @@
+"""A host that promises OpenGL's default state: the same pictures, and nothing of its state is read or restored."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from composing import HEAD, SMALL, draw, scene, viewpoint
+from gl_caller import assert_same
+
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.errors import BadInputError
+from wlr_render.rendering.framebuffers import TextureLayer
+from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
+
+pytestmark = pytest.mark.gl
+
+WINDOW = StoredDepth(DepthKind.WINDOW, 0.5, 4.0)
+
+
+@pytest.fixture
+def models(flat_image_headset):
+    return {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
+
+
+@pytest.fixture
+def clean(caller, compositor, models):
+    return compositor(models, context=caller.ctx, host_state="clean")
+
+
+def seen(models):
+    return {eye: viewpoint(each) for eye, each in models.items()}
+
+
+def switches(caller):
+    state = caller.state()
+    names = [name for name in state if name.startswith(("switch", "colour mask", "depth mask", "polygon", "clip"))]
+    return {name: state[name] for name in names}
+
+
+def test_the_pictures_are_those_of_an_own_context_and_no_switch_changes(caller, compositor, models):
+    before = switches(caller)
+    own = compositor(models, context="egl")
+    draw(own, SceneSource(own, scene()), HEAD, seen(models))
+    frame = own.compose()
+    expected = [frame.read(eye) for eye in own.eyes]
+    caller.ctx.__enter__()
+    clean = compositor(models, context=caller.ctx, host_state="clean")
+    assert switches(caller) == before
+    source = SceneSource(clean, scene())
+    for _ in range(2):
+        draw(clean, source, HEAD, seen(models))
+        assert switches(caller) == before
+        composed = clean.compose()
+        assert switches(caller) == before
+        for eye, picture in zip(clean.eyes, expected, strict=True):
+            np.testing.assert_array_equal(composed.read(eye), picture)
+    assert caller.ctx.error == "GL_NO_ERROR"
+
+
+def test_no_state_is_restored(caller, clean, models):
+    """The mode would be worthless if it restored the state after all."""
+    caller.framebuffer.use()
+    source = SceneSource(clean, scene())
+    bound = caller.state()["draw framebuffer"]
+    draw(clean, source, HEAD, seen(models))
+    clean.compose()
+    assert caller.state()["draw framebuffer"] != bound
+
+
+def test_pictures_by_number_and_layer(caller, clean, models):
+    """Numbers are remembered: what is drawn into their objects later is shown all the same."""
+    ctx = caller.ctx
+    screen = ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
+    size = clean.plan("left").camera.width_px, clean.plan("left").camera.height_px
+    colours = ctx.texture_array((*size, 2), 4), ctx.texture(size, 4)
+    drawn, depth = ctx.simple_framebuffer(size), ctx.depth_texture(size, np.full(size[::-1], 0.5, np.float32))
+    for grey in (50, 90):
+        pixels = np.full((*size[::-1], 4), grey, np.uint8)
+        drawn.clear(*[grey / 255] * 4, depth=0.5)
+        colours[0].write(np.stack([0 * pixels, pixels]))
+        colours[1].write(pixels)
+        for given in (
+            {"left": (drawn.glo, None), "right": (drawn, None)},
+            {"left": (TextureLayer(colours[0].glo, 1), depth.glo), "right": (colours[1].glo, depth.glo)},
+        ):
+            clean.begin_frame(HEAD, seen(models))
+            for eye, picture in given.items():
+                clean.submit(*picture, eye=eye, stored=WINDOW)
+            clean.compose(screen.glo)
+            shown = np.frombuffer(screen.read(components=4), np.uint8)
+            assert set(np.unique(shown)) <= {0, grey, 255}
+            assert (shown == grey).mean() > 0.5
+
+
+def test_an_unknown_host_state_is_refused(caller, compositor, models):
+    with pytest.raises(BadInputError, match="host_state is 'dirty'; choose from kept, clean"):
+        compositor(models, context=caller.ctx, host_state="dirty")
+
+
+def test_what_a_host_has_not_reset_is_named(caller, clean):
+    before = caller.state()
+    clean.context.check_host_is_clean()
+    assert_same(caller.state(), before)
+    caller.ctx.depth_func = "<="  # a default of ModernGL, and of no interest
+    caller.gl("glEnable", 0x0BE2)
+    caller.gl("glPolygonMode", 0x0408, 0x1B01)
+    caller.gl("glDepthMask", 0)
+    caller.gl("glPixelStorei", 0x0CF2, 3)
+    caller.samplers[0].use(3)
+    before = caller.state()
+    with pytest.raises(BadInputError) as told:
+        clean.context.check_host_is_clean()
+    assert (
+        "not clean: glDepthMask(), glPolygonMode(GL_FRONT_AND_BACK), glPixelStorei(GL_UNPACK_ROW_LENGTH), "
+        "glEnable(GL_BLEND), glBindSampler(3) set other" in str(told.value)
+    )
+    assert_same(caller.state(), before)
+    caller.gl("glDepthMask", 1)
+
+
+def test_a_host_whose_state_is_kept_can_be_checked_too(caller, compositor, models):
+    """Before it promises to be clean."""
+    kept = compositor(models, context=caller.ctx)
+    kept.context.check_host_is_clean()
+    caller.gl("glEnable", 0x0BE2)
+    with pytest.raises(BadInputError, match=r"glEnable\(GL_BLEND\) set other"):
+        kept.context.check_host_is_clean()

@@ -1,0 +1,233 @@
+"""Model files and capture files whose structure is sound and whose content is not."""
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from corpus.case import Case, Change, edited
+from corpus.damage import HUGE
+
+RENDER = ("render", "model.json", "scene.toml", "--backend", "cpu", "--out", "out")
+FILES = ("model.json", "scene.toml", "box.obj")
+FIT = ("calibrate", "captures", "captures.npz", "--degree", "1", "--see-through-degree", "1", "--out", "out")
+DIAGNOSE = ("diagnose", "captures.npz", "--max-causes", "0", "--out", "out")
+
+
+def _json(change: Callable[[Any], object]) -> Change:
+    def edit(content: bytes) -> bytes:
+        model = json.loads(content)
+        change(model)
+        return json.dumps(model).encode()
+
+    return edited("model.json", edit)
+
+
+def _eye(change: Callable[[Any], object]) -> Change:
+    return _json(lambda model: change(model["eyes"][0]))
+
+
+def _set(table: Any, *keys_and_value: Any) -> None:
+    *keys, last, value = keys_and_value
+    for key in keys:
+        table = table[key]
+    table[last] = value
+
+
+def _values(part: str, polynomial: str, make: Callable[[int, list[float]], Any]) -> Change:
+    def change(eye: Any) -> None:
+        for index, term in enumerate(eye[part][polynomial]["terms"]):
+            term["values"] = make(index, term["values"])
+
+    return _eye(change)
+
+
+MODELS: dict[str, tuple[Change, tuple[str, ...]]] = {
+    "every coefficient is zero": (_values("display", "forward", lambda _, v: [0.0] * len(v)), ("model.json",)),
+    "a coefficient is 1e308": (_values("display", "forward", lambda k, v: [1e308] * len(v) if k == 3 else v), ("model.json",)),
+    "a coefficient is nan": (_values("display", "forward", lambda k, v: [np.nan] * len(v) if k == 3 else v), ("model.json", "forward|values|terms|NaN")),
+    "a coefficient is a huge integer": (_values("display", "forward", lambda k, v: [HUGE] * len(v) if k == 3 else v), ("model.json",)),
+    "a coefficient is text": (_values("display", "forward", lambda k, v: ["x"] * len(v) if k == 3 else v), ("model.json", "values|terms")),
+    "a term has a value too few": (_values("display", "forward", lambda k, v: v[:1] if k == 3 else v), ("model.json", "values|terms")),
+    "the see-through is 1e308": (_values("see_through", "deviation", lambda _, v: [1e308] * len(v)), ("model.json",)),
+    "the see-through is a million": (_values("see_through", "deviation", lambda _, v: [1e6] * len(v)), ("model.json",)),
+    "the start is 1e308": (_values("display", "backward_start", lambda _, v: [1e308] * len(v)), ("model.json",)),
+    "no terms": (_eye(lambda eye: _set(eye, "display", "forward", "terms", [])), ("model.json", "terms")),
+    "orders of 1e9": (_eye(lambda eye: _set(eye, "display", "forward", "terms", 0, "orders", [10**9, 0, 0, 0])), ("model.json", "orders|terms")),
+    "orders below zero": (_eye(lambda eye: _set(eye, "display", "forward", "terms", 0, "orders", [-1, 0, 0, 0])), ("model.json", "orders|terms")),
+    "fractional orders": (_eye(lambda eye: _set(eye, "display", "forward", "terms", 0, "orders", [0.5, 0, 0, 0])), ("model.json", "orders|terms")),
+    "an order too few": (_eye(lambda eye: _set(eye, "display", "forward", "terms", 0, "orders", [0, 0, 0])), ("model.json", "orders|terms")),
+    "a box of no width": (_eye(lambda eye: _set(eye, "display", "forward", "low", eye["display"]["forward"]["high"])), ("model.json", "low|high")),
+    "a box of nan": (_eye(lambda eye: _set(eye, "display", "forward", "low", [np.nan] * 4)), ("model.json", "low|NaN")),
+    "a box of 1e308": (_eye(lambda eye: _set(eye, "display", "forward", "high", [1e308] * 4)), ("model.json",)),
+    "a panel of 1e9 pixels": (_eye(lambda eye: _set(eye, "display", "panel", "width_px", 10**9)), ("model.json", "width_px|panel")),
+    "a panel of no pixels": (_eye(lambda eye: _set(eye, "display", "panel", "width_px", 0)), ("model.json", "width_px|panel")),
+    "a panel of -5 pixels": (_eye(lambda eye: _set(eye, "display", "panel", "height_px", -5)), ("model.json", "height_px|panel")),
+    "a panel of half a pixel": (_eye(lambda eye: _set(eye, "display", "panel", "height_px", 18.5)), ("model.json", "height_px|panel")),
+    "a negative eye box": (_eye(lambda eye: _set(eye, "eye_box", "size_m", [-0.01, 0.008, 0.006])), ("model.json", "eye_box|size_m")),
+    "an eye box in millimetres": (_eye(lambda eye: _set(eye, "eye_box", "size_m", [10, 8, 6])), ("model.json", "eye_box|size_m")),
+    "an eye box far away": (_eye(lambda eye: _set(eye, "eye_box", "centre_m", [1e6, 0, 0])), ("model.json", "eye_box|centre_m")),
+    "an eye box of nan": (_eye(lambda eye: _set(eye, "eye_box", "centre_m", [np.nan, 0, 0])), ("model.json", "centre_m|NaN")),
+    "a base plane of nan": (_eye(lambda eye: _set(eye, "display", "base_plane", "z_m", np.nan)), ("model.json", "z_m|base_plane|NaN")),
+    "a base plane at 1e308": (_eye(lambda eye: _set(eye, "display", "base_plane", "z_m", 1e308)), ("model.json",)),
+    "an unknown kind": (_eye(lambda eye: _set(eye, "display", "kind", "magic")), ("model.json", "kind")),
+    "a kind that is a list": (_eye(lambda eye: _set(eye, "display", "kind", ["planar"])), ("model.json", "kind")),
+    "an unknown eye": (_eye(lambda eye: _set(eye, "eye", "third")), ("model.json", "eye")),
+    "the left eye only": (_eye(lambda eye: _set(eye, "eye", "left")), ("model.json", "right")),
+    "both eyes the same": (_json(lambda model: model["eyes"].append(model["eyes"][0])), ("model.json", "eyes")),
+    "a million eyes": (_json(lambda model: _set(model, "eyes", [{}] * 1_000_000)), ("model.json",)),
+    "no eyes": (_json(lambda model: _set(model, "eyes", [])), ("model.json", "eye")),
+    "eyes are a number": (_json(lambda model: _set(model, "eyes", 7)), ("model.json", "eyes")),
+    "version 99": (_json(lambda model: _set(model, "version", 99)), ("model.json", "version")),
+    "version nan": (_json(lambda model: _set(model, "version", np.nan)), ("model.json", "version|NaN")),
+    "another format": (_json(lambda model: _set(model, "format", "wlr-captures")), ("model.json", "format")),
+    "another frame": (_json(lambda model: _set(model, "frame", "opencv")), ("model.json", "frame")),
+    "units of millimetres": (_json(lambda model: _set(model, "units", "length", "mm")), ("model.json", "units")),
+    "a spread of other shape": (_eye(lambda eye: _set(eye, "display", "spread", "apart", "values", [[1, 2]])), ("model.json", "values|apart|spread")),
+    "a spread of nan": (_eye(lambda eye: _set(eye, "display", "spread", "apart", "unit", [np.nan])), ("model.json", "unit|apart|spread|NaN")),
+    "a spread of 1e9 shared": (_eye(lambda eye: _set(eye, "display", "spread", "shared", 10**9)), ("model.json", "shared|spread")),
+    "is a list": (edited("model.json", lambda _: b"[1, 2, 3]"), ("model.json",)),
+    "is a number": (edited("model.json", lambda _: b"1e400"), ("model.json",)),
+    "keys twice": (edited("model.json", lambda content: content.replace(b'"format"', b'"frame": "opencv", "format"', 1)), ("model.json", "frame")),
+    "nested objects": (edited("model.json", lambda _: b'{"a":' * 50_000 + b"1" + b"}" * 50_000), ("model.json",)),
+    "a number of a million digits": (edited("model.json", lambda _: b'{"version": ' + b"9" * 1_000_000 + b"}"), ("model.json",)),
+}  # fmt: skip
+
+
+def _arrays(change: Callable[[dict[str, Any]], object]) -> Change:
+    def edit(content: bytes) -> bytes:
+        with np.load(io.BytesIO(content)) as stored:
+            arrays = dict(stored)
+        change(arrays)
+        written = io.BytesIO()
+        np.savez(written, allow_pickle=True, **arrays)
+        return written.getvalue()
+
+    return edited("captures.npz", edit)
+
+
+def _header(*keys_and_value: Any) -> Change:
+    def change(arrays: dict[str, Any]) -> None:
+        header = json.loads(str(arrays["header"]))
+        _set(header, *keys_and_value)
+        arrays["header"] = np.array(json.dumps(header))
+
+    return _arrays(change)
+
+
+def _column(name: str, make: Callable[[Any], Any]) -> Change:
+    return _arrays(lambda arrays: _set(arrays, name, make(arrays[name])))
+
+
+def _one(value: float) -> Callable[[Any], Any]:
+    """One value of a column is replaced."""
+
+    def make(column: Any) -> Any:
+        changed = column.astype(np.float64)
+        changed.flat[0] = value
+        return changed
+
+    return make
+
+
+def _zip(name: str, member: str, write: Callable[[Any], object]) -> Change:
+    def change(folder: Path) -> None:
+        with (
+            zipfile.ZipFile(folder / name, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+            archive.open(member, "w", force_zip64=True) as file,
+        ):
+            write(file)
+
+    return change
+
+
+def _bomb(file: Any) -> None:
+    """A column of 1.6 GB of zeros, in 7 MB."""
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (200_000_000,)})
+    for _ in range(100):
+        file.write(bytes(16_000_000))
+
+
+def _promise(file: Any) -> None:
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    file.write(bytes(80))
+
+
+def _pickle(path: str) -> Change:
+    return _arrays(lambda arrays: _set(arrays, "feature", np.array([{"a": 1}] * 3, dtype=object)))
+
+
+CAPTURES: dict[str, tuple[Change, tuple[str, ...]]] = {
+    "a zip bomb": (_zip("captures.npz", "viewpoint.npy", _bomb), ("captures.npz",)),
+    "a header that promises 1e15 numbers": (_zip("captures.npz", "viewpoint.npy", _promise), ("captures.npz",)),
+    "a pickled column": (_pickle("captures.npz"), ("captures.npz",)),
+    "viewpoints in millimetres": (_column("viewpoint", lambda v: 1000 * v), ("captures.npz", "viewpoint")),
+    "viewpoints in micrometres": (_column("viewpoint", lambda v: 1e6 * v), ("captures.npz", "viewpoint")),
+    "everything in millimetres": (
+        _arrays(lambda a: [_set(a, k, 1000 * a[k]) for k in ("viewpoint", "target_point")]),
+        ("captures.npz",),
+    ),
+    "pixels a million off the panel": (
+        _arrays(lambda a: _set(a, "feature", a["feature"] + 1e6 * (a["kind"] == 0)[:, None])),
+        ("captures.npz", "pixel|feature"),
+    ),
+    "a viewpoint of nan": (_column("viewpoint", _one(np.nan)), ("captures.npz", "viewpoint")),
+    "a viewpoint of 1e308": (_column("viewpoint", _one(1e308)), ("captures.npz", "viewpoint")),
+    "a direction of inf": (_column("view_dir", _one(np.inf)), ("captures.npz", "view_dir")),
+    "directions of no length": (_column("view_dir", np.zeros_like), ("captures.npz", "view_dir")),
+    "directions of length 5": (_column("view_dir", lambda v: 5 * v), ("captures.npz", "view_dir")),
+    "directions backwards": (_column("view_dir", lambda v: -v), ("captures.npz", "view_dir")),
+    "a negative sigma": (_column("sigma_arcmin", _one(-1)), ("captures.npz", "sigma_arcmin")),
+    "sigmas of zero": (_column("sigma_arcmin", np.zeros_like), ()),
+    "a sigma of nan": (_column("sigma_arcmin", _one(np.nan)), ("captures.npz", "sigma_arcmin")),
+    "a kind of 7": (_column("kind", _one(7)), ("captures.npz", "kind")),
+    "a capture of 1e18": (_column("capture", lambda c: c + 10**18), ("captures.npz", "capture")),
+    "a capture of -5": (_column("capture", lambda c: c - 5), ("captures.npz", "capture")),
+    "fractional captures": (_column("capture", lambda c: c + 0.5), ("captures.npz", "capture")),
+    "a row too few": (_column("viewpoint", lambda v: v[:-1]), ("captures.npz", "viewpoint")),
+    "a column too few": (_column("viewpoint", lambda v: v[:, :2]), ("captures.npz", "viewpoint")),
+    "a scalar column": (_column("viewpoint", lambda v: np.float64(3)), ("captures.npz", "viewpoint")),
+    "a column of text": (_column("viewpoint", lambda v: v.astype(str)), ("captures.npz", "viewpoint")),
+    "complex numbers": (_column("viewpoint", lambda v: v.astype(complex)), ("captures.npz", "viewpoint")),
+    "no rows": (
+        _arrays(lambda a: [_set(a, k, v[:0]) for k, v in list(a.items()) if v.ndim]),
+        ("captures.npz",),
+    ),
+    "no viewpoints": (_arrays(lambda a: a.pop("viewpoint")), ("captures.npz", "viewpoint")),
+    "no header": (_arrays(lambda a: a.pop("header")), ("captures.npz", "header")),
+    "a header that is no JSON": (_column("header", lambda _: np.array("{broken")), ("captures.npz", "header|JSON")),
+    "a header that is a number": (_column("header", lambda _: np.array(5)), ("captures.npz", "header")),
+    "a header of nested lists": (_column("header", lambda _: np.array("[" * 100_000)), ("captures.npz", "header|JSON")),
+    "version 99": (_header("version", 99), ("captures.npz", "version")),
+    "another frame": (_header("frame", "opencv"), ("captures.npz", "frame")),
+    "units of millimetres": (_header("units", "length", "mm"), ("captures.npz", "units|length")),
+    "an unknown eye": (_header("eye", "third"), ("captures.npz", "eye")),
+    "a panel of 1e9 pixels": (_header("panel", "width_px", 10**9), ("captures.npz", "width_px|panel")),
+    "a panel of -5 pixels": (_header("panel", "width_px", -5), ("captures.npz", "width_px|panel")),
+    "a panel of text": (_header("panel", "width_px", "many"), ("captures.npz", "width_px")),
+    "a negative eye box": (
+        _header("eye_box", "size_m", [-0.01, 0.01, 0.01]),
+        ("captures.npz", "size_m|eye_box|eye box"),
+    ),
+    "an eye box in millimetres": (_header("eye_box", "size_m", [10, 8, 6]), ("captures.npz", "size_m|eye_box|eye box")),
+    "an eye box of nan": (_header("eye_box", "centre_m", [np.nan, 0, 0]), ("captures.npz", "centre_m")),
+    "a device of escapes": (_header("device", "a\x1b[31m\nforged"), ()),
+    "a device that is a path": (_header("device", "../../x"), ()),
+    "a device that is a list": (_header("device", ["x"]), ("captures.npz", "device")),
+}
+
+
+def cases() -> Iterator[Case]:
+    for title, (change, names) in MODELS.items():
+        yield Case(f"model: {title}", RENDER, FILES, change, names)
+    for title, (change, names) in CAPTURES.items():
+        yield Case(f"captures: {title}", FIT, ("captures.npz",), change, names, "refused" if names else "any")
+    for title in ("viewpoints in millimetres", "a viewpoint of 1e308", "a device that is a path", "no rows"):
+        change, names = CAPTURES[title]
+        yield Case(
+            f"captures diagnosed: {title}", DIAGNOSE, ("captures.npz",), change, names, "refused" if names else "any"
+        )

@@ -1,0 +1,267 @@
+"""Command lines: options out of range, of another kind, and paths that are something else."""
+
+from collections.abc import Iterator
+
+from corpus.case import Case, nothing, several, written
+
+SMALL = ("device.toml", "scene.toml", "box.obj")
+RENDER = ("render", "device.toml", "scene.toml", "--backend", "cpu", "--out", "out")
+DEMO = ("demo", "--device", "device.toml", "--scene", "scene.toml", "--backend", "cpu", "--out", "out")
+PLAN = ("plan", "device.toml", "--out", "out")
+FIT = ("calibrate", "captures", "captures.npz", "--out", "out")
+SIMULATED = ("calibrate", "simulate", "device.toml", "--out", "out")
+EVALUATE = ("evaluate", "device.toml", "--workers", "1", "--out", "out")
+SIMULATE = ("simulate", "out", "--device", "device.toml", "--workers", "1")
+CAPTURE = ("capture", "out", "--panel", "64x48", "--trigger", "true {path}", "--page-timeout-s", "1")
+DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
+BOARD = ("board", "--out", "out")
+PATTERN = ("pattern", "--panel", "64x48", "--out", "out")
+DIAGNOSE = ("diagnose", "bench", "--out", "out")
+HOLD_OUT = ("hold-out", "bench", "--out", "out")
+VERIFY = ("verify", "session", "photos", "--calibration", "calibration", "--out", "out")
+COMPARE = ("compare", "device.toml", "scene.toml", "--out", "out")
+
+# Verb, valid files, and its options with values that are out of their range.
+RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]], ...] = (
+    (RENDER, (*SMALL, "head.txt"), {
+        "--fps": ("1e9", "0", "-1", "nan", "inf", "x", "", "1e308"),
+        "--frames": ("0", "-1", "1.5", "nan", "x"),
+        "--supersample": ("1000000000", "0", "-1"),
+        "--resolution": ("1e9", "0", "-1", "nan", "inf"),
+        "--eye": ("third", "", "right,left"),
+        "--backend": ("magic",),
+        "--maps": ("exr",),
+        "--method": ("",),
+    }),
+    (DEMO, SMALL, {"--viewpoints": ("1000000000", "0", "-1", "1e9", "x"), "--seed": ("-1", "x", "1e400")}),
+    (COMPARE, SMALL, {"--eye": ("x",), "--map-from": ("x",)}),
+    (PLAN, SMALL, {
+        "--accuracy-arcmin": ("0", "-1", "nan", "1e-300", "inf"),
+        "--repeatability-um": ("-1", "nan", "1e308"),
+        "--dot-noise-px": ("-1", "nan", "1e308"),
+        "--panel-noise-px": ("0", "nan", "1e308"),
+        "--camera": ("0x0", "-5x7", "1000000000x1000000000", "x", "640", "640x480x3", "nanxnan"),
+        "--depths-m": ("0", "nan", "1e9", "-1", "0.4"),
+        "--seconds": ("-1", "nan", "1e308"),
+        "--most-places": ("0", "1000000000", "-1"),
+        "--seed": ("-1",),
+        "--calibration": ("nowhere",),
+    }),
+    (FIT, ("captures.npz",), {
+        "--degree": ("0", "-1", "1000000000", "nan"),
+        "--see-through-degree": ("0", "99"),
+        "--kind": ("magic",),
+        "--bench": ("nowhere.toml",),
+        "--prescription": ("nowhere.toml",),
+    }),
+    (SIMULATED, SMALL, {
+        "--viewpoints": ("0", "1000000000", "-1", "1.5"),
+        "--noise-px": ("-1", "nan", "inf", "1e308"),
+        "--stage-error-mm": ("-1", "1e9", "nan"),
+        "--stage-turn-urad": ("-1", "1e308", "nan"),
+        "--degree": ("0", "99"),
+        "--seed": ("-1",),
+    }),
+    (EVALUATE, SMALL, {
+        "--box": ("0x0x0", "-1x1x1", "1e9x1x1", "nanx1x1", "1x1", "", "x"),
+        "--counts": ("0", "1000000000", "-1"),
+        "--degrees": ("0", "99", "-1"),
+        "--repeats": ("0", "1000000000"),
+        "--workers": ("0", "-1", "1000000000"),
+        "--goal-arcmin": ("0", "-1", "nan"),
+        "--noise-arcmin": ("-1", "nan", "1e308"),
+        "--tracking-error-mm": ("-1", "nan", "1e308"),
+        "--methods": ("magic",),
+        "--experiment": ("magic",),
+    }),
+    (SIMULATE, SMALL, {
+        "--viewpoints": ("0", "1000000000", "-1"),
+        "--camera": ("0x0", "1000000x1000000", "1x1"),
+        "--tracking-camera": ("0x0", "1000000x1000000"),
+        "--bits": ("9", "0", "1000"),
+        "--pupil-mm": ("0", "-1", "nan", "1e9"),
+        "--focus-m": ("0", "-1", "nan", "1e9", "inf"),
+        "--snr": ("0", "-1", "nan", "1e308"),
+        "--depths-m": ("1e9", "0", "-1", "nan"),
+        "--stated-axes-deg": ("-1", "nan", "1e308", "400"),
+        "--stage-error-um": ("-1", "nan", "1e308"),
+        "--turn-urad": ("-1", "nan", "1e308"),
+        "--bow-mm": ("nan", "1e308"),
+        "--anisotropy": ("nan", "1e308", "-5"),
+        "--extrinsics-mm": ("-1", "nan", "1e308"),
+        "--extrinsics-deg": ("-1", "nan", "1e308"),
+        "--workers": ("0",),
+    }),
+    (CAPTURE, (), {
+        "--panel": ("0x0", "-1x5", "10000000x10000000", "x"),
+        "--port": ("-1", "0.5", "99999999"),
+        "--settle-s": ("-1", "nan", "inf"),
+        "--timeout-s": ("0", "-1", "nan", "inf"),
+        "--page-timeout-s": ("0", "-1", "nan"),
+        "--trigger": ("", "nothing here", "'{path}"),
+        "--suffix": (".exe",),
+    }),
+    (DECODE, ("codes",), {
+        "--panel": ("0x0", "-1x5", "10000000x10000000", "x"),
+        "--bits": ("0", "-1", "99", "8.5"),
+        "--camera": ("nowhere.toml",),
+        "--order": ("magic",),
+    }),
+    ((*BOARD, "--kind", "charuco"), (), {"--dictionary": ("magic", "", "__class__")}),
+    (BOARD, (), {
+        "--columns": ("0", "-1", "1000000000", "1.5"),
+        "--rows": ("0", "1000000000"),
+        "--pitch-mm": ("0", "-1", "nan", "inf", "1e9", "1e-9"),
+        "--dpi": ("0", "-1", "1000000000"),
+        "--dictionary": ("DICT_4X4_50",),
+        "--seed": ("-1",),
+    }),
+    (PATTERN, (), {
+        "--panel": ("10000000x10000000", "0x0", "-5x5", "1e9x1e9", "nanx1", "", "64", "2147483648x1"),
+        "--channel": ("magic",),
+    }),
+    (DIAGNOSE, ("bench",), {
+        "--max-causes": ("-1", "x", "1.5"),
+        "--causes": ("magic",),
+        "--exclude": ("magic",),
+        "--add-causes": ("nowhere.py", "a_module_that_is_not_there"),
+        "--bench": ("nowhere.toml",),
+    }),
+    (HOLD_OUT, ("bench",), {"--max-causes": ("-1",), "--causes": ("magic",), "--bench": ("nowhere.toml",)}),
+    (VERIFY, ("photos", "calibration"), {
+        "--viewpoints": ("0", "1000000000", "-1"),
+        "--depths-m": ("0", "nan", "1e9", "-1"),
+        "--tilt-deg": ("nan", "1e9", "90"),
+        "--shift-mm": ("nan", "1e308"),
+        "--workers": ("0",),
+    }),
+)  # fmt: skip
+
+# Every verb with its inputs missing; the first word is the one that must be named.
+NOWHERE = {
+    "trace": ("trace", "nowhere.toml"),
+    "trace by name": ("trace", "nowhere"),
+    "render device": ("render", "nowhere.toml", "scene.toml"),
+    "render model": ("render", "nowhere.json", "scene.toml"),
+    "render scene": ("render", "device.toml", "nowhere.toml"),
+    "render mesh": ("render", "device.toml", "nowhere.glb"),
+    "render head": ("render", "device.toml", "scene.toml", "--head", "nowhere.txt"),
+    "render eyes": ("render", "device.toml", "scene.toml", "--eye-track", "nowhere.txt"),
+    "render red model": ("render", "model.json", "scene.toml", "--per-colour", "--red-model", "nowhere.json", "--blue-model", "model.json"),
+    "compare": ("compare", "nowhere.toml", "scene.toml"),
+    "demo": ("demo", "--device", "nowhere.toml"),
+    "demo scene": ("demo", "--device", "device.toml", "--scene", "nowhere.toml"),
+    "plan": ("plan", "nowhere.toml"),
+    "calibrate photos": ("calibrate", "photos", "nowhere"),
+    "calibrate captures": ("calibrate", "captures", "nowhere.npz"),
+    "calibrate simulate": ("calibrate", "simulate", "nowhere.toml"),
+    "verify session": ("verify", "session", "nowhere"),
+    "verify pairs": ("verify", "pairs", "nowhere", "board.toml", "--calibration", "calibration"),
+    "verify pairs board": ("verify", "pairs", "pairs", "nowhere.toml", "--calibration", "calibration"),
+    "verify pairs calibration": ("verify", "pairs", "pairs", "board.toml", "--calibration", "nowhere"),
+    "evaluate": ("evaluate", "nowhere.toml"),
+    "diagnose": ("diagnose", "nowhere"),
+    "hold-out": ("hold-out", "nowhere"),
+    "predict": ("predict", "nowhere.toml", "bench"),
+    "predict session": ("predict", "bench", "nowhere"),
+    "decode": ("decode", "nowhere", "--panel", "64x48"),
+    "simulate": ("simulate", "out", "--device", "nowhere.toml"),
+}  # fmt: skip
+
+OUTPUTS = {
+    "render": RENDER,
+    "demo": DEMO,
+    "trace": ("trace", "device.toml", "--out", "out"),
+    "compare": COMPARE,
+    "plan": PLAN,
+    "calibrate captures": FIT,
+    "calibrate simulate": SIMULATED,
+    "calibrate photos": ("calibrate", "photos", "photos", "--workers", "1", "--out", "out"),
+    "verify pairs": ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out"),
+    "evaluate": EVALUATE,
+    "diagnose": DIAGNOSE,
+    "hold-out": HOLD_OUT,
+    "predict": ("predict", "bench", "bench", "--out", "out"),
+    "import": ("import", "osvr-hdk13", "data", "--out", "out"),
+    "decode": DECODE,
+    "board": BOARD,
+    "pattern": PATTERN,
+    "simulate": SIMULATE,
+    "capture": CAPTURE,
+}
+ALL = ("device.toml", "scene.toml", "box.obj", "model.json", "captures.npz", "bench", "photos", "calibration", "pairs", "board.toml", "codes")  # fmt: skip
+_LENS_TABLE = "\n".join(f"{x}\t{y}\t{0.7 * x}\t{0.7 * y}" for x in range(-20, 21, 8) for y in range(-20, 21, 8)) + "\n"
+
+
+def cases() -> Iterator[Case]:
+    for verb, files, options in RANGES:
+        words = " ".join(
+            word for word in verb[:2] if word.isalpha() and (word != verb[1] or verb[0] in ("calibrate", "verify"))
+        )
+        for option, values in options.items():
+            for value in values:
+                extra = ("--method", "raytrace") if option == "--supersample" else ()
+                extra = (*extra, "--head", "head.txt") if option in ("--fps", "--frames") else extra
+                arguments = (*_without(verb, option), *extra, f"{option}={value}")
+                name = (option if not value or option != "--trigger" else "trigger|path|nothing|program",)
+                wrong = (
+                    value
+                    if (verb[0], option) == ("decode", "--camera")
+                    or option in ("--add-causes", "--bench", "--causes", "--calibration", "--prescription", "--exclude")
+                    else ""
+                )
+                names = (f"{option}|{wrong}" if wrong else "|".join((*name, option[2:])),)
+                yield Case(f"option {words} {option}={value}", arguments, files, nothing, names)
+    for title, arguments in NOWHERE.items():
+        out = () if arguments[0] == "simulate" else ("--out", "out")
+        yield Case(f"option nowhere: {title}", (*arguments, *out), ALL, nothing, ("nowhere",))
+    table = several(written(f"data/{relief}_mm_Eye_Relief_trimmed.txt", _LENS_TABLE) for relief in (9, 11))
+    for title, arguments in OUTPUTS.items():
+        files = tuple(name for name in ALL if name in arguments or name in ("scene.toml", "box.obj"))
+        for where, place in (
+            ("a file", "device.toml"),
+            ("inside a file", "device.toml/out"),
+            ("a device", "/dev/null/out"),
+            ("too long", "x" * 300),
+        ):
+            given = tuple(place if each == "out" else each for each in arguments)
+            yield Case(f"output {title}: is {where}", given, tuple({*files, "device.toml"}), table, (place[:40],))
+    yield from _words()
+
+
+def _without(verb: tuple[str, ...], option: str) -> tuple[str, ...]:
+    """A command without an option that is given again."""
+    if option not in verb:
+        return verb
+    at = verb.index(option)
+    return verb[:at] + verb[at + 2 :]
+
+
+def _words() -> Iterator[Case]:
+    for title, arguments, names in (
+        ("an unknown verb", ("rendr",), ("rendr",)),
+        ("an unknown verb of escapes", ("\x1b[31mx\n\u202e",), ("command",)),
+        ("an empty verb", ("",), ("command",)),
+        ("an unknown option", ("trace", "device.toml", "--magic"), ("magic",)),
+        ("an option twice", ("trace", "device.toml", "--eye", "left", "--eye", "right"), ("eye",)),
+        ("no argument", ("trace",), ("device|DEVICE",)),
+        ("an argument too many", ("trace", "device.toml", "b", "c"), ("b|c",)),
+        ("an empty argument", ("trace", ""), ("''|device|name",)),
+        ("an argument with a nul", ("trace", "a\x00b.toml"), ("a",)),
+        ("an argument of escapes", ("trace", "\x1b[31mx.toml\n\u202e"), ("x.toml",)),
+        ("an argument of 5000 characters", ("trace", "x" * 5000 + ".toml"), ()),
+        ("a folder for a device", ("trace", "bench"), ("bench",)),
+        ("a mesh for a device", ("trace", "box.obj"), ("box.obj",)),
+        ("a device for a scene", ("render", "device.toml", "device.toml", "--out", "out"), ("device.toml",)),
+        ("a scene for a device", ("render", "scene.toml", "scene.toml", "--out", "out"), ("scene.toml",)),
+        ("captures for a model", ("render", "captures.npz", "scene.toml", "--out", "out"), ("captures.npz",)),
+        ("a bench session for photographs", ("calibrate", "photos", "bench", "--out", "out"), ("bench",)),
+        ("photographs for a bench session", ("diagnose", "photos", "--out", "out"), ("photos",)),
+        ("a model for captures", ("calibrate", "captures", "model.json", "--out", "out"), ("model.json",)),
+        (
+            "the left eye of a right device",
+            ("render", "device.toml", "scene.toml", "--eye", "left", "--out", "out"),
+            ("left",),
+        ),
+    ):
+        yield Case(f"option words: {title}", arguments, ALL, nothing, names)

@@ -1,0 +1,323 @@
+"""Tables and trajectories: text files of numbers, and folders of several of them."""
+
+import gzip
+import io
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from corpus.base_texts import EYES, GAZE, HEAD, HEAD_CSV, LENS_MRCAL, LENS_XML, LENS_YAML, PHOTO_SESSION
+from corpus.case import Case, Change, edited, replaced, several, written
+from corpus.cases.hostile_files import DECODE, PHOTOS
+
+END = ("--backend", "cpu", "--out", "out")
+RENDER_FILES = ("device.toml", "scene.toml", "box.obj")
+DIAGNOSE = ("diagnose", "bench", "--max-causes", "0", "--causes", "stage_scale", "--out", "out")
+
+
+def _text(old: str, change: Callable[[str], str]) -> str:
+    new = change(old)
+    assert new != old
+    return new
+
+
+# By name: file, option, text. Each is refused.
+TRAJECTORIES: dict[str, tuple[str, str]] = {
+    "unsorted": ("head.txt", "0.2 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n"),
+    "the same time twice": ("head.txt", "0.1 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n"),
+    "a quaternion of zeros": ("head.txt", HEAD + "0.5 0 0 0 0 0 0 0\n"),
+    "a quaternion of length 5": ("head.txt", HEAD + "0.5 0 0 0 0 0 3 4\n"),
+    "a time of nan": ("head.txt", HEAD + "nan 0 0 0 0 0 0 1\n"),
+    "a time of inf": ("head.txt", HEAD + "inf 0 0 0 0 0 0 1\n"),
+    "a place of nan": ("head.txt", HEAD + "0.5 nan 0 0 0 0 0 1\n"),
+    "a place of 1e308": ("head.txt", HEAD + "0.5 1e308 0 0 0 0 0 1\n"),
+    "a time of 1e308": ("head.txt", HEAD + "1e308 0 0 0 0 0 0 1\n"),
+    "a time of 1e18": ("head.txt", HEAD + "1e18 0 0 0 0 0 0 1\n"),
+    "a column too few": ("head.txt", HEAD + "0.5 0 0 0 0 0 0\n"),
+    "a column too many": ("head.txt", HEAD + "0.5 0 0 0 0 0 0 1 9\n"),
+    "text": ("head.txt", HEAD + "0.5 a b c 0 0 0 1\n"),
+    "escapes": ("head.txt", HEAD + "0.5 \x1b[31m 0 0 0 0 0 1\n"),
+    "only comments": ("head.txt", "# nothing\n# here\n"),
+    "EuRoC in seconds": ("head.csv", "0.0,0,0,0,1,0,0,0\n0.1,0,0,0,1,0,0,0\n"),
+    "EuRoC below zero": ("head.csv", "5,0,0,0,1,0,0,0\n-5,0,0,0,1,0,0,0\n"),
+    "EuRoC of huge times": ("head.csv", HEAD_CSV + "9" * 400 + ",0,0,0,1,0,0,0\n"),
+    "EuRoC with a place of nan": ("head.csv", HEAD_CSV + "900000000,nan,0,0,1,0,0,0\n"),
+    "EuRoC with a quaternion of zeros": ("head.csv", HEAD_CSV + "900000000,0,0,0,0,0,0,0\n"),
+    "EuRoC too short": ("head.csv", HEAD_CSV + "900000000,0,0\n"),
+    "a third eye": ("eyes.txt", EYES + "0.5 middle 0 0 0\n"),
+    "eyes of nan": ("eyes.txt", EYES + "0.5 right nan 0 0\n"),
+    "eyes in millimetres": ("eyes.txt", EYES.replace("0.001 0 0", "1 0 0").replace("0.002 0 0", "2 0 0")),
+    "eyes far away": ("eyes.txt", EYES + "0.5 right 1e6 0 0\n"),
+    "eyes at 1e308": ("eyes.txt", EYES + "0.5 right 1e308 0 0\n"),
+    "eyes unsorted": ("eyes.txt", EYES + "0.1 right 0 0 0\n"),
+    "only left eyes": ("eyes.txt", EYES.replace("right", "left")),
+    "no header": ("eyes.txt", "0.0 right 0 0 0\n"),
+    "another frame": ("eyes.txt", EYES.replace("openxr-device", "opencv")),
+    "units of millimetres": ("eyes.txt", EYES.replace("s m", "ms mm")),
+    "an unknown kind": ("eyes.txt", EYES.replace("viewpoint", "magic")),
+    "another version": ("eyes.txt", EYES.replace("trajectory 1", "trajectory 99")),
+    "a gaze backwards": ("gaze.txt", GAZE + "0.5 right 0 0 1\n"),
+    "a gaze of no length": ("gaze.txt", GAZE + "0.5 right 0 0 0\n"),
+    "a gaze of length 2": ("gaze.txt", GAZE + "0.5 right 0 0 -2\n"),
+    "a gaze without a centre": ("gaze.txt", GAZE.replace("rotation_centre_right_m", "rotation_centre_left_m")),
+    "a centre of nan": ("gaze.txt", GAZE.replace("0 0 0.0105", "0 nan 0")),
+    "a centre in millimetres": ("gaze.txt", GAZE.replace("0 0 0.0105", "0 0 10.5")),
+    "a pupil distance of -1": ("gaze.txt", GAZE.replace("distance_m: 0.0105", "distance_m: -1")),
+    "a pupil distance of inf": ("gaze.txt", GAZE.replace("distance_m: 0.0105", "distance_m: inf")),
+    "a pupil distance in millimetres": ("gaze.txt", GAZE.replace("distance_m: 0.0105", "distance_m: 10.5")),
+}
+
+
+def _table(change: Callable[[list[str]], object]) -> Change:
+    """Change the lines of the table of panel positions."""
+
+    def edit(content: bytes) -> bytes:
+        lines = gzip.decompress(content).decode().splitlines()
+        result = change(lines)
+        return gzip.compress("\n".join(result if isinstance(result, list) else lines).encode() + b"\n", 1)
+
+    return edited("bench/display.csv.gz", edit)
+
+
+def _cell(column: str, value: str | Callable[[float], float], every: bool = False) -> Change:
+    def change(lines: list[str]) -> None:
+        at = lines[0].split(",").index(column)
+        for row in range(1, len(lines) if every else 2):
+            cells = lines[row].split(",")
+            cells[at] = value if isinstance(value, str) else repr(value(float(cells[at])))
+            lines[row] = ",".join(cells)
+
+    return _table(change)
+
+
+def _gzip_bomb(folder: Path) -> None:
+    packed = io.BytesIO()
+    with gzip.GzipFile(fileobj=packed, mode="wb", compresslevel=1) as file:
+        for _ in range(40):
+            file.write(b"0" * 16_000_000)
+    (folder / "bench" / "display.csv.gz").write_bytes(packed.getvalue())
+
+
+BENCH: dict[str, Change] = {
+    "a gzip bomb": _gzip_bomb,
+    "stage in metres": _cell("stage_x_mm", lambda x: x / 1000, every=True),
+    "stage in micrometres": _cell("stage_x_mm", lambda x: 1000 * x, every=True),
+    "a stage of 1e308": _cell("stage_x_mm", "1e308"),
+    "a stage of nan": _cell("stage_x_mm", "nan"),
+    "a stage of text": _cell("stage_x_mm", "left"),
+    "an empty cell": _cell("stage_x_mm", ""),
+    "a pixel of inf": _cell("pixel_u", "inf"),
+    "a pixel of 1e308": _cell("pixel_u", "1e308"),
+    "pixels a million off": _cell("pixel_u", lambda u: u + 1e6, every=True),
+    "camera pixels a million off": _cell("camera_u", lambda u: u + 1e6, every=True),
+    "a capture of -1": _cell("capture", "-1"),
+    "a capture of 1e18": _cell("capture", "1e18"),
+    "a capture of 0.5": _cell("capture", "0.5"),
+    "a channel of 9": _cell("channel", "9"),
+    "a travel of 5": _cell("travel", "5"),
+    "a time of nan": _cell("time_s", "nan"),
+    "a time of 1e308": _cell("time_s", "1e308"),
+    "an unknown column": _table(lambda lines: [line + ",1" if k else line + ",magic" for k, line in enumerate(lines)]),
+    "a column twice": _table(lambda lines: [line + ",1" if k else line + ",capture" for k, line in enumerate(lines)]),
+    "a column missing": _table(lambda lines: [line.rpartition(",")[0] for line in lines]),
+    "a row too short": _table(lambda lines: [*lines, "1,2,3"]),
+    "a row too long": _table(lambda lines: [*lines, lines[-1] + ",7"]),
+    "no rows": _table(lambda lines: lines[:1]),
+    "one row": _table(lambda lines: lines[:2]),
+    "semicolons": _table(lambda lines: [line.replace(",", ";") for line in lines]),
+    "escapes in its header": _table(lambda lines: [lines[0] + ",\x1b[31m\u202e", *[f"{x},1" for x in lines[1:]]]),
+    "rows twice": _table(lambda lines: [*lines, *lines[1:]]),
+    "both kinds of table": several([lambda f: (f / "bench" / "display.csv").write_bytes(b"capture\n1\n")]),
+    "no tables": several([lambda f: [path.unlink() for path in (f / "bench").glob("*.csv.gz")]]),
+    "no bench.toml": several([lambda f: (f / "bench" / "bench.toml").unlink()]),
+    "a device in the folder above": several(
+        [replaced("bench/bench.toml", 'device = "northstar"', 'device = "../device.toml"')]
+    ),
+    "a device by an absolute path": replaced("bench/bench.toml", 'device = "northstar"', 'device = "/etc/passwd.toml"'),
+    "an unknown device": replaced("bench/bench.toml", 'device = "northstar"', 'device = "southstar"'),
+}  # fmt: skip
+
+PHOTO: dict[str, tuple[str, str, str]] = {
+    "a photograph in the folder above": ('"bare.png"', '"../outside.png"', "outside.png"),
+    "a photograph by an absolute path": ('"bare.png"', '"/etc/hostname.png"', "hostname.png"),
+    "a photograph that is not there": ('"bare.png"', '"nowhere.png"', "nowhere.png"),
+    "a photograph that is endless": ('"bare.png"', '"/dev/zero"', "zero"),
+    "a board in the folder above": ('board = "board.toml"', 'board = "../board.toml"', "board.toml"),
+    "a board by an absolute path": ('board = "board.toml"', 'board = "/etc/passwd"', "passwd"),
+    "a folder of pictures above": ('photographs = "shown"', 'photographs = "../codes"', "codes"),
+    "a folder of pictures that is not there": ('photographs = "shown"', 'photographs = "nowhere"', "nowhere"),
+    "a panel of 1e9 pixels": ("width_px = 64\nheight_px = 48\n\n[code]", "width_px = 1000000000\nheight_px = 48\n\n[code]", "width_px|panel"),
+    "an eye box in metres": ("[10.0, 8.0, 6.0]", "[0.010, 0.008, 0.006]", "size_mm"),
+    "a negative eye box": ("[10.0, 8.0, 6.0]", "[-10.0, 8.0, 6.0]", "size_mm"),
+    "a unit of metres": ('unit = "mm"', 'unit = "m"', "unit"),
+    "a rotation that is none": ("[[1.0, 0.0, 0.0], [0.0", "[[2.0, 0.0, 0.0], [0.0", "rotation"),
+    "a rotation of nan": ("[[1.0, 0.0, 0.0], [0.0", "[[nan, 0.0, 0.0], [0.0", "rotation"),
+    "a negative focal length": ("focal_px = [60.0, 60.0]", "focal_px = [-60.0, 60.0]", "focal_px"),
+    "a distortion of 1e308": ("distortion = [0.1,", "distortion = [1e308,", "distortion"),
+    "a name of escapes": ('device = "a headset"', 'device = "a\\u001b[31m\\nforged: \\u202e"', "session.toml|photograph|board|dots"),
+    "17 bits": ("bits = 8", "bits = 17", "bits"),
+    "an unknown key": ('eye = "right"', 'eye = "right"\nmagic = 5', "magic"),
+    "a million target poses": ("target_pose = 0", "target_pose = 1000000000", "target_pose|target pose"),
+}  # fmt: skip
+
+LENSES: dict[str, tuple[str, str]] = {
+    "a matrix of nan": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("60., 0., 31.5", ".Nan, 0., 31.5"))),
+    "a focal length of 0": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("[ 60.", "[ 0."))),
+    "a focal length of 1e308": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("[ 60.", "[ 1e308"))),
+    "an image of 1e9 pixels": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("width: 64", "width: 1000000000"))),
+    "a negative image": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("width: 64", "width: -64"))),
+    "no matrix": ("lens.yaml", _text(LENS_YAML, lambda text: text.replace("camera_matrix", "magic"))),
+    "an entity bomb": ("lens.xml", '<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a "aaaaaaaaaa">]><opencv_storage>&a;</opencv_storage>'),
+    "an open tag": ("lens.xml", LENS_XML.replace("</opencv_storage>", "")),
+    "an unknown model": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("OPENCV5", "MAGIC"))),
+    "a call": ("lens.cameramodel", "__import__('os').system('touch hacked')"),
+    "an intrinsic of 1e400": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("60.0, 60.0", "1e400, 60.0"))),
+    "intrinsics of text": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("60.0, 60.0", "'a', 60.0"))),
+    "1e9 knots": ("lens.cameramodel", _text(LENS_MRCAL, lambda text: text.replace("OPENCV5", "SPLINED_STEREOGRAPHIC_order=3_Nx=100000_Ny=100000_fov_x_deg=120"))),
+    "nested brackets": ("lens.cameramodel", "[" * 50_000 + "]" * 50_000),
+}  # fmt: skip
+
+CAUSES: dict[str, str] = {
+    "a syntax error": "def (\n",
+    "an error": "raise RuntimeError('\\x1b[31mboom\\nforged')\n",
+    "an exit": "import sys\nsys.exit(0)\n",
+    "an endless recursion": "def f():\n    f()\nf()\n",
+    "no CAUSES": "x = 1\n",
+    "CAUSES of numbers": "CAUSES = [1, 2]\n",
+    "CAUSES that is a number": "CAUSES = 5\n",
+    "a missing module": "import a_module_that_is_not_there\n",
+}
+
+
+def cases() -> Iterator[Case]:
+    for title, (file, text) in TRAJECTORIES.items():
+        option = "--head" if file.startswith("head") else "--eye-track"
+        arguments = ("render", "device.toml", "scene.toml", option, file, "--frames", "3", *END)
+        expected = "warned" if "far away" in title or title in ("a time of 1e18", "a place of 1e308") else "refused"
+        yield Case(f"trajectory {file}: {title}", arguments, RENDER_FILES, written(file, text), (file,), expected)
+    for title, change in BENCH.items():
+        words = (
+            ("bench",)
+            if title in ("no tables", "no bench.toml", "stage in metres") or "device" in title
+            else ("display.csv",)
+        )
+        expected = "any" if title in ("rows twice", "one row") else "refused"
+        yield Case(
+            f"bench table: {title}",
+            DIAGNOSE,
+            ("bench", "device.toml"),
+            change,
+            words if expected == "refused" else (),
+            expected,
+        )
+    for title, (old, new, words) in PHOTO.items():
+        assert old in PHOTO_SESSION, title
+        yield Case(
+            f"photo session: {title}",
+            PHOTOS,
+            ("photos", "board.toml", "codes"),
+            replaced("photos/session.toml", old, new),
+            (words,),
+        )
+    for title, (file, text) in LENSES.items():
+        stated = several([written(f"photos/{file}", text), _lens_stated(file)])
+        yield Case(f"lens: {title}", PHOTOS, ("photos",), stated, (file,))
+    for title, text in CAUSES.items():
+        arguments = (*DIAGNOSE, "--add-causes", "causes.py")
+        yield Case(f"causes: {title}", arguments, ("bench",), written("causes.py", text), ("causes.py",))
+    yield from _codes()
+    yield from _imports()
+
+
+def _lens_stated(name: str) -> Change:
+    numbers = "focal_px = [60.0, 60.0]\nopencv_centre_px = [31.5, 23.5]\ndistortion = [0.1, 0.0, 0.0, 0.0, 0.0]"
+    return replaced("photos/session.toml", numbers, f'lens_file = "{name}"')
+
+
+def _codes() -> Iterator[Case]:
+    camera = (*DECODE, "--camera", "camera.toml")
+    for title, text, word in (
+        ("bits of 1e9", "bits = 1000000000\n", "bits"),
+        ("bits of text", 'bits = "many"\n', "bits"),
+        ("an unknown key", "bits = 8\nmagic = 5\n", "magic"),
+        ("a dark frame above", 'bits = 8\ndark = "../x.png"\n', "dark|x.png"),
+    ):
+        yield Case(f"decode camera: {title}", camera, ("codes",), written("camera.toml", text), ("camera.toml", word))
+    for title, text in (
+        ("broken TOML", "[[["),
+        ("a picture above", '[[photograph]]\nfile = "../x.png"\nimage = 0\n'),
+        ("image 1e9", '[[photograph]]\nfile = "00.png"\nimage = 1000000000\n'),
+        ("a number", "photograph = 5\n"),
+    ):
+        yield Case(
+            f"decode manifest: {title}", DECODE, ("codes",), written("codes/manifest.toml", text), ("manifest.toml",)
+        )
+    for title, text in (
+        ("nothing", ""),
+        ("noise", "\0\1\2"),
+        ("a picture above", "file,image\n../x.png,0\n"),
+        ("text", "file,image\n00.png,a\n"),
+    ):
+        yield Case(f"decode table: {title}", DECODE, ("codes",), written("codes/manifest.csv", text), ("manifest.csv",))
+    yield Case(
+        "decode: a photograph missing", DECODE, ("codes",), lambda f: (f / "codes/07.png").unlink(), expected="any"
+    )
+    yield Case(
+        "decode: a photograph too many",
+        DECODE,
+        ("codes",),
+        lambda f: (f / "codes/99.png").write_bytes((f / "codes/07.png").read_bytes()),
+        ("codes|photograph",),
+    )
+    yield Case("decode: an empty folder", DECODE, (), lambda f: (f / "codes").mkdir(), ("codes",))
+
+
+def _imports() -> Iterator[Case]:
+    for form in ("itoh-seethrough", "northstar-vcam", "osvr-hdk13"):
+        command = ("import", form, "data", "--out", "out")
+        yield Case(f"import {form}: nothing there", command, (), names=("data",))
+        yield Case(f"import {form}: an empty folder", command, (), lambda f: (f / "data").mkdir(), ("data",))
+        yield Case(f"import {form}: a file", command, (), written("data", "x"), ("data",))
+        yield Case(
+            f"import {form}: a folder in a circle", command, (), lambda f: (f / "data").symlink_to("data"), ("data",)
+        )
+    osvr, name = ("import", "osvr-hdk13", "data", "--out", "out"), "data/9_mm_Eye_Relief_trimmed.txt"
+    for title, text in (
+        ("nan", "1 2 3 nan\n"),
+        ("1e308", "1 2 3 1e308\n" * 9),
+        ("text", "a b c d\n"),
+        ("one column", "1\n"),
+        ("noise", "\0\1\xff"),
+    ):
+        yield Case(f"import osvr-hdk13: a table of {title}", osvr, (), written(name, text), ("data",))
+    itoh = ("import", "itoh-seethrough", "data", "--out", "out")
+    for title, text in (
+        ("noise", "\0\1"),
+        ("huge counts", "22 serialization::archive 9 0 0 1 0 0 999999999999 0 0 0\n"),
+        ("nan", "22 serialization::archive 9 0 0 nan nan\n"),
+    ):
+        yield Case(
+            f"import itoh-seethrough: a file of {title}",
+            itoh,
+            (),
+            written("data/1/3dPointsOnGrid.txt", text),
+            ("data",),
+        )
+    vcam = ("import", "northstar-vcam", "data", "--out", "out")
+    for title, text in (
+        ("broken", "{"),
+        ("empty", "{}"),
+        ("a list", "[1]"),
+        ("nan", '{"deviceCalibrations": NaN}'),
+        ("deep", "[" * 100_000),
+    ):
+        both = several([written("data/cameraCalibration.json", text), written("data/config.json", text)])
+        yield Case(f"import northstar-vcam: JSON that is {title}", vcam, (), both, ("data",))
+    procam = ("decode", "data", "--from", "procam-graycode", "--out", "out")
+    files = [written(f"data/capture_0/graycode_{number:02d}.png", "") for number in range(42)]
+    for title, text in (
+        ("broken", "<opencv"),
+        ("empty", '<?xml version="1.0"?><opencv_storage></opencv_storage>'),
+        ("1e9 rows", LENS_XML.replace("<rows>3", "<rows>1000000000")),
+    ):
+        calibration = several([*files, written("data/calibration_result.xml", text)])
+        yield Case(f"import procam-graycode: XML that is {title}", procam, (), calibration, ("data",))

@@ -1,0 +1,154 @@
+"""The program in hostile surroundings: closed and full streams, read-only and missing folders, other languages.
+
+Each is a fresh process, as a fork would inherit the surroundings of the tests.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from corpus.base_files import make_bases
+from corpus.case import Case
+from corpus.judging import PROGRAM, faults, snapshot
+from corpus.running import made_once
+from corpus.zygote import Outcome
+
+PROGRAM_WORDS = f"{sys.executable} -m wlr_render"
+GOOD = "render device.toml scene.toml --backend cpu --out out"
+BAD = "render nowhere.toml scene.toml --out out"
+FILES = ("device.toml", "scene.toml", "box.obj")
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def bases(tmp_path_factory, worker_id):
+    root = tmp_path_factory.getbasetemp()
+    return made_once((root if worker_id == "master" else root.parent) / "corpus", make_bases)
+
+
+@pytest.fixture
+def folder(bases, tmp_path):
+    made = tmp_path / "case"
+    made.mkdir()
+    Case("", (), FILES).build(bases, made)
+    return made
+
+
+def run(command, folder, **environment):
+    """Run a shell command whose `@` stands for the program."""
+    surroundings = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"} | environment
+    kept = {name: value for name, value in surroundings.items() if value is not None}
+    words = ["bash", "-c", command.replace("@", PROGRAM_WORDS)]
+    done = subprocess.run(words, cwd=folder, env=kept, capture_output=True, timeout=90, check=False)
+    return Outcome(done.returncode, done.stdout.decode(), done.stderr.decode(), False, False, 0.0, 0.0)
+
+
+def judged(folder, command, expected, names=(), **environment):
+    before = snapshot(folder)
+    outcome = run(command, folder, **environment)
+    case = replace(Case("", (), names=names), expected=expected)
+    assert faults(case, outcome, before, snapshot(folder)) == [], f"{outcome.status} {outcome.out}{outcome.err}"
+    return outcome
+
+
+ENVIRONMENTS = {
+    "LANG=C": {"LANG": "C", "LC_ALL": "C"},
+    "ASCII": {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "20 columns": {"COLUMNS": "20"},
+    "1 column": {"COLUMNS": "1", "LINES": "1"},
+    "no HOME": {"HOME": None},
+    "HOME nowhere": {"HOME": "/nowhere/at/all"},
+    "HOME a file": {"HOME": "/dev/null"},
+    "no PATH": {"PATH": "/usr/bin:/bin", "TERM": None},
+    "dumb terminal": {"TERM": "dumb", "NO_COLOR": "1"},
+    "all warnings": {"PYTHONWARNINGS": "always"},
+    "another time zone": {"TZ": "nowhere/at/all"},
+}
+
+
+@pytest.mark.parametrize("title", ENVIRONMENTS)
+def test_variables(folder, title):
+    judged(folder, f"@ {GOOD}", "right", **ENVIRONMENTS[title])
+    judged(folder, f"@ {BAD}", "refused", ("nowhere.toml",), **ENVIRONMENTS[title])
+
+
+@pytest.mark.parametrize("ascii_name", [True, False])
+def test_a_name_in_another_script(folder, ascii_name):
+    name = "geraet.toml" if ascii_name else "ger\u00e4t-\u732b.toml"
+    (folder / "device.toml").rename(folder / name)
+    command = "@ " + GOOD.replace("device.toml", name)
+    judged(folder, command, "right", **ENVIRONMENTS["LANG=C"])
+    bad = "@ " + BAD.replace("nowhere.toml", f"no-{name}")
+    judged(folder, bad, "refused", (f"no-{name}|no-ger",), **ENVIRONMENTS["ASCII"])
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams(folder, closed):
+    for command, statuses in ((GOOD, (0,)), (BAD, (2,)), ("--help", (0,))):
+        outcome = run(f"@ {command} {closed}", folder)
+        assert outcome.status in statuses, f"{command} {closed}: {outcome.status} {outcome.err}"
+        assert "Traceback" not in outcome.out + outcome.err
+
+
+@pytest.mark.parametrize("full", ["2>/dev/full", ">/dev/full"])
+def test_full_streams(folder, full):
+    for command in (GOOD, BAD, "--help"):
+        outcome = run(f"@ {command} {full}", folder)
+        assert outcome.status in (0, 2), f"{command} {full}: {outcome.status} {outcome.err}"
+        assert "Traceback" not in outcome.out + outcome.err
+        assert all(line.startswith(PROGRAM) for line in outcome.err.splitlines())
+
+
+def test_a_reader_that_has_seen_enough(folder):
+    assert run("set -o pipefail; @ --help | head -1", folder).err == ""
+    assert "Traceback" not in run(f"@ {GOOD} | true", folder).err
+
+
+@pytest.fixture
+def read_only(folder):
+    """The folder, without the right to write; for root such a folder is made by a mount where that is allowed."""
+    if os.geteuid() != 0:
+        folder.chmod(0o555)
+        yield folder, ""
+        folder.chmod(0o755)
+        return
+    mount = f"mount --bind {folder} {folder} && mount -o remount,bind,ro {folder} && cd {folder} && "
+    if not shutil.which("unshare") or run(f"unshare -m bash -c '{mount} true'", folder).status:
+        pytest.skip("root may write everywhere, and this machine allows no mount of a read-only folder.")
+    yield folder, mount
+
+
+@pytest.mark.parametrize("command", [GOOD, "trace device.toml", "board --out out", "pattern --panel 64x48"])
+def test_a_read_only_folder(read_only, command):
+    folder, mount = read_only
+    words = f"unshare -m bash -c '{mount} @ {command}'" if mount else f"@ {command}"
+    judged(folder, words, "refused", ("out",))
+
+
+def test_a_folder_that_was_removed(folder):
+    outcome = run(f"mkdir gone && cd gone && rmdir ../gone && @ {BAD}", folder)
+    assert outcome.status == 2
+    assert "Traceback" not in outcome.err
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
+def test_a_file_without_permission(folder):
+    (folder / "device.toml").chmod(0)
+    judged(folder, f"@ {GOOD}", "refused", ("device.toml",))
+
+
+@pytest.mark.parametrize("limit", ["-n 40", "-f 0", "-u 60"])
+def test_limits_of_the_system(folder, limit):
+    outcome = run(f"ulimit {limit}; @ {GOOD}", folder)
+    assert outcome.status in (0, 2), f"{outcome.status} {outcome.err}"
+    assert "Traceback" not in outcome.out + outcome.err
+    assert not [name for name in snapshot(folder) if Path(name).name.startswith(".")]
+
+
+def test_the_program_starts_from_everywhere(tmp_path):
+    assert run("@ --version", tmp_path).status == 0

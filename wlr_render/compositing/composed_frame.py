@@ -1,0 +1,155 @@
+"""Composed frames, and the ray maps that they keep."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.compositing.checks import checked_eye
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.ray_map import RayMap, RayMapSolver, SolvedT
+from wlr_render.rendering.readback import Readback
+from wlr_render.rendering.warp import WarpedImage
+
+
+class ComposedEye(Protocol):
+    """One eye's picture."""
+
+    @property
+    def texture(self) -> Any:
+        """The ModernGL texture with its top row first; None if it went into a framebuffer of the caller's."""
+
+    def read_async(self) -> Readback:
+        """Start to fetch the colour."""
+
+    def read_into(self, target: Any) -> None:
+        """Copy the colour as RGBA into an array, or into a buffer on the GPU."""
+
+    def read_colour(self) -> NDArray[Any]:
+        """Fetch the colour alone, (height, width, 3)."""
+
+    def read_status(self) -> NDArray[np.uint8]:
+        """Fetch (height, width) uint8, one `WarpStatus` each."""
+
+    def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
+        """Fetch the pull map of a channel, green's if None; None if it was composed without."""
+
+    def read(self) -> WarpedImage:
+        """Fetch colour and status, and the pull map if it was composed with one."""
+
+    def unsolved(self) -> dict[str, int]:
+        """Number of unsolved points of the ray maps by reason; empty if all are solved."""
+
+    def read_ray_maps(self) -> list[RayMap]:
+        """Fetch the ray maps of the picture at the points of the warp grid, one per channel."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComposedFrame:
+    """The panel images of one frame, which the next `compose` of the same eye overwrites.
+
+    Attributes:
+        eyes: by name.
+        check_readable: raises a `BadInputError` once an eye's picture is overwritten, or the compositor released.
+    """
+
+    eyes: Mapping[str, ComposedEye]
+    check_readable: Callable[[str], None]
+
+    def read(self, eye: str | None = None) -> NDArray[Any]:
+        """Fetch an eye's (height, width, 3), top row first; `eye` may be left out if there is one.
+
+        uint8 sRGB, or as the compositor's `panel` says: its encoding, and uint8 for 8 bits, uint16 for 10 (65535 is the
+        largest code), float16 for 16.
+
+        Raises:
+            BadInputError: no such eye, the picture was composed into your framebuffer, a later `compose` has
+                overwritten it, or the compositor has been released.
+        """
+        return self._eye(eye).read_colour()
+
+    def read_async(self, eye: str | None = None) -> Readback:
+        """Start to fetch what `read` returns, and return at once; a later `compose` does not change the result.
+
+        Raises:
+            BadInputError: as `read`.
+        """
+        return self._eye(eye).read_async()
+
+    def read_into(self, target: Any, eye: str | None = None) -> None:
+        """Copy an eye's picture, RGBA with its top row first, into memory of yours.
+
+        Args:
+            target: (height, width, 4) of the type that `read` returns, contiguous; or a ModernGL buffer of as many
+                bytes, which takes no wait.
+            eye: may be left out if there is one.
+
+        Raises:
+            BadInputError: as `read`, or a target of another kind, size or context.
+        """
+        self._eye(eye).read_into(target)
+
+    def status(self, eye: str | None = None) -> NDArray[np.uint8]:
+        """Fetch what each pixel of an eye shows, (height, width) uint8, one `WarpStatus` each.
+
+        Raises:
+            BadInputError: as `read`.
+        """
+        return self._eye(eye).read_status()
+
+    def texture(self, eye: str | None = None) -> Any:
+        """An eye's ModernGL texture, RGBA with its top row first; nothing crosses to the CPU.
+
+        Raises:
+            BadInputError: no such eye, or there is no texture.
+        """
+        texture = self._eye(eye).texture
+        if texture is None:
+            raise BadInputError("there is no texture: the picture is in the framebuffer that you gave; read it there.")
+        return texture
+
+    def source(self, eye: str | None = None, channel: int | None = None) -> NDArray[np.float32]:
+        """Fetch an eye's pull map, (height, width, 2) positions in the submitted picture, NaN where there is none.
+
+        Args:
+            eye: may be left out if there is one.
+            channel: 0, 1 or 2 for red, green or blue of an eye with three models; green if left out.
+
+        Raises:
+            BadInputError: no such eye, or it was composed without.
+        """
+        source = self._eye(eye).read_source(channel)
+        if source is None:
+            raise BadInputError("there is no pull map; compose with_source, and not into a framebuffer of yours.")
+        return source
+
+    def unsolved(self) -> dict[str, dict[str, int]]:
+        """Number of unsolved points of the ray maps, by eye and reason. Costs a small transfer."""
+        for name in self.eyes:
+            self.check_readable(name)
+        return {name: eye.unsolved() for name, eye in self.eyes.items()}
+
+    def _eye(self, eye: str | None) -> ComposedEye:
+        if eye in ("left", "right") and eye not in self.eyes:
+            raise BadInputError(f"the {eye} eye was not composed in this frame; name it in the `eyes` of compose.")
+        name = checked_eye(eye, tuple(self.eyes))
+        self.check_readable(name)
+        return self.eyes[name]
+
+
+class CachedRayMaps(Generic[SolvedT]):
+    """The ray maps of an eye's channels, solved again only when the viewpoint has changed."""
+
+    def __init__(self, solves: Sequence[RayMapSolver[SolvedT]]) -> None:
+        self._solves = solves
+        self._solved: tuple[FloatArray, list[SolvedT]] | None = None
+
+    def at(self, viewpoint: FloatArray) -> list[SolvedT]:
+        """One ray map per channel at a viewpoint (3,), which is kept for comparison: do not write into it."""
+        if self._solved is None or (self._solved[0] != viewpoint).any():
+            self._solved = None  # a solve that fails leaves ray maps of two viewpoints
+            self._solved = viewpoint, [solve.solve(viewpoint) for solve in self._solves]
+        return self._solved[1]

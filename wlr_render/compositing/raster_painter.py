@@ -1,0 +1,160 @@
+"""Offline raster frames: a scene's intermediate image, warped by a compositor and read back."""
+
+from collections.abc import Sequence
+
+from wlr_render.compositing.compositor import Compositor
+from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.painters import (
+    Frame,
+    Painter,
+    TracedPainter,
+    by_colour,
+    channels_of,
+    ray_maps_of,
+    source_of_position,
+    with_inverse_depth,
+)
+from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
+from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.sampling import remap
+from wlr_render.rendering.scene_raster import SceneRaster
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.rendering.view import View
+
+
+class WarpedPainter:
+    """Frames of a compositor that are read back; `paint` does not depend on the frames before.
+
+    The colours of an eye share the intermediate image: its jagged edges must not fall differently in each.
+    """
+
+    def __init__(
+        self,
+        mappings: EyeMappings | Sequence[EyeMappings],
+        raster: SceneRaster,
+        resolution: float = 1.0,
+        raster_camera: RasterPlace = "nearest",
+    ) -> None:
+        """Prepare.
+
+        Args:
+            mappings: any pair, or one each for red, green and blue.
+            raster: the scene, in a context of this library's own.
+            resolution: 1 gives the intermediate image about as many pixels as the display has, 2 four times as many.
+            raster_camera: position of the camera of the intermediate image: "viewpoint", as in the paper, or "nearest"
+                to the bent rays (`raster_camera.py`), from where fewer pixels are disoccluded.
+        """
+        self._channels = channels_of(mappings)
+        panel, eye = self._channels[0].display.panel, self._channels[0].eye
+        red, green, blue = (int(code) for code in encode_srgb(raster.scene.background))
+        self._compositor = Compositor(
+            {eye: self._channels},
+            (panel.width_px, panel.height_px),
+            context=raster.context,
+            resolution=resolution,
+            raster_camera=raster_camera,
+            late_margin_deg=0.0,
+            background=(red, green, blue),
+        )
+        self._plan, self._source = self._compositor.plan(eye), SceneSource(self._compositor, raster)
+
+    def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
+        """Where the intermediate image is drawn from; its camera is the same for all viewpoints in the eye box."""
+        return self._plan.view(viewpoint, world_from_device)
+
+    def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
+        """See `Painter`."""
+        (camera,) = self._compositor.begin_frame(world_from_device, viewpoint).values()
+        image = self._source.submit(camera)
+        composed = self._compositor.compose(with_source=with_geometry)
+
+        def ray_maps() -> tuple[RayMap, ...]:
+            axes = self._plan.device_from_camera
+            plans = [
+                RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, axes) for each in self._channels
+            ]
+            return ray_maps_of(self._channels, plans, viewpoint)
+
+        if not with_geometry:
+            return Frame(composed.read(), ray_maps)
+        intermediate = image.read()
+        sources = tuple(
+            with_inverse_depth(intermediate, composed.source(channel=channel)) for channel in range(len(self._channels))
+        )
+        return Frame(
+            composed.read(), ray_maps, composed.status(), sources=sources, view=camera.view, intermediate=intermediate
+        )
+
+
+class MeshWarpedPainter:
+    """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
+
+    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour
+    is that of what hides it. Colours are bilinear in linear light, without the filter of `WarpedPainter`.
+    """
+
+    def __init__(
+        self,
+        mappings: EyeMappings | Sequence[EyeMappings],
+        raster: SceneRaster,
+        renderer: RayRenderer,
+        resolution: float = 1.0,
+        raster_camera: RasterPlace = "nearest",
+    ) -> None:
+        """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
+        channels = channels_of(mappings)
+        panel = channels[0].display.panel
+        self._plan = EyePlan.of(channels, (panel.width_px, panel.height_px), resolution, raster_camera)
+        self._traced = TracedPainter(mappings, renderer)
+        self._raster = raster
+        self._background = renderer.scene.background
+
+    def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
+        """See `Painter`."""
+        traced = self._traced.paint(viewpoint, world_from_device, with_geometry=True)
+        view = self._plan.view(viewpoint, world_from_device)
+        image = self._raster.draw(view)
+        sources = tuple(source_of_position(view, position) for position in traced.traced)
+        light = decode_srgb(image.colour)
+        colours = [encode_srgb(remap(light, source[..., :2], self._background)[0]) for source in sources]
+        colour = by_colour(colours)
+        return Frame(
+            colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
+        )
+
+
+def raster_painter(
+    mappings: EyeMappings | Sequence[EyeMappings],
+    raster: SceneRaster | None,
+    renderer: RayRenderer | None,
+    map_from: str = "depth",
+    resolution: float = 1.0,
+    raster_camera: RasterPlace = "nearest",
+) -> Painter:
+    """The painter of rasterised frames, or of ray-traced ones without OpenGL (`raster` is None).
+
+    `map_from` is "depth", or "mesh" for a `MeshWarpedPainter`. `renderer` is of the same scene; None only where
+    neither ray tracing nor the mesh is needed.
+    """
+    if raster is None:
+        assert renderer is not None
+        return TracedPainter(mappings, renderer)
+    if map_from == "mesh":
+        assert renderer is not None
+        return MeshWarpedPainter(mappings, raster, renderer, resolution, raster_camera)
+    return WarpedPainter(mappings, raster, resolution, raster_camera)
+
+
+def traced_instead(raster: SceneRaster | None, backend: str) -> list[str]:
+    """A sentence if frames are ray traced for want of OpenGL, or because `backend` is "cpu"."""
+    if raster is not None:
+        return []
+    if backend == "cpu":
+        return ["--backend cpu: frames are ray traced; choose auto, egl or osmesa for rasterised ones."]
+    return [
+        "No OpenGL 4.1 context opens here, so that frames are ray traced; install libegl1 and libgl1, or libosmesa6, "
+        "for rasterised ones."
+    ]

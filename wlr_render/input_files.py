@@ -1,0 +1,381 @@
+"""Reading files that may come from strangers: every reader of the package opens its file here.
+
+Only regular files of limited size are read, a reference to another file stays inside its folder, and whatever a parser
+raises becomes one sentence. `LIMITS` has the sizes.
+"""
+
+import contextlib
+import contextvars
+import hashlib
+import io
+import math
+import os
+import re
+import reprlib
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wlr_render.errors import BadInputError
+
+
+@dataclass(frozen=True)
+class InputLimits:
+    """Largest sizes that are read; docs/files.md lists them.
+
+    Each is ten times or more of what this program or the equipment it knows writes, and small enough for 2 GB of
+    memory.
+    """
+
+    text_bytes: int = 8_000_000
+    """TOML, YAML, XML, and other text that a person may have written."""
+    data_bytes: int = 64_000_000
+    """JSON."""
+    table_bytes: int = 256_000_000
+    """CSV and trajectories, decompressed."""
+    array_bytes: int = 512_000_000
+    """All arrays of an .npz file together, decompressed."""
+    rows: int = 2_000_000
+    """Observations of a capture file or a table, samples of a trajectory."""
+    index: int = 1_000_000
+    """Largest index of a capture, a visit, or a target pose."""
+    time_s: float = 1e11
+    """Largest time stamp, of either sign: 3000 years, as clocks count from 1970 or from any other origin."""
+    temperature_c: tuple[float, float] = (-40.0, 65.0)
+    """Temperature of a bench in degrees Celsius; room temperature in Fahrenheit or kelvin is above it."""
+    captures: int = 2_000
+    """Camera places of a capture file."""
+    photographs: int = 5_000
+    """Photographs of a session or a folder."""
+    board_features: int = 100_000
+    """Dots, corners or tags of a board."""
+    mesh_bytes: int = 512_000_000
+    """A mesh, and each file that it refers to."""
+    picture_bytes: int = 1_000_000_000
+    """A photograph or texture as it is stored."""
+    picture_pixels: int = 1 << 27
+    """Pixels of a photograph, texture, panel or image to draw: 134 million, above the 100 of the largest cameras."""
+    picture_side: int = 32_766
+    """Width or height in pixels: OpenCV samples longer sides wrongly."""
+    eye_box_m: float = 0.2
+    """Side of an eye box."""
+
+
+LIMITS = InputLimits()
+_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = 100
+_short.maxdict = _short.maxlist = 4
+_outside = contextvars.ContextVar("outside", default=False)
+_hashes: contextvars.ContextVar[dict[str, str] | None] = contextvars.ContextVar("hashes", default=None)
+
+
+@contextlib.contextmanager
+def hashes_of_inputs() -> Iterator[dict[str, str]]:
+    """Context manager for the SHA-256 of every file that is read in the block, by path."""
+    hashes: dict[str, str] = {}
+    token = _hashes.set(hashes)
+    try:
+        yield hashes
+    finally:
+        _hashes.reset(token)
+
+
+@contextlib.contextmanager
+def outside_references() -> Iterator[None]:
+    """Within the block, files may refer to files outside their own folder; `--outside-references` does the same."""
+    token = _outside.set(True)
+    try:
+        yield
+    finally:
+        _outside.reset(token)
+
+
+@contextlib.contextmanager
+def parsing(path: str | Path, kind: str, remedy: str = "write it again") -> Iterator[None]:
+    """Convert whatever the parser in the block raises to a `BadInputError`.
+
+    Args:
+        path: of the file, or a place in it.
+        kind: what the file should be, e.g. "a mesh".
+        remedy: what to do, without a full stop.
+    """
+    try:
+        yield
+    except BadInputError:
+        raise
+    except RecursionError as error:
+        raise BadInputError(f"{path}: is nested too deeply to be {kind}; {remedy}.") from error
+    except MemoryError as error:
+        raise BadInputError(f"{path}: is too large for the memory of this machine; {remedy}.") from error
+    except Exception as error:
+        raise BadInputError(f"{path}: cannot be read as {kind} ({reason_of(error)}); {remedy}.") from error
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Within the block, errors of work on what was read from a file or folder name it.
+
+    Raises:
+        BadInputError: the block's, with the path in front unless it is in the sentence; or the numbers lead to a
+            matrix without an inverse, because the readings do not determine what is fitted to them.
+    """
+    try:
+        yield
+    except BadInputError as error:
+        if str(path) in str(error):
+            raise
+        raise type(error)(f"{path}: {error}") from error
+    except np.linalg.LinAlgError as error:
+        raise BadInputError(
+            f"{path}: the readings do not determine the fit ({reason_of(error)}); check that they differ in place, "
+            "direction and panel pixel, and that their sigma is right."
+        ) from error
+
+
+def reason_of(error: BaseException) -> str:
+    """The reason that an exception gives, in at most 200 characters of one line."""
+    reason = getattr(error, "strerror", None) or " ".join(str(error).split()).rstrip(".")
+    if isinstance(error, KeyError) or not reason:
+        reason = f"{type(error).__name__} {reason}".rstrip()
+    return reason if len(reason) <= 200 else reason[:200] + "..."
+
+
+def shown(value: object, quoted: bool = True) -> str:
+    """Any value as an error sentence shows it: one line of about 100 characters, control characters escaped.
+
+    Args:
+        value: of a file or a caller; an array is described by its shape and type.
+        quoted: False leaves out the quotes of a text.
+    """
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"an array of shape {value.shape} and type {value.dtype}"
+    try:
+        text = _short.repr(value).replace("\n", " ")
+    except (ValueError, RecursionError):  # an integer of more than 4300 digits; deep nesting
+        return f"a large {type(value).__name__}"
+    return text if quoted else text[1:-1]
+
+
+def read_bytes(path: str | Path, at_most: int, remedy: str = "name another file") -> bytes:
+    """Read a regular file.
+
+    Raises:
+        BadInputError: the file is missing, a folder, a pipe or a device, has more than `at_most` bytes, or cannot be
+            read.
+    """
+    try:
+        with open(path, "rb", opener=_open_at_once) as file:
+            found = os.fstat(file.fileno())
+            if not stat.S_ISREG(found.st_mode):
+                raise BadInputError(f"{path}: is a pipe or a device, not a regular file; {remedy}.")
+            # A file that grows, or of a file system that states no sizes, may hold more than it says.
+            content = file.read(at_most + 1) if found.st_size <= at_most else None
+    except IsADirectoryError as error:
+        raise BadInputError(f"{path}: is a folder; {remedy}.") from error
+    except FileNotFoundError as error:
+        raise BadInputError(f"{path}: there is no such file; {remedy}.") from error
+    except (OSError, ValueError) as error:  # a ValueError if the name has a null character
+        if isinstance(error, BadInputError):
+            raise
+        raise BadInputError(f"{path}: cannot be read ({reason_of(error)}); {remedy}.") from error
+    except MemoryError as error:
+        raise BadInputError(f"{path}: is too large for the memory of this machine; {remedy}.") from error
+    if content is None or len(content) > at_most:
+        raise BadInputError(f"{path}: has more than {_size(at_most)}, the most that is read here; {remedy}.")
+    if (hashes := _hashes.get()) is not None:
+        hashes[str(path)] = hashlib.sha256(content).hexdigest()
+    return content
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open without waiting for a writer, as opening a pipe does."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_text(path: str | Path, kind: str, at_most: int = LIMITS.text_bytes, remedy: str = "name another file") -> str:
+    """Read a regular file of UTF-8 text, with or without byte order mark.
+
+    Raises:
+        BadInputError: as `read_bytes`, or the file is not text; the sentence says that it is not `kind`.
+    """
+    return decode_text(path, read_bytes(path, at_most, remedy), kind, remedy)
+
+
+def decode_text(path: str | Path, content: bytes, kind: str, remedy: str = "name another file") -> str:
+    """Decode UTF-8 text in memory; arguments, result and errors as `read_text`."""
+    try:
+        return content.decode("utf-8").removeprefix("\ufeff")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise BadInputError(f"{path}: line {line} is not UTF-8 text, so this is not {kind}; {remedy}.") from error
+
+
+def gunzip(path: str | Path, content: bytes, at_most: int, remedy: str = "write it again") -> bytes:
+    """Decompress the content of a gzip file.
+
+    Raises:
+        BadInputError: the content is not gzip, is cut short, or has more than `at_most` bytes decompressed.
+    """
+    parts, length = [], 0
+    with parsing(path, "a gzip file", remedy):
+        while content:
+            stream = zlib.decompressobj(wbits=31)
+            part = stream.decompress(content, at_most - length + 1)
+            length += len(part)
+            if length > at_most:
+                raise BadInputError(f"{path}: decompresses to more than {_size(at_most)}; {remedy}.")
+            if not stream.eof:
+                raise BadInputError(f"{path}: is cut short; {remedy}.")
+            parts.append(part)
+            content = stream.unused_data
+    return b"".join(parts)
+
+
+def read_arrays(path: str | Path, kind: str, remedy: str = "write it again") -> dict[str, NDArray[Any]]:
+    """Read the named arrays of an .npz file, without pickled objects.
+
+    Raises:
+        BadInputError: as `read_bytes`, or the file is not `kind`.
+    """
+    content = io.BytesIO(read_bytes(path, LIMITS.array_bytes, remedy))
+    with parsing(path, kind, remedy), zipfile.ZipFile(content) as archive:
+        promised = sum(entry.file_size for entry in archive.infolist())
+        if promised > LIMITS.array_bytes:
+            raise BadInputError(f"{path}: decompresses to more than {_size(LIMITS.array_bytes)}; {remedy}.")
+        content.seek(0)
+        with np.load(content, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+    for name, values in arrays.items():
+        if not isinstance(values, np.ndarray):  # a member of the archive that is not an array
+            raise BadInputError(f"{path}: '{name}' is not an array, so this is not {kind}; {remedy}.")
+    return arrays
+
+
+def read_image(path: str | Path, flags: int, remedy: str = "name another picture") -> NDArray[Any]:
+    """Read a picture as OpenCV stores it, (height, width) or (height, width, channels) in BGR order.
+
+    Args:
+        path: of any format that OpenCV reads.
+        flags: of `cv2.imdecode`.
+        remedy: what to do, without a full stop.
+
+    Raises:
+        BadInputError: as `read_bytes`, or the file is not a picture or has more pixels than `LIMITS` has.
+    """
+    content = read_bytes(path, LIMITS.picture_bytes, remedy)
+    return decode_image(path, content, flags, remedy)
+
+
+def decode_image(path: str | Path, content: bytes, flags: int, remedy: str = "name another picture") -> NDArray[Any]:
+    """Decode a picture in memory; arguments, result and errors as `read_image`."""
+    import cv2
+
+    require_picture(path, content, remedy)
+    with parsing(path, "a picture", remedy):
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
+        if image is None:
+            raise ValueError("it is damaged")
+        return np.asarray(image)
+
+
+def require_picture(where: str | Path, content: bytes, remedy: str = "store the picture again") -> None:
+    """Refuse content that is not a picture, or a picture of more pixels than `LIMITS` has; decodes nothing."""
+    with parsing(where, "a picture", remedy):
+        require_pixels(where, _stated_size(content), remedy)
+
+
+def require_pixels(
+    path: str | Path, size: Sequence[float] | NDArray[np.float64], remedy: str = "name another picture"
+) -> None:
+    """Refuse a picture of more pixels than `LIMITS` has; `size` is its width and height in pixels."""
+    if math.prod(size) > LIMITS.picture_pixels or max(size) > LIMITS.picture_side:
+        most = f"{LIMITS.picture_pixels / 1e6:.0f} million, or more than {LIMITS.picture_side} on one side"
+        raise BadInputError(f"{path}: has {size[0]:.0f}x{size[1]:.0f} pixels, more than {most}; {remedy}.")
+
+
+def _stated_size(content: bytes) -> tuple[int, int]:
+    """Width and height that a picture's header states, before a decoder takes memory for them."""
+    from PIL import Image, UnidentifiedImageError
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    stream = io.BytesIO(content)
+    try:
+        with Image.open(stream) as picture:
+            return picture.width, picture.height
+    except UnidentifiedImageError:
+        # Pillow does not know the two forms of a float map.
+        if pfm := re.match(rb"PF\s+(\d{1,9})\s+(\d{1,9})\s", content):
+            return int(pfm[1]), int(pfm[2])
+        if content[:4] not in (b"II*\0", b"MM\0*"):
+            raise ValueError("its format is not known") from None
+        tags = ImageFileDirectory_v2(content[:8])
+        stream.seek(tags.next)
+        tags.load(stream)
+        return int(tags[_TIFF_WIDTH]), int(tags[_TIFF_HEIGHT])
+    except Image.DecompressionBombError:
+        raise ValueError(f"it has more than {LIMITS.picture_pixels / 1e6:.0f} million pixels") from None
+
+
+def inside_folder(folder: str | Path, name: str, where: str) -> Path:
+    """Path of a file that another file refers to.
+
+    Args:
+        folder: of the file that refers to it.
+        name: the reference, relative to the folder.
+        where: the file and key that have the reference, for the sentence.
+
+    Raises:
+        BadInputError: the reference leads out of the folder, and `outside_references` is not in force.
+    """
+    path = Path(folder) / name
+    try:
+        is_inside = path.resolve().is_relative_to(Path(folder).resolve())
+    except (OSError, ValueError, RuntimeError) as error:
+        raise BadInputError(f"{where}: {shown(name)} is not the name of a file ({reason_of(error)}).") from error
+    if not is_inside and not _outside.get():
+        raise BadInputError(
+            f"{where}: {shown(name)} leads out of the folder {folder}; copy the file into it, or add "
+            "--outside-references if you trust this file."
+        )
+    return path
+
+
+def require_length(where: str, length: ArrayLike, at_most: float, unit: str = "m") -> None:
+    """Refuse lengths that are not finite or too large, as those in millimetres that should be in metres.
+
+    Args:
+        where: the file and key or column that have the lengths.
+        length: any shape, in `unit`.
+        at_most: the largest plausible absolute value.
+        unit: "m" or "mm".
+    """
+    values = np.abs(np.asarray(length, dtype=np.float64))
+    largest = float(values.max(initial=0.0))
+    if not math.isfinite(largest):
+        raise BadInputError(f"{where} has a length that is not finite; correct it.")
+    if largest > at_most:
+        full, smaller = ("metres", "millimetres") if unit == "m" else ("millimetres", "micrometres")
+        raise BadInputError(
+            f"{where} has a length of {largest:g} {unit}, more than the plausible {at_most:g} {unit}; is it in "
+            f"{smaller}? Convert it to {full}."
+        )
+
+
+def require_eye_box(where: str, size: ArrayLike, unit: str = "m") -> None:
+    """Refuse an eye box with sides (3,), in m or mm, that are negative or larger than `LIMITS` has."""
+    sides = np.asarray(size, dtype=np.float64)
+    require_length(where, sides, LIMITS.eye_box_m * (1.0 if unit == "m" else 1e3), unit)
+    if np.any(sides < 0):
+        raise BadInputError(f"{where} has a negative size, {sides.tolist()}; correct it.")
+
+
+def _size(count: int) -> str:
+    return f"{count / 1e6:g} MB"

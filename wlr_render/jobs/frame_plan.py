@@ -1,0 +1,144 @@
+"""The frames of `render`: when each is drawn, from which viewpoint and with which head pose."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.jobs import limits
+from wlr_render.jobs.headset import require_in_eye_box
+from wlr_render.jobs.options import (
+    eyes_of,
+)
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.jobs.sequence_record import RECORD
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
+from wlr_render.tracking.head_trajectory_file import read_head_trajectory
+from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
+
+LONGEST_GAP_S = 1.0
+"""Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
+
+
+@dataclass(frozen=True)
+class PlannedFrame:
+    """One frame to draw."""
+
+    index: int
+    time_s: float
+    eye: str
+    viewpoint: FloatArray
+    world_from_device: FloatArray
+    held: bool = False
+    """Whether the pupil was outside the eye box, and was held inside."""
+
+    @property
+    def stem(self) -> str:
+        """Name of its files without the suffix."""
+        return f"{self.eye}-{self.index:06d}"
+
+
+def read_trajectories(options: RenderOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
+    """Trajectories of head and eyes; None for each that is not given."""
+    head = read_head_trajectory(options.head) if options.head else None
+    return head, read_eye_trajectory(options.eye_track) if options.eye_track else None
+
+
+def planned_frames(
+    options: RenderOptions, mappings: dict[str, EyeMappings], head: HeadTrajectory | None, eyes: EyeTrajectory | None
+) -> list[PlannedFrame]:
+    """When and from where each frame is drawn, in time order.
+
+    Raises:
+        BadInputError: trajectories that do not overlap in time, or an eye whose viewpoints are all outside the eye box.
+    """
+    times = _times(options, head, eyes)
+    pupils = {eye: _pupils(options, mappings[eye], eyes, times) for eye in mappings}
+    plan = []
+    for index, time_s in enumerate(times):
+        pose = head.at(time_s) if head else np.eye(4)
+        for eye in mappings:
+            viewpoint, held = pupils[eye][index]
+            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose, held))
+    return plan
+
+
+def _pupils(
+    options: RenderOptions, mappings: EyeMappings, eyes: EyeTrajectory | None, times: FloatArray
+) -> list[tuple[FloatArray, bool]]:
+    """Viewpoint (3,) of each frame, and whether it is held: where the tracked pupil is outside the eye box.
+
+    A pupil is held at its last place inside or, before there is one, at the nearest point of the eye box.
+    """
+    box = mappings.eye_box
+    if eyes is None:
+        return [(box.centre, False)] * len(times)
+    tracked = [eyes.viewpoint_at(mappings.eye, time_s) for time_s in times]
+    inside = [box.contains(place, margin=1e-6) for place in tracked]
+    if not any(inside):
+        require_in_eye_box(mappings, tracked[0], f"{options.eye_track} at {times[0]:.4f} s, {mappings.eye} eye")
+    pupils: list[tuple[FloatArray, bool]] = []
+    last: FloatArray | None = None
+    for place, is_inside in zip(tracked, inside, strict=True):
+        last = place if is_inside else last
+        nearest = np.clip(place, box.centre - box.size / 2, box.centre + box.size / 2) if last is None else last
+        pupils.append((nearest, not is_inside))
+    return pupils
+
+
+def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
+    spans = [(time_s[0], time_s[-1]) for _, time_s in _sample_times(options, head, eyes)]
+    if not spans:
+        return np.zeros(1)
+    start, end = max(first for first, _ in spans), min(last for _, last in spans)
+    if end < start:
+        files = " and ".join(str(path) for path in (options.head, options.eye_track) if path)
+        raise BadInputError(f"The tracks of {files} do not overlap in time; record them together.")
+    count = (end - start) * options.frames_per_second + 1
+    if min(count, options.frame_limit or count) > limits.FRAMES:
+        raise BadInputError(
+            f"--fps {options.frames_per_second:g} over {end - start:g} s are {count:.0f} frames; draw at most "
+            f"{limits.FRAMES}: lower --fps, or give --frames."
+        )
+    times = start + np.arange(min(int(count + 1e-9), limits.FRAMES)) / options.frames_per_second
+    # Rounding must not carry the last frame beyond the tracks.
+    return np.asarray(np.minimum(times, end)[: options.frame_limit])
+
+
+def _sample_times(
+    options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None
+) -> list[tuple[Path | None, FloatArray]]:
+    """File and sample times (n,) of the head and of each eye that is drawn."""
+    tracks = eyes.tracks if eyes else {}
+    drawn = [(options.eye_track, track.time_s) for eye, track in tracks.items() if eye in eyes_of(options.eye)]
+    return [(options.head, head.time_s), *drawn] if head else drawn
+
+
+def gap_warnings(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
+    """A sentence for each file with neighbouring samples farther apart than `LONGEST_GAP_S`."""
+    gaps: dict[Path | None, float] = {}
+    for file, time_s in _sample_times(options, head, eyes):
+        gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
+    return [
+        f"{file}: neighbouring samples are up to {gap:.3g} s apart, and poses between them are interpolated; are the "
+        "times in seconds?"
+        for file, gap in gaps.items()
+        if gap > LONGEST_GAP_S
+    ]
+
+
+def held_warnings(options: RenderOptions, plan: list[PlannedFrame]) -> list[str]:
+    """A sentence for each eye whose pupil was held in some frames."""
+    warnings = []
+    for eye in eyes_of(options.eye):
+        own = [planned for planned in plan if planned.eye == eye]
+        held = [planned for planned in own if planned.held]
+        if held:
+            warnings.append(
+                f"{options.eye_track}: the {eye} pupil is outside the eye box in {len(held)} of {len(own)} frames, "
+                f"first at {held[0].time_s:.4f} s; there it is held at its last place inside ('held' in {RECORD})."
+            )
+    return warnings

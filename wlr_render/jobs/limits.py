@@ -1,0 +1,32 @@
+"""Limits of numbers that several verbs take.
+
+A value beyond them is a slip, a wrong unit, or more than the memory, the disk or a day can hold.
+"""
+
+from wlr_render.input_files import LIMITS
+from wlr_render.jobs.options import Range
+
+PIXELS = Range(at_least=1, at_most=LIMITS.picture_side, product=LIMITS.picture_pixels)
+"""Width and height of a panel or camera."""
+CAMERA_PIXELS = Range(at_least=64, at_most=LIMITS.picture_side, product=LIMITS.picture_pixels)
+"""Width and height of a camera that is simulated: fewer pixels show no dots."""
+PLACES = Range(at_least=1, at_most=1000)
+"""Camera positions or viewpoints: a thousand take about a day."""
+FRAMES = 1_000_000
+"""Frames of one run: more than four hours at 60 a second."""
+DISTANCE_M = Range(at_least=0.01, at_most=100)
+"""Distance of a target in metres."""
+DEPTHS = 20
+"""Distances of a target: each takes photographs at every camera position."""
+POSITION_MM = Range(at_least=0, at_most=100)
+"""Position error in mm: a stage travels no farther."""
+REPEATABILITY_UM = Range(at_least=0, at_most=10_000)
+"""Repeatability of a stage in um: up to a centimetre."""
+ROTATION_URAD = Range(at_least=0, at_most=100_000)
+"""Rotation error of a stage in microradians: up to 5.7 degrees."""
+ANGLE_ARCMIN = Range(at_least=0, at_most=600)
+"""Angular error in arcmin: up to 10 degrees."""
+NOISE_PX = Range(above=0, at_most=100)
+"""Noise of a position in a photograph, in pixels."""
+WAIT_S = Range(above=0, at_most=86_400)
+"""A wait in seconds: up to a day."""

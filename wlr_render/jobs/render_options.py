@@ -1,0 +1,97 @@
+"""Options of `render`."""
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from wlr_render.errors import BadInputError
+from wlr_render.jobs import limits
+from wlr_render.jobs.options import (
+    Backend,
+    Eyes,
+    MapFrom,
+    OnlyWith,
+    Options,
+    Range,
+    RasterCamera,
+    described,
+)
+
+
+@dataclass(frozen=True)
+class RenderOptions(Options):
+    """Options of `render`."""
+
+    headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
+    scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes to draw.")] = "right"
+    head: Annotated[
+        Path | None, described("Head trajectory, TUM or EuRoC (default: a head at rest at the world's origin).")
+    ] = None
+    eye_track: Annotated[
+        Path | None, described("Eye trajectory (default: pupils at rest at the centres of the eye boxes).")
+    ] = None
+    frames_per_second: Annotated[
+        float,
+        described("Frames per second, over the time that both trajectories cover.", name="--fps"),
+        Range(above=0, at_most=1000),
+    ] = 30.0
+    frame_limit: Annotated[
+        int | None,
+        described("Maximum number of frames along --head or --eye-track (default: all).", name="--frames"),
+        Range(at_least=1, at_most=limits.FRAMES),
+    ] = None
+    method: Annotated[
+        Literal["raster", "raytrace"],
+        described("Rendering method: an intermediate image that is warped, or a ray for each pixel."),
+    ] = "raster"
+    supersample: Annotated[
+        int, described("Rays per pixel and axis (raytrace only)."), Range(1, 12), OnlyWith("method", ("raytrace",))
+    ] = 1
+    shadows: Annotated[
+        bool, described("Surfaces cast shadows (raytrace only).", flag=True), OnlyWith("method", ("raytrace",))
+    ] = False
+    materials: Annotated[
+        Literal["own", "gltf"],
+        described("Shading: the ray tracer's, or glTF materials (raster only, needs OpenGL)."),
+        OnlyWith("method", ("raster",)),
+    ] = "own"
+    resolution: Annotated[
+        float,
+        described("Resolution of the intermediate image; 1: about the panel's (raster only)."),
+        Range(above=0, at_most=4),
+        OnlyWith("method", ("raster",)),
+    ] = 1.0
+    raster_camera: Annotated[RasterCamera, OnlyWith("method", ("raster",))] = "nearest"
+    map_from: Annotated[MapFrom, OnlyWith("method", ("raster",))] = "depth"
+    maps: Annotated[
+        Literal["tiff", "pfm"] | None,
+        described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
+        OnlyWith("method", ("raster",)),
+    ] = None
+    per_colour: Annotated[
+        bool,
+        described("Separate rays and warp maps for red, green and blue; a device is traced in all three.", flag=True),
+    ] = False
+    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
+    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
+    video: Annotated[bool, described("Also write EYE.mp4 (VP9).", flag=True)] = False
+    backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
+    out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
+
+    def __post_init__(self) -> None:
+        """Check that the models of red and blue light come together, and that several frames have a trajectory."""
+        super().__post_init__()
+        if self.frame_limit is not None and self.head is None and self.eye_track is None:
+            raise BadInputError(
+                "--frames is used with --head or --eye-track only; leave it out (one frame of each eye is drawn), or "
+                "give a trajectory."
+            )
+        if (self.red_model is None) != (self.blue_model is None):
+            raise BadInputError("--red-model and --blue-model go together; give both or neither.")
+
+    @property
+    def has_colours(self) -> bool:
+        """Whether red, green and blue have rays of their own."""
+        return self.per_colour or self.red_model is not None

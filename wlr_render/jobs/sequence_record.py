@@ -1,0 +1,93 @@
+"""The record of a sequence of frames, `sequence.json`: how, when, from where and from which files they are drawn."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from wlr_render.errors import BadInputError
+from wlr_render.input_files import LIMITS, parsing, read_text
+from wlr_render.jobs.options import Options, flag_of
+from wlr_render.toml_files import parse_json
+
+RECORD = "sequence.json"
+_VERSION = 2
+_KIND = "the record of a sequence"
+_ABSENT_IN_OLD_RECORDS = {"raster_camera": "nearest"}
+"""Options that earlier versions did not write, with the only value that they had."""
+
+
+def sequence_record(
+    job: Mapping[str, Any], inputs: Mapping[str, str], frames: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Record as plain JSON.
+
+    Args:
+        job: the options that change what a frame shows.
+        inputs: SHA-256 of every file that the frames show, by its path.
+        frames: file, time stamp, viewpoint and head pose of each frame.
+    """
+    record = {
+        "format": "wlr-sequence",
+        "version": _VERSION,
+        "frame": "openxr",
+        "job": dict(job),
+        "inputs": dict(inputs),
+        "frames": list(frames),
+    }
+    return dict(json.loads(json.dumps(record)))
+
+
+def require_same_job(
+    folder: Path, record: Mapping[str, Any], options: type[Options], trajectories: Sequence[Path]
+) -> bool:
+    """Refuse a folder whose frames are of other options, or of files that have changed since.
+
+    Returns:
+        Whether the frames were drawn by an earlier version, which did not list finished files.
+
+    Raises:
+        BadInputError: the sentence names the first difference.
+    """
+    path = folder / RECORD
+    if not os.path.lexists(path):
+        if any((folder / frame["file"]).exists() for frame in record["frames"]):
+            raise _refusal(folder, f"{RECORD} is missing")
+        return False
+    remedy = "choose another folder or empty it"
+    earlier = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
+    with parsing(path, _KIND, remedy):
+        is_old = bool(earlier["version"] == 1)
+        changed = _changed(earlier, record, options, trajectories)
+    if changed:
+        raise _refusal(folder, f"{changed} since they were drawn")
+    return is_old
+
+
+def _refusal(folder: Path, reason: str) -> BadInputError:
+    return BadInputError(f"{folder}: holds the frames of another job ({reason}); choose another folder or empty it.")
+
+
+def _changed(
+    earlier: dict[str, Any], record: Mapping[str, Any], options: type[Options], trajectories: Sequence[Path]
+) -> str:
+    """The first difference between the records of two jobs in words, "" if there is none."""
+    job, inputs = {**_ABSENT_IN_OLD_RECORDS, **earlier["job"]}, record["inputs"]
+    for key, value in record["job"].items():
+        if job[key] != value:
+            return f"{flag_of(options, key)} has changed from {job[key]} to {value}"
+    # Files are compared by content alone: the same device may have another path in another installation.
+    if earlier["version"] == 1:
+        old = [("the headset or the scene", sha256) for sha256 in job["sha256"]]
+        new = []  # not all files were recorded
+    else:
+        old = list(earlier["inputs"].items())
+        new = [name for name, sha256 in inputs.items() if sha256 not in earlier["inputs"].values()]
+    different = new or [name for name, sha256 in old if sha256 not in inputs.values()]
+    if different:
+        return f"{different[0]} has changed"
+    # Either may have been limited to fewer frames.
+    if any(old != new for old, new in zip(earlier["frames"], record["frames"], strict=False)):
+        return f"{' or '.join(map(str, trajectories)) or 'the eye box'} has changed"
+    return ""

@@ -1,0 +1,98 @@
+"""Sources, uniforms and textures of shader programs; an unchanged uniform costs no OpenGL call."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render import files
+
+GLSL_VERSION = 410
+"""Version of all shaders, that of OpenGL 4.1, which macOS has; it replaces the one that a file states for editors."""
+
+
+def shader_source(name: str, constants: dict[str, float], functions: str = "") -> str:
+    """Text of a file in shaders/, with `#define NAME value` for each constant, and functions before its own text."""
+    _, text = files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
+    defines = (f"#define {key} {value}" for key, value in constants.items())
+    return "\n".join([f"#version {GLSL_VERSION}", *defines, functions, "#line 2", text])
+
+
+class _Uniforms:
+    """Uniforms of a program by name, with what was written last: an unchanged value costs no OpenGL call."""
+
+    def __init__(self) -> None:
+        self._handles: dict[str, Any] = {}
+        self._written: dict[str, object] = {}
+        self.units: dict[str, tuple[int, int]] = {}  # of samplers: the first unit, and the one after the last
+
+    @staticmethod
+    def of(program: Any) -> "_Uniforms":
+        if program.extra is None:
+            program.extra = _Uniforms()
+        found: _Uniforms = program.extra
+        return found
+
+    def set(self, program: Any, name: str, value: object, data: bytes | None = None) -> None:
+        """Set a uniform to a value, or to an array of `data`; one that the compiler found unused is skipped."""
+        new = value if data is None else data
+        if name in self._written and self._written[name] == new:
+            return
+        if name not in self._handles:
+            self._handles[name] = program.get(name, None)
+        uniform = self._handles[name]
+        if uniform is not None:
+            if data is None:
+                uniform.value = value
+            else:
+                uniform.write(data)
+        self._written[name] = new
+
+
+def set_uniforms(program: Any, **values: Any) -> None:
+    """Set uniforms, numbers or tuples of numbers, by name; those that the compiler found unused are skipped."""
+    uniforms = _Uniforms.of(program)
+    for name, value in values.items():
+        uniforms.set(program, name, value)
+
+
+def set_matrix(program: Any, name: str, matrix: NDArray[np.float64]) -> None:
+    """Set a square matrix, (n, n) as numpy writes it; OpenGL wants columns first."""
+    set_array(program, name, matrix.T)
+
+
+def set_array(program: Any, name: str, rows: Sequence[NDArray[Any]] | NDArray[Any]) -> None:
+    """Set a uniform array of vectors."""
+    _Uniforms.of(program).set(program, name, None, np.array(rows, dtype=np.float32).tobytes())
+
+
+def bind_textures(program: Any, **textures: Any) -> None:
+    """Give each sampler of a program its texture, and each array of samplers its textures.
+
+    Call it in a drawing block and bind textures of these units in no other way: a texture that was bound to a unit
+    before is not bound again.
+    """
+    free, uniforms, on_units = 0, _Uniforms.of(program), _textures_on_units(program.ctx)
+    for name, given in textures.items():
+        first = free
+        for texture in given if isinstance(given, list | tuple) else (given,):
+            if on_units.get(free) is not texture:
+                texture.use(free)
+                on_units[free] = texture
+            free += 1
+        if uniforms.units.get(name) != (first, free):
+            uniforms.set(program, name, None, np.arange(first, free, dtype=np.int32).tobytes())
+            uniforms.units[name] = first, free
+
+
+def forget_textures(ctx: Any) -> None:
+    """Bind all textures again; call it when other software may have bound some."""
+    _textures_on_units(ctx).clear()
+
+
+def _textures_on_units(ctx: Any) -> dict[int, Any]:
+    if ctx.extra is None:
+        ctx.extra = {}
+    found: dict[int, Any] = ctx.extra
+    return found
