@@ -203,7 +203,7 @@ def test_what_went_elsewhere_is_not_fetched(theirs, one_eye):
         (frame.read, "into your framebuffer"),
         (frame.texture, "no texture"),
         (frame.source, "into your framebuffer"),
-        (lambda: frame.read("left"), "eye is 'left'; choose from right"),
+        (lambda: frame.read("left"), "left eye was not composed in this frame, which has right"),
     ):
         with pytest.raises(BadInputError, match=words):
             fetch()

@@ -122,7 +122,8 @@ def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor, flat_image_hea
     [
         (np.zeros((4, 4, 4), np.uint8), {}, "one pose; give either world_from_quad or device_from_quad"),
         (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "device_from_quad": HEAD}, "one pose"),
-        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": 2 * np.eye(4)}, "give world_from_quad with the last row"),
+        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": 2 * np.eye(4)}, "it scales by 2"),
+        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": np.tri(4)}, "give world_from_quad with the last row"),
         (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "size_m": (0, 1)}, "both positive"),
         (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "eyes": ("left",)}, "choose from right"),
         (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "stored_colour": "srgb"}, "a StoredColour"),

@@ -134,7 +134,10 @@ class ComposedFrame:
 
     def _eye(self, eye: str | None) -> ComposedEye:
         if eye in ("left", "right") and eye not in self.eyes:
-            raise BadInputError(f"the {eye} eye was not composed in this frame; name it in the `eyes` of compose.")
+            raise BadInputError(
+                f"the {eye} eye was not composed in this frame, which has {', '.join(self.eyes)}; if the headset has "
+                "it, name it in the `eyes` of compose."
+            )
         name = checked_eye(eye, tuple(self.eyes))
         self.check_readable(name)
         return self.eyes[name]
