@@ -264,7 +264,7 @@ def test_files_of_version_1_are_still_read(tmp_path):
         load_eye_models(path)
 
 
-def with_spread(mapping, name, shared=0, orders=None):
+def with_spread(mapping, name, sources=(), orders=None):
     """A mapping with factors of very different sizes; `apart` has two variables, `joint` three."""
     polynomial = getattr(mapping, name)
     rng, outputs = np.random.default_rng(5), polynomial.coefficients.shape[1]
@@ -274,7 +274,7 @@ def with_spread(mapping, name, shared=0, orders=None):
         size = 10.0 ** rng.uniform(-9.0, -3.0, count) * (1.0 if count else 0.0)
         return Polynomial(orders, polynomial.box, size * rng.normal(size=(len(orders), count)))
 
-    spread = Covariance(outputs, factors(outputs // 2 * 2), factors(3 * outputs), shared)
+    spread = Covariance(outputs, factors(outputs // 2 * 2), factors(3 * outputs), sources)
     return dataclasses.replace(mapping, spread=spread)
 
 
@@ -291,16 +291,26 @@ def read_again(tmp_path, written):
 @pytest.mark.parametrize("display", DISPLAYS)
 @pytest.mark.parametrize("see_through", SEE_THROUGHS)
 def test_a_spread_comes_back_to_five_digits_of_each_factor_and_then_bit_for_bit(tmp_path, display, see_through):
-    written = of_both(DISPLAYS[display], SEE_THROUGHS[see_through], shared=2)
+    written = of_both(DISPLAYS[display], SEE_THROUGHS[see_through], sources=("lens", "targets"))
     read = read_again(tmp_path, written)
     for side in ("display", "see_through"):
         before, after = (getattr(each.mappings, side).spread for each in (written, read))
-        assert (after.outputs, after.shared) == (before.outputs, 2)
+        assert after.outputs == before.outputs
+        assert after.sources == ("lens", "targets")
         for one, other in ((before.apart, after.apart), (before.joint, after.joint)):
             size = np.abs(one.coefficients).max(axis=0)
             assert np.all(np.abs(one.coefficients - other.coefficients) <= 0.5e-4 * size)
             assert np.any(np.abs(one.coefficients - other.coefficients) > 0.5e-6 * size)
     assert_same(read_again(tmp_path, read), read)
+
+
+def test_shared_variables_of_an_older_file_are_of_the_prescription(tmp_path):
+    path = save_eye_models(tmp_path / "eye.json", [of_both(sources=("lens", "stage"))])
+    record = json.loads(path.read_text())
+    for side in ("display", "see_through"):
+        del first(record)[side]["spread"]["sources"]
+    path.write_text(json.dumps(record))
+    assert load_eye_model(path).mappings.display.spread.sources == ("prescription", "prescription")
 
 
 def test_a_spread_with_terms_of_its_own_comes_back(tmp_path):
@@ -351,6 +361,7 @@ def spread_of(record):
     [
         (lambda s: s.pop("shared"), r"\[display\] \[spread\]: key 'shared' is missing"),
         (lambda s: s.update(shared=4), "'shared' is 4, but 'joint' has 3 variables"),
+        (lambda s: s.update(sources=["lens"]), "'sources' names 1 variables, but 'shared' is 0"),
         (lambda s: s.update(rank=4), "unknown key 'rank'"),
         (lambda s: s["joint"]["unit"].pop(), r"\[joint\]: 'unit' must hold positive numbers, 2 for each variable"),
         (lambda s: s["apart"]["unit"].__setitem__(0, 0.0), r"\[apart\]: 'unit' must hold positive numbers"),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from wlr_render.calibration.readings import FitReadings
-from wlr_render.models.spread import Covariance
+from wlr_render.models.spread import PRESCRIPTION, Covariance
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Posterior
 from wlr_render.numerics.polynomial import Polynomial, basis
@@ -62,7 +62,7 @@ def spread_of(readings: FitReadings, found: Posterior) -> Covariance:
         outputs,
         Polynomial(orders, box, apart),
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
-        shared,
+        (PRESCRIPTION,) * shared,
     )
 
 

@@ -52,6 +52,21 @@ class Sensitivity:
     by_polynomial: FloatArray
 
 
+@dataclass(frozen=True)
+class DirectionErrors:
+    """Errors that a fit expects of its view directions, in units of the unit direction (radians).
+
+    Attributes:
+        own: (..., 3, 3) covariance of what the model does not share with the eye's other model.
+        shared: (..., 3, k) change by each shared variable, all independent and standard normal.
+        sources: (k,) what each shared variable is an error of.
+    """
+
+    own: FloatArray
+    shared: FloatArray
+    sources: tuple[str, ...]
+
+
 ChunkQuery = Callable[[FloatArray, FloatArray, FloatArray | None], Answer]
 """(subject (m, j), viewpoint (m, 3), start (m, 2) or None) -> Answer."""
 
@@ -187,19 +202,44 @@ class FittedModel(ABC):
         """How the view tangents (m, 2) of a pixel (m, 2) or a real point (m, 3) follow the first polynomial."""
         raise BadInputError("this model has no covariance: only models fitted by maximum evidence have one.")
 
-    def _sigma(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
+    @abstractmethod
+    def view_dir(self, subject: FloatArray, viewpoint: FloatArray) -> QueryResult:
+        """Unit view directions (..., 3) of pixels (..., 2) or real points (..., 3), from viewpoints (..., 3)."""
+
+    def direction_errors(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> DirectionErrors:
+        """Errors to be expected of the answer (..., 3) of `view_dir`; NaN where there is no answer.
+
+        Raises:
+            BadInputError: the model has no covariance.
+        """
         lead = view_dir.shape[:-1]
         subject, viewpoint = (_flat(np.asarray(each, np.float64), lead) for each in (subject, viewpoint))
-        sigma = np.full(len(subject), np.nan)
         tangents = tangents_of_dir(view_dir.reshape(-1, 3))
         rows = np.flatnonzero(np.isfinite(tangents).all(axis=1))
         at = self._sensitivity(subject[rows], viewpoint[rows], tangents[rows])
         if self.spread is None:  # models that never have a covariance refused in `_sensitivity`
             raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
-        covariance = at.by_polynomial @ self.spread.covariance(at.inputs) @ at.by_polynomial.transpose(0, 2, 1)
-        turned = dir_by_tangents(tangents[rows])
-        sigma[rows] = np.sqrt(np.einsum("nij,njk,nik->n", turned, covariance, turned)) / ARCMIN
-        return sigma.reshape(lead)
+        turned = dir_by_tangents(tangents[rows]) @ at.by_polynomial
+        covariance, deviation = self.spread.own_and_shared(at.inputs)
+        own, shared = np.full((len(subject), 3, 3), np.nan), np.full((len(subject), 3, self.spread.shared), np.nan)
+        own[rows], shared[rows] = turned @ covariance @ turned.transpose(0, 2, 1), turned @ deviation
+        return DirectionErrors(own.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), self.spread.sources)
+
+    def sigma(self, subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """Standard error (...) of `view_dir` in arcminutes: the rms angle that the fit expects of itself.
+
+        Over both axes; NaN where there is no answer. Where the answer is OUTSIDE_FIT, it is an extrapolation, too.
+
+        Args:
+            subject: pixels (..., 2) of a display, real points (..., 3) of a see-through model.
+            viewpoint: (..., 3).
+
+        Raises:
+            BadInputError: the model has no covariance.
+        """
+        errors = self.direction_errors(subject, viewpoint, self.view_dir(subject, viewpoint).value)
+        square = np.trace(errors.own, axis1=-2, axis2=-1) + np.sum(errors.shared**2, axis=(-2, -1))
+        return np.asarray(np.sqrt(square) / ARCMIN)
 
 
 class FittedDisplay(FittedModel):
@@ -224,15 +264,9 @@ class FittedDisplay(FittedModel):
         tangents = tangents_of_dir(np.asarray(view_dir))
         return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
 
-    def sigma(self, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Standard error (...) of `view_dir_of_pixel` in arcminutes: the rms angle that the fit expects of itself.
-
-        Over both axes; NaN where there is no answer. Where the answer is OUTSIDE_FIT, it is an extrapolation, too.
-
-        Raises:
-            BadInputError: the model has no covariance.
-        """
-        return self._sigma(pixel, viewpoint, self.view_dir_of_pixel(pixel, viewpoint).value)
+    def view_dir(self, subject: FloatArray, viewpoint: FloatArray) -> QueryResult:
+        """`view_dir_of_pixel`."""
+        return self.view_dir_of_pixel(subject, viewpoint)
 
 
 class FittedSeeThrough(FittedModel):
@@ -252,9 +286,9 @@ class FittedSeeThrough(FittedModel):
         in_front = _points_in_front(point, viewpoint)
         return _as_directions(answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start))
 
-    def sigma(self, point: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Standard error (...) of `view_dir_of_real_point` in arcminutes, of points (..., 3); see the display's."""
-        return self._sigma(point, viewpoint, self.view_dir_of_real_point(point, viewpoint).value)
+    def view_dir(self, subject: FloatArray, viewpoint: FloatArray) -> QueryResult:
+        """`view_dir_of_real_point`."""
+        return self.view_dir_of_real_point(subject, viewpoint)
 
 
 def _as_directions(result: QueryResult) -> QueryResult:

@@ -22,7 +22,7 @@ Kinds and the inputs and outputs of their polynomials are those of the classes i
 terms of `values` (one per output) times the product over inputs of Chebyshev T_k, with k from `orders`. Numbers are
 written so that they are read back exactly.
 
-A spread {apart, joint, shared} is the covariance of the values of the mapping's first polynomial (`forward`,
+A spread {apart, joint, shared, sources} is the covariance of the values of the mapping's first polynomial (`forward`,
 `deviation` or `point`) as two tables of factors, either of which may be absent:
 
     {orders (absent if they are the polynomial's), unit, values}
@@ -32,7 +32,8 @@ Factor c at given inputs is unit[c] times the sum over terms of values[term][c] 
 y in turn. `joint` has m r factors: number o r + j is the change of output o by random variable j. `apart` has m r / 2:
 number b r + j is the change of outputs 2 b and 2 b + 1, by random variables j of the x and of the y axis. All variables
 are independent and standard normal, and the first `shared` of `joint` are the same ones in the eye's display and
-see-through. The covariance of outputs o and p is therefore
+see-through. `sources` says what each of them is an error of, assembly errors of a prescription if it is absent. The
+covariance of outputs o and p is therefore
 
     C[o][p] = sum_j joint[o r + j] joint[p r + j]  +  sum_j apart[b r + j] apart[c r + j] if o - p is even
 
@@ -68,7 +69,7 @@ from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
 from wlr_render.models.plausible import plausible_eye_box, require_plausible_plane, require_plausible_values
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
-from wlr_render.models.spread import Covariance
+from wlr_render.models.spread import PRESCRIPTION, Covariance
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -277,7 +278,8 @@ def _modelled(model: type[Any]) -> str:
 def _spread_record(spread: Covariance, polynomial: Polynomial) -> dict[str, Any]:
     tables = {"apart": spread.apart, "joint": spread.joint}
     records = {name: _factors_record(each, polynomial) for name, each in tables.items() if each.coefficients.size}
-    return {"shared": spread.shared, **records}
+    sources = {"sources": list(spread.sources)} if spread.sources else {}
+    return {"shared": spread.shared, **sources, **records}
 
 
 def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, Any]:
@@ -330,8 +332,11 @@ def _spread(table: Table, polynomial: Polynomial) -> Covariance:
     shared, variables = table.whole("shared"), joint.coefficients.shape[1] // outputs
     if shared > variables:
         raise table.fail(f"'shared' is {shared}, but 'joint' has {variables} variables; calibrate again.")
+    sources = tuple(table.texts("sources")) if table.has("sources") else (PRESCRIPTION,) * shared
+    if len(sources) != shared:
+        raise table.fail(f"'sources' names {len(sources)} variables, but 'shared' is {shared}; calibrate again.")
     table.finish()
-    return Covariance(outputs, apart, joint, shared)
+    return Covariance(outputs, apart, joint, sources)
 
 
 def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> Polynomial:

@@ -3,8 +3,8 @@
     coefficient (term, block b, axis k) = mean + apart[term, b] . a_k + joint[term, b, k] . j
 
 a_k and j are independent and standard normal. What noise leaves unknown is the same for both axes, so that `apart`
-serves both; what captures share, such as the camera's motions, couples them and is in `joint`. The first `shared` of j
-are the same variables in the display and the see-through model of an eye.
+serves both; what captures share, such as the camera's motions, couples them and is in `joint`. The first of j, one
+for each of `sources`, are the same variables in the display and the see-through model of an eye.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
 _CHUNK = 1_024  # inputs whose factors are held at once
+PRESCRIPTION = "prescription"
+"""Source of the shared variables that are assembly errors of a prescription."""
 
 
 @dataclass(frozen=True)
@@ -25,29 +27,44 @@ class Covariance:
         outputs: of the polynomial: block 0 along x and y, then block 1.
         apart: inputs -> (blocks * rank); no outputs where nothing is apart.
         joint: inputs -> (outputs * rank).
-        shared: how many of the joint variables the eye's other model shares: the first ones.
+        sources: what each of the joint variables that the eye's other model shares is an error of, e.g. "prescription".
+            They are the first ones.
     """
 
     outputs: int
     apart: Polynomial
     joint: Polynomial
-    shared: int = 0
+    sources: tuple[str, ...] = ()
+
+    @property
+    def shared(self) -> int:
+        """Number of joint variables that the eye's other model shares."""
+        return len(self.sources)
 
     def covariance(self, inputs: FloatArray) -> FloatArray:
         """Covariance (n, outputs, outputs) of the values at inputs (n, variables), in their units squared."""
-        blocks = [self._block(inputs[first : first + _CHUNK]) for first in range(0, max(len(inputs), 1), _CHUNK)]
-        return np.concatenate(blocks)
+        own, shared = self.own_and_shared(inputs)
+        return own + shared @ shared.transpose(0, 2, 1) if self.sources else own
 
-    def _block(self, inputs: FloatArray) -> FloatArray:
-        joint = self.joint(inputs).reshape(len(inputs), self.outputs, -1)
+    def own_and_shared(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Split the covariance at inputs (n, variables) into what this model has alone and what it shares.
+
+        Returns:
+            Covariance (n, outputs, outputs) without the shared variables, and the values' change
+            (n, outputs, shared) by each shared variable.
+        """
+        blocks = [self._block(inputs[first : first + _CHUNK]) for first in range(0, max(len(inputs), 1), _CHUNK)]
+        own, shared = (np.concatenate(each) for each in zip(*blocks, strict=True))
+        return own, shared
+
+    def _block(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        joint = self.joint(inputs).reshape(len(inputs), self.outputs, self.joint.outputs // self.outputs)
+        shared, joint = joint[..., : self.shared], joint[..., self.shared :]
         covariance = joint @ joint.transpose(0, 2, 1)
         if self.apart.coefficients.shape[1]:
-            apart = self.apart(inputs).reshape(len(inputs), self.outputs // 2, -1)
+            blocks = self.outputs // 2
+            apart = self.apart(inputs).reshape(len(inputs), blocks, self.apart.outputs // blocks)
             between = apart @ apart.transpose(0, 2, 1)
             for axis in (0, 1):
                 covariance[:, axis::2, axis::2] += between
-        return np.asarray(covariance)
-
-    def shared_deviation(self, inputs: FloatArray) -> FloatArray:
-        """Values' change (n, outputs, shared) by each shared variable, at inputs (n, variables)."""
-        return self.joint(inputs).reshape(len(inputs), self.outputs, -1)[..., : self.shared]
+        return covariance, shared

@@ -1,0 +1,68 @@
+"""Covariance of the registration error of an eye: direction of a pixel less direction of a real point."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, normalised
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.numerics.arrays import FloatArray
+
+OWN = "noise and stage"
+"""Source of the errors that display and see-through do not share."""
+
+
+def model_registration_covariance(
+    display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
+) -> dict[str, FloatArray]:
+    """Covariance, by source, of the angle from a real point's direction to a pixel's, as both models expect it.
+
+    Both directions are seen from the viewpoint. What both models share, such as an error of the camera that measured
+    both, counts by its difference: it cancels as far as it displaces both alike.
+
+    Args:
+        display, see_through: the models of one eye, of one fit.
+        pixel: (..., 2) panel pixels. viewpoint: (..., 3), device frame, metres. point: (..., 3) real points, device
+            frame, metres.
+
+    Returns:
+        Covariances (..., 2, 2) in square arcminutes along the axes of `right_and_up` of the pixel's direction; their
+        sum is the covariance of both models together. `OWN` is what each model has alone. NaN where a model has no
+        answer.
+
+    Raises:
+        BadInputError: a model has no covariance, or the two are not of one fit.
+    """
+    shown = display.view_dir_of_pixel(pixel, viewpoint).value
+    seen = see_through.view_dir_of_real_point(point, viewpoint).value
+    lead = np.broadcast_shapes(shown.shape[:-1], seen.shape[:-1])
+    shown, seen = (np.broadcast_to(each, (*lead, 3)) for each in (shown, seen))
+    of_display = display.direction_errors(pixel, viewpoint, shown)
+    of_see_through = see_through.direction_errors(point, viewpoint, seen)
+    if of_display.sources != of_see_through.sources:
+        raise BadInputError(
+            "the display and the see-through model do not share the same variables; take both from one eye of one "
+            "model file."
+        )
+    axes = right_and_up(shown) / ARCMIN
+    difference = axes @ (of_display.shared - of_see_through.shared)
+    own = axes @ (of_display.own + of_see_through.own) @ np.swapaxes(axes, -1, -2)
+    return {OWN: own} | {
+        name: _from(difference, of_display.sources, name) for name in dict.fromkeys(of_display.sources)
+    }
+
+
+def right_and_up(direction: FloatArray) -> FloatArray:
+    """Axes (..., 2, 3) perpendicular to unit directions (..., 3): horizontal to the right, and up.
+
+    Device frame, where y is up; the direction must not be vertical.
+    """
+    right = normalised(np.cross(direction, [0.0, 1.0, 0.0]))
+    return np.stack([right, np.cross(right, direction)], axis=-2)
+
+
+def _from(difference: FloatArray, sources: Sequence[str], name: str) -> FloatArray:
+    """Covariance (..., 2, 2) by the variables of one source, of changes (..., 2, k)."""
+    own = difference[..., [source == name for source in sources]]
+    return np.asarray(own @ np.swapaxes(own, -1, -2))
