@@ -16,7 +16,7 @@ from wlr_render.rendering.ray_tracing import RayRenderer
 def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_headset, context):
     see_through = flat_image_headset.see_through
     colours = [
-        replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.01, 0.0, 0.02)
+        replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
     ]
     together, renderer, at = (
         compositor({"right": colours}, context=context),
@@ -32,7 +32,7 @@ def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_hea
         difference = np.abs(picture - truth.colour)[clear].max(axis=0)
         assert clear.mean() > 0.5
         assert difference[channel] <= 2
-        assert np.delete(difference, channel).max() > 20
+        assert np.delete(difference, channel).max() > 40
 
 
 def composed(compositor, model):

@@ -50,6 +50,17 @@ def upright(framebuffer, attachment=0):
     return np.frombuffer(pixels, np.uint8).reshape(framebuffer.height, framebuffer.width, 3)[::-1]
 
 
+def assert_same_but_for_rounding(shown, expected):
+    """Assert that pictures differ as their rays do, which other window coordinates round otherwise, by some 1e-4 px.
+
+    That is worth a code where a colour lies at a tie; it changes by less than 100 codes a pixel, so that one in a
+    hundred may lie there.
+    """
+    difference = np.abs(shown.astype(int) - expected)
+    assert difference.max() <= 1
+    assert (difference > 0).mean() < 0.01
+
+
 def call(context, name, *arguments):
     types = [ctypes.c_void_p if isinstance(each, ctypes.Array) else ctypes.c_uint for each in arguments]
     return ctypes.CFUNCTYPE(None, *types)(context.mglo._context.load(name))(*arguments)
@@ -66,12 +77,11 @@ def test_both_eyes_go_the_same_wherever_they_go(theirs, two_eyes):
     for into in (beside, beside.glo, np.uint32(beside.glo)):
         beside.clear()
         two_eyes.compose(into)
-        # Other window coordinates are rounded otherwise.
-        np.testing.assert_allclose(upright(beside).astype(int), np.hstack([left, right]), atol=1)
+        assert_same_but_for_rounding(upright(beside), np.hstack([left, right]))
     each = {eye: theirs.simple_framebuffer(SMALL) for eye in ("right", "left")}
     two_eyes.compose(each)
     for eye, picture in (("left", left), ("right", right)):
-        np.testing.assert_allclose(upright(each[eye]).astype(int), picture, atol=1)
+        assert_same_but_for_rounding(upright(each[eye]), picture)
 
 
 @pytest.mark.parametrize("buffers", [(0, 1, 2), (1, None, 0), (None, 1, None)])
@@ -121,8 +131,8 @@ def test_layers_levels_and_samples_of_textures_are_targets(theirs, two_eyes):
     two_eyes.compose({"left": TextureLayer(array, 1), "right": TextureLayer(array.glo, 2)})
     layers = np.frombuffer(array.read(), np.uint8).reshape(3, HEIGHT, WIDTH, 4)[:, ::-1, :, :3]
     assert (layers[0] == 7).all()
-    np.testing.assert_allclose(layers[1].astype(int), left, atol=1)
-    np.testing.assert_allclose(layers[2].astype(int), right, atol=1)
+    assert_same_but_for_rounding(layers[1], left)
+    assert_same_but_for_rounding(layers[2], right)
 
     both = theirs.texture((4 * WIDTH, 2 * HEIGHT), 4)
     both.build_mipmaps()
@@ -130,14 +140,14 @@ def test_layers_levels_and_samples_of_textures_are_targets(theirs, two_eyes):
         both.build_mipmaps()
         two_eyes.compose(into)
         shown = np.frombuffer(both.read(level=1), np.uint8).reshape(HEIGHT, 2 * WIDTH, 4)[::-1, :, :3]
-        np.testing.assert_allclose(shown.astype(int), np.hstack([left, right]), atol=1)
+        assert_same_but_for_rounding(shown, np.hstack([left, right]))
 
     sampled, plain = theirs.texture((2 * WIDTH, HEIGHT), 4, samples=4), theirs.simple_framebuffer((2 * WIDTH, HEIGHT))
     for into in (sampled, theirs.framebuffer([sampled])):
         plain.clear()
         two_eyes.compose(into)
         theirs.copy_framebuffer(plain, theirs.framebuffer([sampled]))
-        np.testing.assert_allclose(upright(plain).astype(int), np.hstack([left, right]), atol=1)
+        assert_same_but_for_rounding(upright(plain), np.hstack([left, right]))
 
 
 def test_a_framebuffer_with_a_layer_of_an_array_is_a_target(theirs, one_eye):

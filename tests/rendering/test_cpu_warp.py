@@ -12,7 +12,7 @@ from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.painters import inverse_depth_at
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.view import GeometryImage
-from wlr_render.rendering.warp import WarpStatus
+from wlr_render.rendering.warp import DIRECT_PX, WarpStatus
 
 CAMERA = Pinhole(200, 160, np.array([-0.55, -0.4]), np.array([0.45, 0.4]))
 TEXTURE = np.random.default_rng(2).integers(0, 256, (16, 16, 3)).astype(np.uint8)
@@ -155,11 +155,12 @@ def test_it_warps_as_opengl_does(gl_context):
     assert {int(WarpStatus.SEEN), int(WarpStatus.DISOCCLUDED), int(WarpStatus.NO_RAY)} <= set(ours.status[same])
     found = same & (ours.status <= WarpStatus.DISOCCLUDED)
     apart = np.abs(ours.source[found] - theirs.source[found]).max(axis=-1)
-    # A search that ends within rounding of an edge may end on its other side; what stands in for a hidden point is
-    # found to a fraction of a step.
+    # A search that ends within rounding of an edge may end on its other side.
     seen = ours.status[found] == WarpStatus.SEEN
     assert (apart[seen] < 1e-3).mean() > 0.999
-    assert (apart < 0.05).mean() > 0.999
+    # What stands in for a hidden point is read within a step of its edge, and the two divide the path differently: the
+    # depth of a surface changes in a step by what moves a point by some DIRECT_PX, which the warp takes for nothing.
+    assert (apart[~seen] < DIRECT_PX).mean() > 0.98
     alike = np.abs(ours.colour[found].astype(int) - theirs.colour[found])[apart < 1e-3]
     assert alike.max() <= 1
 

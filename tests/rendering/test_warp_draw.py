@@ -117,8 +117,8 @@ def test_each_colour_follows_its_own_rays(gl_context, image, samples_per_axis):
     holed = by_opengl(gl_context, image, offsets, motion(0.02), hole=hole, **options)
     for channel, offset in enumerate(offsets):
         alone = by_opengl(gl_context, image, [offset], motion(0.02), **options)
-        assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.998
-        assert (result.status >= alone.status).mean() > 0.998
+        assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.999
+        assert (result.status >= alone.status).mean() > 0.999
     green = warp_on_cpu(image, CAMERA, [pixel_bend(offsets[1])], motion(0.02))
     np.testing.assert_array_equal(result.source, green.source)
     assert holed.status[hole] == WarpStatus.NO_RAY
