@@ -85,7 +85,7 @@ def checked_quad(size_m: object, world_from_quad: object, device_from_quad: obje
     wanted = "(width, height) of the quad in metres, both positive"
     size = finite_array(size_m, (2,), "size_m", wanted)
     if (size <= 0).any():
-        raise BadInputError(f"the size_m is {shown(size_m)}; give {wanted}.")
+        raise BadInputError(f"size_m is {shown(size_m)}; give {wanted}.")
     if (world_from_quad is None) == (device_from_quad is None):
         raise BadInputError("an overlay has one pose; give either world_from_quad or device_from_quad.")
     is_head_locked = world_from_quad is None
@@ -125,7 +125,7 @@ def checked_number(value: object, what: str, at_least: float, at_most: float) ->
     wanted = f"a number from {at_least:g} to {at_most:g}"
     number = float(finite_array(value, (), what, wanted))
     if not at_least <= number <= at_most:
-        raise BadInputError(f"the {what} is {shown(value)}; give {wanted}.")
+        raise BadInputError(f"{what} is {shown(value)}; give {wanted}.")
     return number
 
 
@@ -179,7 +179,7 @@ def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
         BadInputError: it is not two whole positive numbers, or too many pixels.
     """
     wanted = f"(width, height) in whole pixels, {LIMITS.picture_pixels} of them at most"
-    size = finite_array(size_px, (2,), "size", wanted)
+    size = finite_array(size_px, (2,), "the size", wanted)
     if (size < 1).any() or (size != size.round()).any() or size.prod() > LIMITS.picture_pixels:
         raise BadInputError(f"the size is {shown(size_px)}; give {wanted}.")
     return int(size[0]), int(size[1])
@@ -206,7 +206,7 @@ def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
         BadInputError: it is not three whole numbers from 0 to 255.
     """
     wanted = "(red, green, blue) as whole sRGB codes from 0 to 255"
-    codes = finite_array(colour, (3,), "background", wanted)
+    codes = finite_array(colour, (3,), "the background", wanted)
     if any(code not in range(256) for code in codes.tolist()):
         raise BadInputError(f"the background is {shown(colour)}; give {wanted}.")
     red, green, blue = (int(code) for code in codes)
@@ -235,28 +235,27 @@ def checked_panels(panel: object, eyes: Sequence[str], size_px: tuple[int, int])
     return found
 
 
-def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
+def checked_pose(pose: FloatArray, what: str = "the pose") -> FloatArray:
     """A copy of `world_from_device` as (4, 4) float64: trackers write the next pose where the last one was.
 
     Raises:
         BadInputError: not finite, not a rotation and translation, or too far away.
     """
+    matrix_name, until = (
+        (what, "")
+        if what.endswith("_quad")
+        else ("world_from_device", ", and the last good one while the head is not tracked")
+    )
     given = np.asarray(pose) if isinstance(pose, np.ndarray) else None
     if given is not None and given.shape == (4, 4) and given.dtype.kind == "f" and not np.isfinite(given).all():
         row, column = np.argwhere(~np.isfinite(given))[0]
         raise BadInputError(
-            f"the {what} has {given[row, column]} in row {row}, column {column}; give finite numbers, and the last "
-            "good pose while the head is not tracked."
+            f"{what} has {given[row, column]} in row {row}, column {column}; give finite numbers{until}."
         )
-    matrix = finite_array(
-        pose,
-        (4, 4),
-        what,
-        "world_from_device as a 4 x 4 matrix of finite numbers, and the last good one while the head is not tracked",
-    )
+    matrix = finite_array(pose, (4, 4), what, f"{matrix_name} as a 4 x 4 matrix of finite numbers{until}")
     if np.abs(matrix[:3, 3]).max() > FARTHEST_M:
         raise BadInputError(
-            f"the {what} lies at {matrix[:3, 3].tolist()}; give metres, {FARTHEST_M:g} at most from the world's origin."
+            f"{what} lies at {matrix[:3, 3].tolist()}; give metres, {FARTHEST_M:g} at most from the world's origin."
         )
     rotation = matrix[:3, :3]
     askew = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
@@ -267,18 +266,17 @@ def checked_pose(pose: FloatArray, what: str = "pose") -> FloatArray:
         and np.abs(rotation @ rotation.T - scale**2 * np.eye(3)).max() < 1e-6 * scale**2
     ):
         raise BadInputError(
-            f"the {what} is not a rotation and a translation: it scales by {scale:g}; divide its first three columns "
+            f"{what} is not a rotation and a translation: it scales by {scale:g}; divide its first three columns "
             "by that, and leave the translation in metres."
         )
     if askew <= _ROTATION_SLACK and np.linalg.det(rotation) < 0:
         raise BadInputError(
-            f"the {what} is not a rotation and a translation: it mirrors, as if converted from a left-handed frame "
+            f"{what} is not a rotation and a translation: it mirrors, as if converted from a left-handed frame "
             "on one side only; convert on both, F @ pose @ F with F = diag(1, 1, -1, 1) if z pointed forwards there."
         )
-    matrix_name = what if what.endswith("_quad") else "world_from_device"
     if askew > _ROTATION_SLACK or np.linalg.det(rotation) < 0 or not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise BadInputError(
-            f"the {what} is not a rotation and a translation; give {matrix_name} with the last row 0 0 0 1 (its "
+            f"{what} is not a rotation and a translation; give {matrix_name} with the last row 0 0 0 1 (its "
             "transpose is what OpenGL takes)."
         )
     if askew > _ROUNDING:

@@ -317,7 +317,7 @@ class Compositor:
             self._backend.eyes[eye].check_picture()
         measured = {} if viewpoint is None else checked_viewpoints(viewpoint, self._models)
         newest = newest_frame.world_from_device if pose is None else checked_pose(pose)
-        last_row = None if pose_at_last_row is None else checked_pose(pose_at_last_row, "pose at the last row")
+        last_row = None if pose_at_last_row is None else checked_pose(pose_at_last_row, "the pose at the last row")
         if pose is None and (time_s is not None or predict_s):
             raise BadInputError("time_s and predict_s are of the pose that compose is given; give pose as well.")
         composed = {}

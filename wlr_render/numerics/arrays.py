@@ -27,7 +27,7 @@ def finite_array(value: object, shape: tuple[int, ...], what: str, wanted: str) 
     Args:
         value: what a caller gave, of any type. Text and truth values are not numbers, although NumPy converts them.
         shape: that it must have; () for a single number.
-        what: its name, for the error, e.g. "pose".
+        what: its name, for the error, e.g. "predict_s" or "the pose".
         wanted: what to give, for the error, e.g. "three finite numbers".
 
     Raises:
@@ -39,5 +39,5 @@ def finite_array(value: object, shape: tuple[int, ...], what: str, wanted: str) 
         found = np.asarray(None)
     if found.dtype.kind not in "iuf" or found.shape != shape or not np.isfinite(found).all():
         small = found.dtype.kind in "iuf" and found.size <= _SHOWN_VALUES
-        raise BadInputError(f"the {what} is {shown(found.tolist() if small else value)}; give {wanted}.")
+        raise BadInputError(f"{what} is {shown(found.tolist() if small else value)}; give {wanted}.")
     return found.astype(np.float64)

@@ -49,7 +49,7 @@ class PanelLight:
             )
             offsets = finite_array(self.sub_pixel_px, (3, 2), "sub_pixel_px", wanted)
             if np.abs(offsets).max() > _FARTHEST_PX:
-                raise BadInputError(f"the sub_pixel_px is {shown(offsets.tolist())}; give {wanted}.")
+                raise BadInputError(f"sub_pixel_px is {shown(offsets.tolist())}; give {wanted}.")
             object.__setattr__(self, "sub_pixel_px", offsets)
         if isinstance(self.bits, bool) or self.bits not in (8, 10, 16):
             raise BadInputError(f"bits is {shown(self.bits)}; choose from 8, 10, 16.")
@@ -76,7 +76,7 @@ def _checked_encoding(value: Any) -> str | float | FloatArray:
         return float(value)
     if not isinstance(value, np.ndarray) or value.ndim != 2 or value.shape[1] != 3 or len(value) < 2:
         raise BadInputError(f"the panel's encoding is {shown(value)}; give {wanted}.")
-    table = finite_array(value, value.shape, "panel's encoding", wanted)
+    table = finite_array(value, value.shape, "the panel's encoding", wanted)
     falls = np.argwhere(np.diff(table, axis=0) <= 0)
     if len(falls) or table[0].min() < 0:
         row, column = falls[0] if len(falls) else (-1, int(np.argmin(table[0])))
@@ -93,7 +93,7 @@ def _checked_uniformity(value: Any) -> FloatArray:
     shape = np.shape(value) if isinstance(value, np.ndarray) else ()
     if len(shape) not in (2, 3) or shape[2:] not in ((), (3,)):
         raise BadInputError(f"the uniformity map has the shape {shape}; give {wanted}.")
-    factors = finite_array(value, shape, "uniformity map", wanted)
+    factors = finite_array(value, shape, "the uniformity map", wanted)
     if factors.min(initial=0) < 0 or factors.max(initial=0) > 1:
         raise BadInputError(f"the uniformity map runs from {factors.min():g} to {factors.max():g}; give {wanted}.")
     return factors

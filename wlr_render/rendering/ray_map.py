@@ -159,7 +159,7 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
     return finite_array(
         viewpoint,
         (3,),
-        "viewpoint",
+        "the viewpoint",
         "three finite numbers, the eye's place in the device frame in metres, and hold the last good ones while the "
         "eye is not seen",
     )
