@@ -56,6 +56,15 @@ def test_the_raster_of_the_paper_shows_other_pixels_at_the_same_points(finished,
     assert not np.array_equal(drawn[0], before[0])
 
 
+@pytest.mark.slow
+def test_without_opengl_no_row_says_that_frames_were_rasterised(small_northstar, tmp_path):
+    report = demo(DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=tmp_path))
+    assert list(overall(report)) == ["naive", "static", "ray traced"]
+    assert report.tables[1].columns == ["viewpoint (mm)", "naive", "static", "ray traced"]
+    assert f"with planar models is {overall(report)['ray traced'][0]:.3g}'" in report.verdict
+    assert not (tmp_path / "panel-raster-warp.png").exists()
+
+
 def test_the_static_map_is_right_at_its_own_viewpoint_alone(finished):
     by_viewpoint = [dict(zip(("viewpoint", *METHODS), row, strict=True)) for row in finished[0].tables[1].rows]
     assert len(by_viewpoint) == 5

@@ -6,6 +6,8 @@
                  `raster_camera` says so (the paper's is), per-frame warp map
     ray traced   planar models, world rays as primary rays
 
+Without OpenGL there is no raster+warp.
+
 The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics.
 """
 
@@ -70,6 +72,7 @@ from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 METHODS = ("naive", "static", "raster + warp", "ray traced")
+"""Without OpenGL all but the third."""
 CAMERA_POSITIONS = 49
 CAMERA_NOISE_ARCMIN = 0.25
 HEAD_POSE = np.eye(4)
@@ -159,7 +162,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
 
 def _verdict(overall: ReportTable, what: str) -> str:
     rows = {row[0]: [cell_text(cell) for cell in row[1:4]] for row in overall.rows}
-    planar, static, naive = (rows[method] for method in ("raster + warp", "static", "naive"))
+    planar, static, naive = rows.get("raster + warp", rows["ray traced"]), rows["static"], rows["naive"]
     return (
         f"{what}: misalignment with planar models is {planar[0]}' in the median ({planar[1]}' at 95 %, {planar[2]}' at "
         f"most); with one static map {static[0]}' ({static[1]}', {static[2]}'), with a naive flat picture {naive[0]}' "
@@ -182,14 +185,12 @@ def _painters(
     static = fit_eye(captures, "static").mappings
     flat = fit_display(captures.both[0], "static", 1).mapping
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
-    return {
-        "naive": TracedPainter(naive, renderer),
-        "static": TracedPainter(static, renderer),
-        "raster + warp": raster_painter(
+    painters: dict[str, Painter] = {"naive": TracedPainter(naive, renderer), "static": TracedPainter(static, renderer)}
+    if raster is not None:
+        painters["raster + warp"] = raster_painter(
             planar, raster, renderer, options.map_from, raster_camera=options.raster_camera
-        ),
-        "ray traced": TracedPainter(planar, renderer),
-    }
+        )
+    return painters | {"ray traced": TracedPainter(planar, renderer)}
 
 
 def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
@@ -222,7 +223,7 @@ def _misalignment(truth: EyeMappings, viewpoint: FloatArray, frame: Frame) -> Fl
 
 def _overall(truth: EyeMappings, scene: Scene, seen: list[_View]) -> ReportTable:
     rows: list[list[Cell]] = []
-    for method in METHODS:
+    for method in seen[0].misalignment:
         s = summary(np.concatenate([view.misalignment[method] for view in seen]))
         rows.append([method, s.median, s.p95, s.maximum, s.count])
     columns = ["method", "median (arcmin)", "95 % (arcmin)", "max (arcmin)", "points"]
@@ -234,13 +235,14 @@ def _by_viewpoint(seen: list[_View]) -> ReportTable:
     rows: list[list[Cell]] = []
     for view in seen:
         x, y, z = view.viewpoint * 1e3
-        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(view.misalignment[m]).median for m in METHODS)])
-    return ReportTable("Median misalignment (arcmin) by viewpoint", ["viewpoint (mm)", *METHODS], rows)
+        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(each).median for each in view.misalignment.values())])
+    columns = ["viewpoint (mm)", *seen[0].misalignment]
+    return ReportTable("Median misalignment (arcmin) by viewpoint", columns, rows)
 
 
 def _distribution(seen: list[_View]) -> Plot:
     percent = np.linspace(0, 100, 201)
-    errors = {method: np.concatenate([view.misalignment[method] for view in seen]) for method in METHODS}
+    errors = {method: np.concatenate([view.misalignment[method] for view in seen]) for method in seen[0].misalignment}
     lines = {method: (np.nanpercentile(each, percent), percent) for method, each in errors.items()}
     axes = ("misalignment (arcmin)", "points with less (%)")
     return curves("Distribution of misalignment", lines, axes, log_x=True, caption="All viewpoints.")

@@ -73,6 +73,12 @@ def test_the_raster_of_the_paper_covers_real_dots_too(options, monkeypatch):
     assert all(0 < row[4] < 1.0 for row in result.tables[1].rows)
 
 
+def test_without_opengl_no_row_says_that_frames_were_rasterised(options):
+    result = verify_session(replace(options, viewpoints=1, backend="cpu"))
+    assert [row[0] for row in result.tables[0].rows] == ["ray traced"]
+    assert "frames are ray traced" in result.warnings[0]
+
+
 def test_photographs_of_an_earlier_verification_are_taken_again(options):
     """They show what other models drew."""
     stale = options.out / "photographs" / "600mm_view00_off.png"

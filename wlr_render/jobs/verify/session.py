@@ -61,6 +61,7 @@ from wlr_render.simulation.photographs.take_photographs import PanelShots
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 METHODS = ("raster + warp", "ray traced")
+"""Without OpenGL the second alone."""
 TargetPose = Literal["frontal", "tilted", "shifted"]
 _FRONTAL: tuple[TargetPose, ...] = ("frontal",)
 _ALL_POSES: tuple[TargetPose, ...] = ("frontal", "tilted", "shifted")
@@ -139,10 +140,6 @@ class _Calibration:
         readings = [visit.reading for visit in visits]
         return np.stack([self.station.device_from_camera(each)[:3, 3] for each in readings if each is not None])
 
-    def shown(self) -> tuple[str, ...]:
-        """Names of what the panel shows at each place."""
-        return tuple(self.prefix + method for method in METHODS)
-
 
 @job
 def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument = SILENT) -> Report:
@@ -175,6 +172,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     for number, images in enumerate(progress(drawn, len(calibrations) * len(frames), "frames")):
         frames[number % len(frames)] |= images
     photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.workers)
+    methods = [method for method in METHODS if calibrations[0].prefix + method in frames[0]]
     judged = [
         one
         for k, target in enumerate(targets)
@@ -182,6 +180,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
         for one in _judge(
             bench,
             calibrations,
+            methods,
             target,
             number,
             [each[k] for each in found],
@@ -280,21 +279,24 @@ def _draw(
     scene, models = target_scene(bench.board, calibration.station.shape, target), calibration.models
     raster, renderer = open_scene_raster(scene, options.backend), RayRenderer(scene)
     warnings += traced_instead(raster, options.backend)
-    painters: tuple[Painter, ...] = (
-        raster_painter(models, raster, renderer, options.map_from, 2.0, options.raster_camera),
-        TracedPainter(models, renderer, _SUPERSAMPLE),
-    )
+    painters: dict[str, Painter] = {"ray traced": TracedPainter(models, renderer, _SUPERSAMPLE)}
+    if raster is not None:
+        painters["raster + warp"] = raster_painter(
+            models, raster, renderer, options.map_from, 2.0, options.raster_camera
+        )
     with raster.context if raster else contextlib.nullcontext():
         for viewpoint in viewpoints:
             yield {
-                name: painter.paint(viewpoint, np.eye(4)).colour[..., 1]
-                for name, painter in zip(calibration.shown(), painters, strict=True)
+                calibration.prefix + method: painters[method].paint(viewpoint, np.eye(4)).colour[..., 1]
+                for method in METHODS
+                if method in painters
             }
 
 
 def _judge(
     bench: PhotoBench,
     calibrations: Sequence[_Calibration],
+    methods: Sequence[str],
     target: TargetPlace,
     viewpoint: int,
     poses: Sequence[FloatArray],
@@ -313,9 +315,9 @@ def _judge(
         axis=0,
     )
     position, off = target.position(viewpoint), off_path(folder, target, viewpoint)
-    names = tuple(name for each in calibrations for name in each.shown())
+    names = tuple(each.prefix + method for each in calibrations for method in methods)
     paths = iter(PanelShots(on_folder(folder, target, viewpoint), Frames(names, ())).paths())
     for each in calibrations:
         camera = each.station.eyeball_camera
-        for method in METHODS:
+        for method in methods:
             yield judge_pair(position, method, (off, next(paths)), bench.board, camera, shown, each.label)
