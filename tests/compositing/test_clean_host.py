@@ -67,6 +67,19 @@ def test_no_state_is_restored(caller, clean, models):
     assert caller.state()["draw framebuffer"] != bound
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_released_compositor_leaves_no_program_that_another_one_cannot_restore(caller, clean, compositor, models):
+    kept = compositor(models, context=caller.ctx)
+    draw(clean, SceneSource(clean, scene()), HEAD, seen(models))
+    clean.compose()
+    clean.release()
+    source = SceneSource(kept, scene())
+    for _ in range(2):
+        draw(kept, source, HEAD, seen(models))
+        kept.compose()
+    assert caller.ctx.error == "GL_NO_ERROR"
+
+
 def test_pictures_by_number_and_layer(caller, clean, models):
     """Numbers are remembered: what is drawn into their objects later is shown all the same."""
     ctx = caller.ctx

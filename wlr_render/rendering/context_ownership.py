@@ -146,6 +146,9 @@ class AdoptedContext:
             return False
         # In a context that is gone its objects are, too.
         if self._state.is_same_context():
+            if self._host_is_clean:
+                # A program that is in use would outlive its deletion, for another compositor to find and restore.
+                self._current.function("glUseProgram", ctypes.c_uint)(0)
             # What a clean host has bound may be ours, and cannot be bound again after it is deleted.
             with contextlib.nullcontext() if self._host_is_clean else self._state.kept(checked=False):
                 self._ctx.gc()
