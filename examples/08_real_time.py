@@ -17,7 +17,7 @@ TO_FIRST_ROW_S, SCAN_OUT_S = 0.010, 0.008  # from drawing to the panel's first r
 
 # The engine: cubes on a grid, drawn with its own shader.
 VERTEX = """
-#version 430
+#version 410
 uniform mat4 clip_from_world;
 out vec3 place;
 void main() {
@@ -26,12 +26,12 @@ void main() {
     gl_Position = clip_from_world * vec4(place, 1);
 }"""
 FRAGMENT = """
-#version 430
+#version 410
 in vec3 place;
 out vec4 colour;
 void main() { colour = vec4(step(0.5, fract(place * 20 + 0.25)) * 0.7 + 0.3, 1); }"""
 CUBE = [0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 0, 4, 2, 2, 4, 6, 1, 3, 5, 3, 7, 5]
-ctx = moderngl.create_context(standalone=True, backend="egl", require=430)
+ctx = moderngl.create_context(standalone=True, backend="egl", require=410)
 program = ctx.program(VERTEX, FRAGMENT)
 cubes = ctx.vertex_array(program, [], index_buffer=ctx.buffer(np.array(CUBE, np.uint32)))
 panel = ctx.framebuffer([ctx.texture(SIZE, 4)])  # in place of a headset's swap chain

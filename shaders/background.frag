@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // Fills what no surface has covered.
 
 uniform vec3 background;  // sRGB

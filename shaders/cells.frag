@@ -1,4 +1,4 @@
-#version 430
+#version 410
 #include "conventions.glsl"
 #include "ranges.glsl"
 // For each point of a warp grid: where its ray appears in the image, the second differences of that, and the bounds of

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // One triangle over the whole target, on the far plane, without any vertex buffer.
 
 void main()

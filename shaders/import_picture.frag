@@ -1,4 +1,4 @@
-#version 430
+#version 410
 #include "conventions.glsl"
 #include "srgb.glsl"
 // Takes over a picture that other software drew: its colour, and 1 / depth from the depth that it stored.

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // The pyramid of smallest and largest values that ranges.glsl reads, from those of the tiles.
 //
 // Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the target's height. Tiles beyond the image

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 #include "shading.glsl"
 #include "srgb.glsl"
 

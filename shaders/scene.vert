@@ -1,4 +1,4 @@
-#version 430
+#version 410
 #include "conventions.glsl"
 
 uniform mat4 camera_from_mesh;

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // The world ray of each point of a grid on the panel under a planar bundle; rendering/gl_ray_maps.py has the words, and generates
 // display_hold, display, display_contains, deviation and deviation_contains.
 

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // The smallest and the largest value in each tile of an image.
 
 uniform sampler2D values;

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 #include "conventions.glsl"
 #include "srgb.glsl"
 // What a display shows: the colour of the intermediate image where each pixel's bent ray meets it.

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // The cells of a warp grid as two triangles each, cut from the upper right to the lower left; those that the program is
 // for (sampled directly, or marched; filtered or not), the others without area.
 

@@ -124,8 +124,7 @@ class WarpMesh:
 
         A ray is (a, b, c, d), as in `RayMap.slope_offset`: it passes through (c, d, 0) with tangents (a, b), in metres,
         in axes at the viewpoint that `image_from_ray` knows. One colour, or red, green and blue. NaN where a vertex has
-        no ray: its triangles show the background. Takes milliseconds; if a part of the panel has no rays at all, every
-        vertex is solved, which takes up to seconds.
+        no ray: its triangles show the background. Takes milliseconds.
 
         Raises:
             BadInputError: an invalid viewpoint, or one far outside the eye box.

@@ -200,7 +200,7 @@ class EyePlan:
     def warp_grid(self) -> ChosenWarpGrid:
         """The warp grid, and its measured interpolation error.
 
-        The densest grid that any colour channel needs. Computed on first use; unused when every pixel is solved.
+        The densest grid that any colour channel needs. Computed on first use: only a compositor needs it.
         """
         chosen = [choose_warp_grid(mappings, self.device_from_camera) for mappings in self.channels]
         return min(chosen, key=lambda each: float(each.cell_px.min()))
