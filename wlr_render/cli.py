@@ -86,6 +86,12 @@ VERBS = (
         "Measure the misalignment in your own photographs of the target, display off and on.",
     ),
     Verb(
+        "budget",
+        EXPLAIN,
+        "budget:budget",
+        "State the error budget of a headset: arcminutes by source, pixel by pixel, and what to improve first.",
+    ),
+    Verb(
         "evaluate",
         EXPLAIN,
         "evaluate.evaluate:evaluate",

@@ -28,16 +28,22 @@ class Range:
     """Limits of a number, or of each number of a sequence, and of the product of the numbers of a size.
 
     Both ends are stated for every option: beyond them a value is a slip of the pen, or fills the disk or the memory.
+    A value other than 0 and below `least_size` is most likely in another unit than `unit`.
     """
 
     at_least: float = -math.inf
     at_most: float = math.inf
     above: float = -math.inf
     product: float = math.inf
+    least_size: float = 0.0
+    unit: str = ""
 
     def sentence(self) -> str:
         """The limits in words."""
         most = f"{self.at_most:.12g}"
+        if self.unit:
+            zero, least = ("0, or ", self.least_size) if self.least_size else ("", self.at_least)
+            return f"{zero}between {least:g} and {most} {self.unit} (is it in another unit?)"
         if self.above > -math.inf:
             return f"a finite number above {self.above:g}" + (f" and at most {most}" if self.at_most < math.inf else "")
         if self.at_most < math.inf:
@@ -47,7 +53,8 @@ class Range:
     def admits(self, value: float) -> bool:
         """Whether a number lies within the limits."""
         # Infinity is compared as well: a whole number may be too large for `math.isfinite`.
-        return -math.inf < value < math.inf and self.at_least <= value <= self.at_most and value > self.above
+        is_within = -math.inf < value < math.inf and self.at_least <= value <= self.at_most and value > self.above
+        return is_within and not 0 < value < self.least_size
 
 
 @dataclass(frozen=True)

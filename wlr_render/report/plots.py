@@ -18,6 +18,8 @@ _ALL_ARROWS = 5000  # of all groups: what a page can carry, but 40 of each group
 _ARROW_SHARE = 0.05
 """Length of the reference arrow, as a part of the map's width."""
 
+_DECADES = 3.0  # of a logarithmic scale that maps share: less shows nothing
+
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
@@ -119,6 +121,63 @@ def heat_map(
     }
     reduced = f" Each cell shows the maximum of {block} x {block} pixels." if block > 1 else ""
     return Plot(title, [trace], layout, (caption + reduced).strip(), height_px=560)
+
+
+def small_heat_maps(
+    title: str, maps: Mapping[str, FloatArray], unit: str, *, columns: int = 3, cell: float = 1.0, caption: str = ""
+) -> Plot:
+    """Named maps (height, width) of one size side by side, on one logarithmic colour scale; row 0 is at the top.
+
+    Args:
+        title: one line.
+        maps: positive values; NaN where there are none. Zero has the first colour.
+        unit: of the values.
+        columns: of the maps.
+        cell: side of a cell, in the unit of the axes, pixels.
+        caption: what they show.
+    """
+    every = np.concatenate([each[each > 0] for each in maps.values()])
+    high = np.log10(every.max(initial=1e-6))
+    low = max(np.log10(every.min(initial=10.0**high)), high - _DECADES)
+    rows = -(-len(maps) // columns)
+    ticks = [n * 10.0**d for d in range(int(np.floor(low)), int(np.ceil(high)) + 1) for n in (1, 2, 5)]
+    ticks = [each for each in ticks if low <= np.log10(each) <= high]
+    bar = {"title": {"text": unit}, "tickvals": np.log10(ticks), "ticktext": [f"{each:g}" for each in ticks]}
+    layout: dict[str, Any] = {
+        "coloraxis": {"colorscale": "Viridis", "cmin": float(low), "cmax": float(high), "colorbar": bar},
+        "annotations": [],
+    }
+    data = []
+    for number, (name, values) in enumerate(maps.items()):
+        row, column = divmod(number, columns)
+        left, top = column / columns, 1.0 - row / rows
+        own = str(number + 1) if number else ""
+        across, down = [left, left + 0.9 / columns], [top - 0.8 / rows, top - 0.1 / rows]
+        plain = {"showgrid": False, "zeroline": False, "showticklabels": False, "ticks": "", "constrain": "domain"}
+        layout[f"xaxis{own}"] = plain | {"domain": across, "anchor": f"y{own}"}
+        layout[f"yaxis{own}"] = plain | {
+            "domain": down,
+            "anchor": f"x{own}",
+            "autorange": "reversed",
+            "scaleanchor": f"x{own}",
+        }
+        at = {"x": sum(across) / 2, "y": top - 0.1 / rows, "xref": "paper", "yref": "paper"}
+        layout["annotations"].append(at | {"yanchor": "bottom", "text": name, "showarrow": False})
+        data.append(
+            {
+                "type": "heatmap",
+                "x": cell * (np.arange(values.shape[1]) + 0.5),
+                "y": cell * (np.arange(values.shape[0]) + 0.5),
+                "z": _rounded(np.log10(np.maximum(values, 10.0**low))),
+                "customdata": _rounded(values),
+                "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra>{name}</extra>",
+                "hoverongaps": False,
+                "coloraxis": "coloraxis",
+                "xaxis": f"x{own}",
+                "yaxis": f"y{own}",
+            }
+        )
+    return Plot(title, data, layout, caption, height_px=230 * rows)
 
 
 def block_maxima(values: FloatArray, block: int) -> FloatArray:

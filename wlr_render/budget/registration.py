@@ -1,0 +1,211 @@
+"""Covariance of registration: the direction in which a pixel is shown less that in which its real point is seen.
+
+All errors are small: their effect is linear. Derivatives by viewpoint, real point and pixel are central differences of
+the mappings, whatever their kind. A tracker that reports the viewpoint v + d makes the renderer choose the pixel that
+covers the point as seen from v + d; seen from v, pixel and point are then apart by the difference of both directions'
+derivatives times -d. An error of the head's pose moves the point in the device frame, where the renderer looks for it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from wlr_render.budget.errors import ErrorSizes, variances
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import rays
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.mappings import EyeMappings, QueryResult
+from wlr_render.models.fitted_model import FittedDisplay, FittedModel, FittedSeeThrough
+from wlr_render.models.registration import model_registration_covariance, right_and_up
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+
+MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
+"""Owners of the sources; a source is "OWNER: what"."""
+
+_STEP_M = 20e-6  # of a viewpoint: models bend over millimetres, solves end at 1e-12
+_STEP_RAD = 1e-4  # of a real point, as seen from the viewpoint
+_STEP_PX = 0.05
+_COMMON = (f"{HEAD}: noise", f"{HEAD}: latency", f"{EYE}: latency")
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationCovariance:
+    """Covariance of registration by source.
+
+    Attributes:
+        by_source: "OWNER: what" -> (..., 2, 2) square arcminutes, along the axes right and up, perpendicular to the
+            view direction; NaN where the eye does not see pixel or point.
+        view_dir: (..., 3) direction in which the pixel is shown.
+        point: (..., 3) real point that it covers, device frame, metres.
+        is_inside: (...) whether both mappings answer inside of what they were fitted to.
+    """
+
+    by_source: dict[str, FloatArray]
+    view_dir: FloatArray
+    point: FloatArray
+    is_inside: BoolArray
+
+    @property
+    def total(self) -> FloatArray:
+        """Sum over all sources, (..., 2, 2)."""
+        return np.asarray(sum(self.by_source.values()))
+
+
+def registration_covariance(
+    eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray, sizes: ErrorSizes
+) -> RegistrationCovariance:
+    """Covariance of registration of pixels, by source.
+
+    Args:
+        eye: both mappings; exact ones have no errors of their own.
+        pixel: (..., 2) panel pixels. viewpoint: (..., 3) device frame, metres. Both broadcast.
+        depth_m: (...) of the real points in front of the viewpoints, along the device's z axis.
+        sizes: of all errors but those of the models.
+
+    Raises:
+        BadInputError: a fitted model without covariance.
+    """
+    lead = np.broadcast_shapes(np.shape(pixel)[:-1], np.shape(viewpoint)[:-1], np.shape(depth_m))
+    pixel, viewpoint = np.broadcast_to(pixel, (*lead, 2)), np.broadcast_to(viewpoint, (*lead, 3))
+    shown = eye.display.view_dir_of_pixel(pixel, viewpoint)
+    seen = eye.see_through.real_ray_of_view_dir(shown.value, viewpoint)
+    point = rays.split(rays.at_z(seen.value, viewpoint[..., 2] - depth_m))[0]
+    by_source = _Sensitivity(eye, pixel, viewpoint, point, shown.value).covariances(sizes)
+    return RegistrationCovariance(by_source, shown.value, point, shown.ok & seen.ok)
+
+
+def disparity_covariance(
+    eyes: Sequence[EyeMappings], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: ErrorSizes
+) -> dict[str, FloatArray]:
+    """Covariance of both eyes' disparity: registration of the right eye less that of the left, by source.
+
+    The models of both eyes are independent, and so are noise and bias of their eye trackers. Errors of the head's
+    pose are common to both eyes, and cancel but for what the eyes see differently. Eyes turn together: latency is
+    common, too.
+
+    Args:
+        eyes: left and right.
+        point: (..., 3) real points, device frame, metres.
+        viewpoints: (..., 3) of both eyes.
+        sizes: of both eyes' errors.
+
+    Returns:
+        Source -> (..., 2, 2) square arcminutes: horizontal, then vertical disparity; NaN where an eye does not see the
+        point through its display.
+
+    Raises:
+        BadInputError: a fitted model without covariance.
+    """
+    both = []
+    for eye, viewpoint in zip(eyes, viewpoints, strict=True):
+        lead = np.broadcast_shapes(np.shape(point)[:-1], np.shape(viewpoint)[:-1])
+        at, seen_from = np.broadcast_to(point, (*lead, 3)), np.broadcast_to(viewpoint, (*lead, 3))
+        seen = eye.see_through.view_dir_of_real_point(at, seen_from)
+        pixel = eye.display.pixel_of_view_dir(seen.value, seen_from)
+        both.append(_Sensitivity(eye, pixel.value, seen_from, at, seen.value))
+    left, right = both
+    apart = [each.covariances(sizes) for each in both]
+    common = right.common(sizes, left)
+    names = dict.fromkeys([*apart[0], *apart[1]])
+    return {name: common[name] if name in common else sum(e[name] for e in apart if name in e) for name in names}
+
+
+class _Sensitivity:
+    """How registration of pixels (..., 2) with points (..., 3), seen along (..., 3), follows every error."""
+
+    def __init__(
+        self, eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray, view_dir: FloatArray
+    ) -> None:
+        self.eye, self.pixel, self.viewpoint, self.point = eye, pixel, viewpoint, point
+        axes = right_and_up(view_dir) / ARCMIN
+        display, see_through = eye.display, eye.see_through
+
+        def shown(pixel: FloatArray, viewpoint: FloatArray) -> QueryResult:
+            return display.view_dir_of_pixel(pixel, viewpoint)
+
+        def seen(point: FloatArray, viewpoint: FloatArray) -> QueryResult:
+            return see_through.view_dir_of_real_point(point, viewpoint)
+
+        distance = np.linalg.norm(point - viewpoint, axis=-1)
+        of_viewpoint = partial(_derivative, argument=viewpoint, step=_STEP_M)
+        by_point = axes @ _derivative(lambda at: seen(at, viewpoint), point, _STEP_RAD * distance)
+        self.by_viewpoint = axes @ (of_viewpoint(partial(shown, pixel)) - of_viewpoint(partial(seen, point)))
+        self.by_motion = np.concatenate([by_point @ -_cross_matrix(point), by_point], axis=-1)
+        self.by_pixel = axes @ _derivative(lambda at: shown(at, viewpoint), pixel, _STEP_PX)
+
+    def covariances(self, sizes: ErrorSizes) -> dict[str, FloatArray]:
+        """(..., 2, 2) by source."""
+        eye, drawing, truncation = sizes.eye, sizes.drawing, sizes.truncation
+        unseen = 0.0 * self.by_viewpoint[..., :1]  # NaN where nothing is seen
+        each_axis = np.eye(2) + unseen
+        moved = {
+            name: _spread(by, variance)
+            for name, (by, variance) in (self._eye_motions(sizes) | self._head_motions(sizes)).items()
+        }
+        drawn = 0.5 * (drawing.warp_grid_arcmin**2 + drawing.raster_arcmin**2)
+        rounding = np.full(2, drawing.is_rounded / 12.0)
+        return {
+            **{f"{MODEL}: {name}": each for name, each in self._model().items()},
+            f"{MODEL}: truncation": (truncation.display_arcmin**2 + truncation.see_through_arcmin**2) * each_axis,
+            f"{EYE}: noise": _spread(self.by_viewpoint, variances(eye.noise_m)),
+            f"{EYE}: bias": _spread(self.by_viewpoint, variances(eye.bias_m)),
+            **moved,
+            f"{DRAWING}: raster and warp grid": drawn * each_axis,
+            f"{DRAWING}: whole pixels": _spread(self.by_pixel, rounding),
+        }
+
+    def common(self, sizes: ErrorSizes, other: "_Sensitivity") -> dict[str, FloatArray]:
+        """Covariance (..., 2, 2) of this eye's registration less the other's, by what moves both eyes alike."""
+        own, others = (each._eye_motions(sizes) | each._head_motions(sizes) for each in (self, other))
+        return {name: _spread(by - others[name][0], variance) for name, (by, variance) in own.items()}
+
+    def _eye_motions(self, sizes: ErrorSizes) -> dict[str, tuple[FloatArray, FloatArray]]:
+        late = sizes.eye.latency_s**2 * variances(sizes.eye.speed_m_s)
+        return {f"{EYE}: latency": (self.by_viewpoint, late)}
+
+    def _head_motions(self, sizes: ErrorSizes) -> dict[str, tuple[FloatArray, FloatArray]]:
+        head = sizes.head
+        late = head.latency_s**2 * variances(head.angular_speed_rad_s, head.speed_m_s)
+        return {
+            f"{HEAD}: noise": (self.by_motion, variances(head.rotation_rad, head.position_m)),
+            f"{HEAD}: latency": (self.by_motion, late),
+        }
+
+    def _model(self) -> dict[str, FloatArray]:
+        display, see_through = self.eye.display, self.eye.see_through
+        if isinstance(display, FittedDisplay) and isinstance(see_through, FittedSeeThrough):
+            if display.spread is None or see_through.spread is None:
+                raise BadInputError(
+                    f"{self.eye.name}: the model of the {self.eye.eye} eye has no covariance, which files of earlier "
+                    "versions and the kinds 'static' and 'point-per-pixel' lack; calibrate again as a planar model, "
+                    "from the photographs (`wlr-render calibrate photos`) or captures (`wlr-render calibrate "
+                    "captures`) that it was made from."
+                )
+            return model_registration_covariance(display, see_through, self.pixel, self.viewpoint, self.point)
+        if isinstance(display, FittedModel) or isinstance(see_through, FittedModel):
+            raise BadInputError(f"{self.eye.name}: a budget needs display and see-through of one kind; calibrate both.")
+        return {}
+
+
+def _derivative(query: Callable[[FloatArray], QueryResult], argument: FloatArray, step: float | FloatArray) -> FloatArray:
+    """Derivative (..., 3, k) of directions by an argument (..., k), by central differences of `step` (...)."""
+    count = argument.shape[-1]
+    offset = np.asarray(step)[..., None] * np.concatenate([np.eye(count), -np.eye(count)]).reshape(
+        2 * count, *(1,) * (argument.ndim - 1), count
+    )
+    plus, minus = np.split(query(argument + offset).value, 2)
+    return np.asarray(np.moveaxis(plus - minus, 0, -1) / (2.0 * np.asarray(step)[..., None, None]))
+
+
+def _cross_matrix(vector: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) whose product with another vector is the cross product."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape, 3)
+
+
+def _spread(by: FloatArray, variance: FloatArray) -> FloatArray:
+    """Covariance (..., 2, 2) by independent variables (k,) through derivatives (..., 2, k)."""
+    return np.asarray((by * variance) @ np.swapaxes(by, -1, -2))

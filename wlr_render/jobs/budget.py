@@ -1,0 +1,376 @@
+"""The error budget of a headset: arcminutes of registration error by source, and what to improve first."""
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from wlr_render.budget.errors import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
+from wlr_render.budget.registration import disparity_covariance, registration_covariance
+from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
+from wlr_render.errors import BadInputError
+from wlr_render.files import output_folder
+from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
+from wlr_render.input_files import naming
+from wlr_render.jobs import limits
+from wlr_render.jobs.headset import headset_path, is_model, open_eye
+from wlr_render.jobs.job import job
+from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Range, described, eyes_of, flag_of
+from wlr_render.mappings import EyeMappings
+from wlr_render.models.model_file import load_eye_model
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.progress import SILENT
+from wlr_render.rendering.choose_warp_grid import choose_warp_grid
+from wlr_render.report.blocks import Block, Cell, Report, ReportTable, Section, Text, cell_text
+from wlr_render.report.plots import heat_map, small_heat_maps
+from wlr_render.report.save import save_report
+from wlr_render.simulation.viewpoints import volumetric
+from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M
+
+_COLUMNS = 24  # cells across the panel
+_VIEWPOINTS = 16
+_ADVISED = 3  # sources that are named as worth improving
+_LEAST_GAIN = 0.02  # of the radius: halving a source that gives less is not advised
+
+_GAZE_SCATTER_DEG, _GAZE_MEDIAN_DEG, _MEDIAN_OF_RAYLEIGH = 0.20, 0.84, 1.177
+_PUPIL_MM_PER_DEG = 1e3 * PUPIL_DISTANCE_M * np.pi / 180
+_HEAD_DEG_S = 15.0
+
+PerAxisMm = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BudgetOptions(Options):
+    """Options of `budget`. Where the default sizes come from: docs/budget.md."""
+
+    headset: Annotated[str, described("A model file; of a device, the budget of its trackers alone.")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes; both: disparity, too.")] = "right"
+    depth_m: Annotated[float, described("Depth of the real points in metres."), limits.DEPTH_M] = 1.0
+    eye_noise_mm: Annotated[
+        PerAxisMm,
+        described("Noise of the tracked eye position in mm, one sigma per axis, or x y z.", many=True),
+        limits.TRACKING_MM,
+    ] = (round(_GAZE_SCATTER_DEG * _PUPIL_MM_PER_DEG, 2),)
+    eye_bias_mm: Annotated[
+        PerAxisMm,
+        described("Constant error of the tracked eye position in mm, one sigma over wearers, or x y z.", many=True),
+        limits.TRACKING_MM,
+    ] = (round(_GAZE_MEDIAN_DEG / _MEDIAN_OF_RAYLEIGH * _PUPIL_MM_PER_DEG, 2),)
+    eye_latency_ms: Annotated[
+        float, described("Latency of eye tracking in ms, less what prediction makes up for."), limits.LATENCY_MS
+    ] = 45.0
+    eye_speed_mm_s: Annotated[
+        float, described("Speed of the pupil in mm/s, rms per axis, x and y."), limits.PUPIL_MM_S
+    ] = round(_HEAD_DEG_S * _PUPIL_MM_PER_DEG, 1)
+    head_noise_deg: Annotated[
+        float, described("Noise of the head's rotation in degrees, one sigma per axis."), limits.TRACKING_DEG
+    ] = 0.02
+    head_noise_mm: Annotated[
+        float, described("Noise of the head's position in mm, one sigma per axis."), limits.TRACKING_MM
+    ] = 0.5
+    head_latency_ms: Annotated[
+        float,
+        described("Latency of head tracking in ms, less what prediction and late warp make up for."),
+        limits.LATENCY_MS,
+    ] = 2.0
+    head_speed_deg_s: Annotated[
+        float, described("Angular speed of the head in degrees/s, rms per axis."), limits.HEAD_DEG_S
+    ] = _HEAD_DEG_S
+    head_speed_m_s: Annotated[float, described("Speed of the head in m/s, rms per axis."), limits.HEAD_M_S] = 0.1
+    raster_arcmin: Annotated[
+        float, described("Error of a raster frame in arcmin, as `compare` measures it."), limits.ANGLE_ARCMIN
+    ] = 0.004
+    whole_pixels: Annotated[
+        bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True)
+    ] = False
+    out: Annotated[Path, described("Output folder.")] = Path("out/budget")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("eye_noise_mm", "eye_bias_mm"):
+            if len(getattr(self, name)) not in (1, 3):
+                raise BadInputError(
+                    f"{flag_of(type(self), name)} has {len(getattr(self, name))} values; give one for all axes, or x y z."
+                )
+
+    def sizes(self, warp_grid_arcmin: float, truncation: Truncation) -> ErrorSizes:
+        """All sizes, in the package's units."""
+        speed = 1e-3 * self.eye_speed_mm_s
+        return ErrorSizes(
+            EyeTracker(
+                _per_axis(self.eye_noise_mm), _per_axis(self.eye_bias_mm), 1e-3 * self.eye_latency_ms, (speed, speed, 0)
+            ),
+            HeadTracker(
+                float(np.deg2rad(self.head_noise_deg)),
+                1e-3 * self.head_noise_mm,
+                1e-3 * self.head_latency_ms,
+                float(np.deg2rad(self.head_speed_deg_s)),
+                self.head_speed_m_s,
+            ),
+            Drawing(warp_grid_arcmin, self.raster_arcmin, self.whole_pixels),
+            truncation,
+        )
+
+
+def _per_axis(mm: PerAxisMm) -> PerAxis:
+    x, y, z = (1e-3 * each for each in (mm * 3 if len(mm) == 1 else mm))
+    return x, y, z
+
+
+@dataclass(frozen=True, eq=False)
+class EyeBudget:
+    """The budget of one eye.
+
+    Attributes:
+        eye: which. region: over what it is stated, in words.
+        radius_arcmin: within which 95 % of the errors lie. rms_arcmin: of their length.
+        owners, sources: contributions, largest first.
+        regions: radius by region of the panel.
+        sizes: of the errors beside the models' own.
+        left_out: share of pixels and viewpoints that a model answers by extrapolation only, or not at all.
+        radius_map: (rows, columns) radius by panel cell. rms_maps: rms of each source by panel cell.
+    """
+
+    eye: str
+    region: str
+    radius_arcmin: float
+    rms_arcmin: float
+    owners: list[SourceShare]
+    sources: list[SourceShare]
+    regions: dict[str, float]
+    sizes: ErrorSizes
+    left_out: float
+    radius_map: FloatArray
+    rms_maps: dict[str, FloatArray]
+
+
+@job
+def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """State the error budget of a headset; writes budget.html, .md and .json into `options.out`.
+
+    Raises:
+        BadInputError: a model without covariance, without one of its mappings or without that eye, or a folder that
+            cannot be written.
+    """
+    names = eyes_of(options.eye)
+    eyes, sizes, found = [], [], []
+    for name in progress(names, len(names), "eyes"):
+        mappings, truncation = _opened(options.headset, name)
+        with naming(Path(options.headset)):
+            grid = choose_warp_grid(mappings, OPENXR_FROM_OPENCV)
+            sizes.append(options.sizes(grid.bound_arcmin, truncation))
+            found.append(eye_budget(mappings, options.depth_m, sizes[-1]))
+        eyes.append(mappings)
+    folder = output_folder(options.out)
+    blocks: list[Block] = []
+    for each, mappings in zip(found, eyes, strict=True):
+        blocks += _eye_blocks(each, mappings, options.depth_m)
+    disparity = _disparity(eyes, sizes[0], options.depth_m) if len(eyes) == 2 else []
+    if disparity:
+        blocks += [Section("Disparity of both eyes"), _disparity_table(disparity, options.depth_m)]
+    blocks += [Section("How it is computed"), Text(_METHOD)]
+    worst = max(found, key=lambda each: each.radius_arcmin)
+    report = Report(
+        f"Error budget of {eyes[0].name}",
+        verdict=" ".join(_verdict(each, options.depth_m, len(found) > 1) for each in found),
+        advice=_advice(worst),
+        warnings=[*_warnings(options.headset, found)],
+        blocks=blocks,
+        inputs=[headset_path(options.headset)],
+        record={"options": options, "eyes": found, "disparity": disparity},
+    )
+    return save_report(report, folder, "budget")
+
+
+def _opened(headset: str, eye: str) -> tuple[EyeMappings, Truncation]:
+    if not is_model(headset):
+        return open_eye(headset, eye), Truncation()
+    model = load_eye_model(headset, eye)
+    return model.mappings, Truncation.from_report(model.report)
+
+
+def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes) -> EyeBudget:
+    """Budget of an eye over its eye box and nominal field, or panel if it states no field.
+
+    Raises:
+        BadInputError: a model without covariance, or an eye that sees no pixel.
+    """
+    panel = eye.display.panel
+    pixel = panel.grid(_COLUMNS, max(4, round(_COLUMNS * panel.height_px / panel.width_px)))
+    viewpoint = volumetric(eye.eye_box, _VIEWPOINTS)[:, None, None]
+    found = registration_covariance(eye, pixel, viewpoint, depth_m, sizes)
+    known = found.is_inside & np.isfinite(found.total).all(axis=(-2, -1))
+    if eye.field is not None:
+        known &= eye.field.contains(found.view_dir)
+    if not known.any():
+        raise BadInputError(f"{eye.name}: no pixel is seen at {depth_m:g} m from the eye box; check depth and model.")
+    total = np.where(known[..., None, None], found.total, np.nan)
+    of_pixels = np.moveaxis(total, 0, 2)  # populations are the viewpoints
+    seen = known.any(axis=0)
+    radius = np.full(seen.shape, np.nan)
+    radius[seen] = radius_within(of_pixels[seen])
+    maps = {}
+    for name, each in found.by_source.items():
+        squared = np.where(known, variance(each), 0.0).sum(axis=0)
+        maps[name] = np.where(seen, np.sqrt(squared / np.maximum(known.sum(axis=0), 1)), np.nan)
+    by_source = {name: each[known] for name, each in found.by_source.items()}
+    region = np.broadcast_to(region_of(panel, pixel), known.shape)
+    regions = {
+        name: float(radius_within(total[known & (region == number)]))
+        for number, name in enumerate(REGIONS)
+        if np.any(known & (region == number))
+    }
+    own_field = None if eye.field is None else f"the nominal field of view ({eye.field})"
+    return EyeBudget(
+        eye.eye,
+        f"{own_field or 'the whole panel'} and an eye box of {_millimetres(eye.eye_box.size)}",
+        float(radius_within(total[known])),
+        float(np.sqrt(variance(total[known]).mean())),
+        shares(by_owner(by_source)),
+        shares(by_source),
+        regions,
+        sizes,
+        1.0 - float(known.mean()),
+        radius,
+        maps,
+    )
+
+
+@dataclass(frozen=True)
+class DisparityShare:
+    """Rms horizontal and vertical disparity error by one source, arcminutes."""
+
+    source: str
+    horizontal_arcmin: float
+    vertical_arcmin: float
+
+
+def _disparity(eyes: Sequence[EyeMappings], sizes: ErrorSizes, depth_m: float) -> list[DisparityShare]:
+    """By source, over points that cover the panel of the first eye and viewpoints all over the eye boxes."""
+    viewpoints = [volumetric(eye.eye_box, _VIEWPOINTS)[:, None] for eye in eyes]
+    first = registration_covariance(
+        eyes[0], eyes[0].display.panel.grid(12, 8).reshape(-1, 2), eyes[0].eye_box.centre, depth_m, ErrorSizes()
+    )
+    by_source = disparity_covariance(eyes, first.point[first.is_inside], viewpoints, sizes)
+    found = [(name, np.nanmean(each, axis=(0, 1))) for name, each in by_source.items()]
+    found.append(("all", np.asarray(sum(each for _, each in found))))
+    return [DisparityShare(name, float(each[0, 0]) ** 0.5, float(each[1, 1]) ** 0.5) for name, each in found]
+
+
+def _millimetres(size_m: FloatArray) -> str:
+    return " x ".join(f"{1e3 * each:g}" for each in size_m) + " mm"
+
+
+def _verdict(found: EyeBudget, depth_m: float, is_named: bool) -> str:
+    first, *others = [each for each in found.owners if each.share >= 0.005]
+    whose = f"of the {found.eye} eye " if is_named else ""
+    rest = f" ({', '.join(f'{each.name} {100 * each.share:.0f} %' for each in others)})" if others else ""
+    return (
+        f"95 % of pixels {whose}lie within {cell_text(found.radius_arcmin)}' of their real points at {depth_m:g} m, over "
+        f"{found.region}; the {first.name} owns {100 * first.share:.0f} % of the variance{rest}."
+    )
+
+
+def _advice(found: EyeBudget) -> list[str]:
+    best = sorted(found.sources, key=lambda each: each.radius_if_halved_arcmin)
+    worthwhile = [e for e in best if e.radius_if_halved_arcmin < (1.0 - _LEAST_GAIN) * found.radius_arcmin][:_ADVISED]
+    words = ["Improve this first:", "Then", "Then"]
+    return [
+        f"{word} {_HOW.get(each.name, each.name)}: half as large, 95 % of pixels lie within "
+        f"{cell_text(each.radius_if_halved_arcmin)}' instead of {cell_text(found.radius_arcmin)}'."
+        for word, each in zip(words, worthwhile, strict=False)
+    ]
+
+
+_HOW = {
+    "eye tracker: noise": "the noise of the eye tracker",
+    "eye tracker: bias": "the constant error of the eye tracker (calibrate it for each wearer)",
+    "eye tracker: latency": "the latency of the eye tracker, or its prediction",
+    "head tracker: noise": "the noise of the head tracker",
+    "head tracker: latency": "the latency that prediction and late warp of the head's pose leave",
+    "drawing: whole pixels": "the drawing, by a filter",
+    "model: truncation": "what the models cannot follow (more camera positions, higher degrees)",
+    "model: noise and stage": "noise and stage of the calibration (more camera positions)",
+}
+
+
+def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
+    warnings = [] if is_model(headset) else [f"{headset} is a device: its mappings are exact and have no errors."]
+    for each in found:
+        if each.left_out > 0.01:
+            warnings.append(
+                f"{100 * each.left_out:.0f} % of pixels and viewpoints of the {each.eye} eye lie outside of the models' "
+                "fit, of the field or of what the eye sees; they do not count."
+            )
+    return warnings
+
+
+def _eye_blocks(found: EyeBudget, eye: EyeMappings, depth_m: float) -> list[Block]:
+    cell = eye.display.panel.width_px / _COLUMNS
+    rows: list[list[Cell]] = [
+        [each.name, each.rms_arcmin, each.worst_arcmin, 100 * each.share, each.radius_if_halved_arcmin]
+        for each in found.sources
+    ]
+    rows.append(["all", found.rms_arcmin, float(np.nanmax(found.radius_map)), 100.0, found.radius_arcmin])
+    owners: list[list[Cell]] = [
+        [each.name, each.rms_arcmin, 100 * each.share, each.radius_if_halved_arcmin] for each in found.owners
+    ]
+    halved = "95 % within, if halved (arcmin)"
+    shown = {name: each for name, each in found.rms_maps.items() if np.nanmax(each) > 0}
+    return [
+        Section(f"The {found.eye} eye"),
+        ReportTable("By owner", ["owner", "rms (arcmin)", "share of variance (%)", halved], owners),
+        ReportTable(
+            f"By source, at {depth_m:g} m",
+            ["source", "rms (arcmin)", "worst pixel (arcmin)", "share of variance (%)", halved],
+            rows,
+            [
+                "Rms lengths of the error, over both axes. Halved: the radius within which 95 % of all errors lie if this "
+                "source's standard deviation were half as large. Last row: largest radius of a pixel, and the radius "
+                "as it is."
+            ],
+        ),
+        ReportTable(
+            "By region of the panel",
+            ["region", "95 % within (arcmin)"],
+            [[name, radius] for name, radius in found.regions.items()],
+            ["Edge, corner: one or both coordinates lie in the outer fifth at either side."],
+        ),
+        heat_map(
+            f"95 % of errors lie within, {found.eye} eye",
+            found.radius_map,
+            "arcmin",
+            cell=cell,
+            caption="By place on the panel, over the eye box.",
+        ),
+        small_heat_maps(
+            f"Rms error by source, {found.eye} eye",
+            shown,
+            "arcmin",
+            cell=cell,
+            caption="By place on the panel, over the eye box; one logarithmic scale for all. Sources of zero are not shown.",
+        ),
+    ]
+
+
+def _disparity_table(found: Sequence[DisparityShare], depth_m: float) -> ReportTable:
+    rows: list[list[Cell]] = [[each.source, each.horizontal_arcmin, each.vertical_arcmin] for each in found]
+    return ReportTable(
+        f"Errors of disparity at {depth_m:g} m",
+        ["source", "horizontal, rms (arcmin)", "vertical, rms (arcmin)"],
+        rows,
+        ["Registration of the right eye less that of the left. What moves both eyes or the head alike cancels in part."],
+    )
+
+
+_METHOD = (
+    "Registration is the direction in which the display shows a pixel, less the direction in which the real point that "
+    "it should cover is seen. Each source has a covariance of it at every pixel and viewpoint: errors of the models from "
+    "their fit, errors of trackers through the derivatives of both mappings. Sources are independent, and their "
+    "covariances add up. Latency counts as random motion of the stated speed; saccades, during which vision is "
+    "suppressed, are not in that speed. Drawing counts its bound at every pixel. Truncation is what rows and columns of "
+    "camera positions that the fit left out show beyond the expected error."
+)
