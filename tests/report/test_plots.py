@@ -3,7 +3,7 @@ import pytest
 from browser import needs_browser, open_page
 
 from wlr_render.report.blocks import Report
-from wlr_render.report.plots import MAX_CELLS, arrow_map, bars, block_maxima, curves, heat_map
+from wlr_render.report.plots import MAX_CELLS, arrow_map, bars, block_maxima, curves, heat_map, small_heat_maps
 from wlr_render.report.save import save_report
 
 
@@ -87,3 +87,16 @@ def test_bars_and_arrow_maps_are_drawn(tmp_path):
     page = open_page(tmp_path / "report.html", tmp_path)
     assert page.console == []
     assert page.plots == 2
+
+
+def test_small_heat_maps_share_one_logarithmic_scale():
+    maps = {"large": np.array([[1.0, 10.0], [np.nan, 0.0]]), "small": np.full((2, 2), 1e-6)}
+    plot = small_heat_maps("Sources", maps, "arcmin", columns=2)
+    assert [trace["coloraxis"] for trace in plot.data] == ["coloraxis", "coloraxis"]
+    scale = plot.layout["coloraxis"]
+    assert (scale["cmin"], scale["cmax"]) == (-2.0, 1.0)  # three decades: less shows nothing
+    assert plot.data[0]["z"][0] == [0.0, 1.0]
+    assert plot.data[1]["z"] == [[-2.0, -2.0]] * 2
+    assert plot.data[1]["customdata"] == [[1e-6, 1e-6]] * 2
+    first, second = (plot.layout[axis]["domain"] for axis in ("xaxis", "xaxis2"))
+    assert first[1] < second[0]

@@ -48,8 +48,8 @@ class HeadTracker(_Sizes):
     """Errors of the device's pose in the world.
 
     Attributes:
-        rotation_rad, position_m: standard deviation of rotation (about the origin of the device frame) and position, per
-            axis.
+        rotation_rad, position_m: standard deviation per axis, of rotation about the origin of the device frame, and of
+            position.
         latency_s: from the head's motion to the light of the frame, less what prediction and late warp make up for.
         angular_speed_rad_s, speed_m_s: rms speeds of the head, per axis.
     """
@@ -126,9 +126,11 @@ def _excess_arcmin(side: Any) -> float:
     """Root of the excess variance per axis."""
     rows = side.get("held_out") or () if isinstance(side, Mapping) else ()
     try:
-        found, expected, captures = np.array(
-            [[row["rms_arcmin"], row["expected_arcmin"], row["captures"]] for row in rows], np.float64
-        ).reshape(-1, 3).T
+        found, expected, captures = (
+            np.array([[row["rms_arcmin"], row["expected_arcmin"], row["captures"]] for row in rows], np.float64)
+            .reshape(-1, 3)
+            .T
+        )
     except (KeyError, TypeError, ValueError):  # reports are free: one that says nothing of this is no fault
         return 0.0
     if len(found) < 3 or not np.all(np.isfinite(found + expected) & (captures > 0)):

@@ -27,7 +27,6 @@ MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
 _STEP_M = 20e-6  # of a viewpoint: models bend over millimetres, solves end at 1e-12
 _STEP_RAD = 1e-4  # of a real point, as seen from the viewpoint
 _STEP_PX = 0.05
-_COMMON = (f"{HEAD}: noise", f"{HEAD}: latency", f"{EYE}: latency")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +106,13 @@ def disparity_covariance(
         both.append(_Sensitivity(eye, pixel.value, seen_from, at, seen.value))
     left, right = both
     apart = [each.covariances(sizes) for each in both]
-    common = right.common(sizes, left)
+    of_left = left.common_motions(sizes)
+    common = {
+        name: _spread(by - of_left[name][0], variance) for name, (by, variance) in right.common_motions(sizes).items()
+    }
     names = dict.fromkeys([*apart[0], *apart[1]])
-    return {name: common[name] if name in common else sum(e[name] for e in apart if name in e) for name in names}
+    summed = {name: np.asarray(sum(each[name] for each in apart if name in each)) for name in names}
+    return summed | common
 
 
 class _Sensitivity:
@@ -138,12 +141,8 @@ class _Sensitivity:
     def covariances(self, sizes: ErrorSizes) -> dict[str, FloatArray]:
         """(..., 2, 2) by source."""
         eye, drawing, truncation = sizes.eye, sizes.drawing, sizes.truncation
-        unseen = 0.0 * self.by_viewpoint[..., :1]  # NaN where nothing is seen
-        each_axis = np.eye(2) + unseen
-        moved = {
-            name: _spread(by, variance)
-            for name, (by, variance) in (self._eye_motions(sizes) | self._head_motions(sizes)).items()
-        }
+        each_axis = np.eye(2) + 0.0 * self.by_viewpoint[..., :1]  # NaN where nothing is seen
+        moved = {name: _spread(by, variance) for name, (by, variance) in self.common_motions(sizes).items()}
         drawn = 0.5 * (drawing.warp_grid_arcmin**2 + drawing.raster_arcmin**2)
         rounding = np.full(2, drawing.is_rounded / 12.0)
         return {
@@ -156,21 +155,16 @@ class _Sensitivity:
             f"{DRAWING}: whole pixels": _spread(self.by_pixel, rounding),
         }
 
-    def common(self, sizes: ErrorSizes, other: "_Sensitivity") -> dict[str, FloatArray]:
-        """Covariance (..., 2, 2) of this eye's registration less the other's, by what moves both eyes alike."""
-        own, others = (each._eye_motions(sizes) | each._head_motions(sizes) for each in (self, other))
-        return {name: _spread(by - others[name][0], variance) for name, (by, variance) in own.items()}
-
-    def _eye_motions(self, sizes: ErrorSizes) -> dict[str, tuple[FloatArray, FloatArray]]:
-        late = sizes.eye.latency_s**2 * variances(sizes.eye.speed_m_s)
-        return {f"{EYE}: latency": (self.by_viewpoint, late)}
-
-    def _head_motions(self, sizes: ErrorSizes) -> dict[str, tuple[FloatArray, FloatArray]]:
-        head = sizes.head
-        late = head.latency_s**2 * variances(head.angular_speed_rad_s, head.speed_m_s)
+    def common_motions(self, sizes: ErrorSizes) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Derivatives (..., 2, k) by what moves both eyes alike, and its variances (k,), by source."""
+        eye, head = sizes.eye, sizes.head
         return {
+            f"{EYE}: latency": (self.by_viewpoint, eye.latency_s**2 * variances(eye.speed_m_s)),
             f"{HEAD}: noise": (self.by_motion, variances(head.rotation_rad, head.position_m)),
-            f"{HEAD}: latency": (self.by_motion, late),
+            f"{HEAD}: latency": (
+                self.by_motion,
+                head.latency_s**2 * variances(head.angular_speed_rad_s, head.speed_m_s),
+            ),
         }
 
     def _model(self) -> dict[str, FloatArray]:
@@ -185,11 +179,13 @@ class _Sensitivity:
                 )
             return model_registration_covariance(display, see_through, self.pixel, self.viewpoint, self.point)
         if isinstance(display, FittedModel) or isinstance(see_through, FittedModel):
-            raise BadInputError(f"{self.eye.name}: a budget needs display and see-through of one kind; calibrate both.")
+            raise BadInputError(f"{self.eye.name}: a budget needs display and see-through; calibrate both.")
         return {}
 
 
-def _derivative(query: Callable[[FloatArray], QueryResult], argument: FloatArray, step: float | FloatArray) -> FloatArray:
+def _derivative(
+    query: Callable[[FloatArray], QueryResult], argument: FloatArray, step: float | FloatArray
+) -> FloatArray:
     """Derivative (..., 3, k) of directions by an argument (..., k), by central differences of `step` (...)."""
     count = argument.shape[-1]
     offset = np.asarray(step)[..., None] * np.concatenate([np.eye(count), -np.eye(count)]).reshape(

@@ -12,12 +12,11 @@ from wlr_render.budget.registration import disparity_covariance, registration_co
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
 from wlr_render.input_files import naming
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import headset_path, is_model, open_eye
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Range, described, eyes_of, flag_of
+from wlr_render.jobs.options import Eyes, Options, ProgressArgument, described, eyes_of, flag_of
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
@@ -92,9 +91,8 @@ class BudgetOptions(Options):
         super().__post_init__()
         for name in ("eye_noise_mm", "eye_bias_mm"):
             if len(getattr(self, name)) not in (1, 3):
-                raise BadInputError(
-                    f"{flag_of(type(self), name)} has {len(getattr(self, name))} values; give one for all axes, or x y z."
-                )
+                flag, count = flag_of(type(self), name), len(getattr(self, name))
+                raise BadInputError(f"{flag} has {count} values; give one for all axes, or x y z.")
 
     def sizes(self, warp_grid_arcmin: float, truncation: Truncation) -> ErrorSizes:
         """All sizes, in the package's units."""
@@ -126,7 +124,8 @@ class EyeBudget:
 
     Attributes:
         eye: which. region: over what it is stated, in words.
-        radius_arcmin: within which 95 % of the errors lie. rms_arcmin: of their length.
+        radius_arcmin: within which 95 % of the errors lie. rms_arcmin, worst_arcmin: of their length, over all
+            and where it is largest.
         owners, sources: contributions, largest first.
         regions: radius by region of the panel.
         sizes: of the errors beside the models' own.
@@ -138,6 +137,7 @@ class EyeBudget:
     region: str
     radius_arcmin: float
     rms_arcmin: float
+    worst_arcmin: float
     owners: list[SourceShare]
     sources: list[SourceShare]
     regions: dict[str, float]
@@ -160,7 +160,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     for name in progress(names, len(names), "eyes"):
         mappings, truncation = _opened(options.headset, name)
         with naming(Path(options.headset)):
-            grid = choose_warp_grid(mappings, OPENXR_FROM_OPENCV)
+            grid = choose_warp_grid(mappings, np.eye(3))
             sizes.append(options.sizes(grid.bound_arcmin, truncation))
             found.append(eye_budget(mappings, options.depth_m, sizes[-1]))
         eyes.append(mappings)
@@ -229,6 +229,7 @@ def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes) -> EyeBudget
         f"{own_field or 'the whole panel'} and an eye box of {_millimetres(eye.eye_box.size)}",
         float(radius_within(total[known])),
         float(np.sqrt(variance(total[known]).mean())),
+        float(np.sqrt(variance(total[known]).max())),
         shares(by_owner(by_source)),
         shares(by_source),
         regions,
@@ -269,8 +270,8 @@ def _verdict(found: EyeBudget, depth_m: float, is_named: bool) -> str:
     whose = f"of the {found.eye} eye " if is_named else ""
     rest = f" ({', '.join(f'{each.name} {100 * each.share:.0f} %' for each in others)})" if others else ""
     return (
-        f"95 % of pixels {whose}lie within {cell_text(found.radius_arcmin)}' of their real points at {depth_m:g} m, over "
-        f"{found.region}; the {first.name} owns {100 * first.share:.0f} % of the variance{rest}."
+        f"95 % of pixels {whose}lie within {cell_text(found.radius_arcmin)}' of their real points at {depth_m:g} m, "
+        f"over {found.region}; the {first.name} owns {100 * first.share:.0f} % of the variance{rest}."
     )
 
 
@@ -302,8 +303,8 @@ def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
     for each in found:
         if each.left_out > 0.01:
             warnings.append(
-                f"{100 * each.left_out:.0f} % of pixels and viewpoints of the {each.eye} eye lie outside of the models' "
-                "fit, of the field or of what the eye sees; they do not count."
+                f"{100 * each.left_out:.0f} % of pixels and viewpoints of the {each.eye} eye lie outside of what was "
+                "calibrated, of the nominal field or of what the eye sees; they do not count."
             )
     return warnings
 
@@ -314,7 +315,7 @@ def _eye_blocks(found: EyeBudget, eye: EyeMappings, depth_m: float) -> list[Bloc
         [each.name, each.rms_arcmin, each.worst_arcmin, 100 * each.share, each.radius_if_halved_arcmin]
         for each in found.sources
     ]
-    rows.append(["all", found.rms_arcmin, float(np.nanmax(found.radius_map)), 100.0, found.radius_arcmin])
+    rows.append(["all", found.rms_arcmin, found.worst_arcmin, 100.0, found.radius_arcmin])
     owners: list[list[Cell]] = [
         [each.name, each.rms_arcmin, 100 * each.share, each.radius_if_halved_arcmin] for each in found.owners
     ]
@@ -328,16 +329,15 @@ def _eye_blocks(found: EyeBudget, eye: EyeMappings, depth_m: float) -> list[Bloc
             ["source", "rms (arcmin)", "worst pixel (arcmin)", "share of variance (%)", halved],
             rows,
             [
-                "Rms lengths of the error, over both axes. Halved: the radius within which 95 % of all errors lie if this "
-                "source's standard deviation were half as large. Last row: largest radius of a pixel, and the radius "
-                "as it is."
+                "Rms lengths of the error, over both axes. Halved: the radius within which 95 % of all errors lie if "
+                "this source's standard deviation were half as large; in the last row, as they are."
             ],
         ),
         ReportTable(
             "By region of the panel",
             ["region", "95 % within (arcmin)"],
             [[name, radius] for name, radius in found.regions.items()],
-            ["Edge, corner: one or both coordinates lie in the outer fifth at either side."],
+            ["Edge, corner: one or both coordinates lie in the outer fifth on either side."],
         ),
         heat_map(
             f"95 % of errors lie within, {found.eye} eye",
@@ -351,7 +351,7 @@ def _eye_blocks(found: EyeBudget, eye: EyeMappings, depth_m: float) -> list[Bloc
             shown,
             "arcmin",
             cell=cell,
-            caption="By place on the panel, over the eye box; one logarithmic scale for all. Sources of zero are not shown.",
+            caption="By place on the panel, over the eye box; one logarithmic scale. Sources of zero are not shown.",
         ),
     ]
 
@@ -362,15 +362,15 @@ def _disparity_table(found: Sequence[DisparityShare], depth_m: float) -> ReportT
         f"Errors of disparity at {depth_m:g} m",
         ["source", "horizontal, rms (arcmin)", "vertical, rms (arcmin)"],
         rows,
-        ["Registration of the right eye less that of the left. What moves both eyes or the head alike cancels in part."],
+        ["Registration of the right eye less that of the left. What moves both eyes alike cancels in part."],
     )
 
 
 _METHOD = (
     "Registration is the direction in which the display shows a pixel, less the direction in which the real point that "
-    "it should cover is seen. Each source has a covariance of it at every pixel and viewpoint: errors of the models from "
-    "their fit, errors of trackers through the derivatives of both mappings. Sources are independent, and their "
+    "it should cover is seen. Each source has a covariance of it at every pixel and viewpoint: errors of the models "
+    "from their fit, errors of trackers through the derivatives of both mappings. Sources are independent, and their "
     "covariances add up. Latency counts as random motion of the stated speed; saccades, during which vision is "
-    "suppressed, are not in that speed. Drawing counts its bound at every pixel. Truncation is what rows and columns of "
-    "camera positions that the fit left out show beyond the expected error."
+    "suppressed, are not in that speed. Drawing counts its bound at every pixel. Truncation is what rows and columns "
+    "of camera positions that the fit left out show beyond the expected error."
 )

@@ -152,7 +152,7 @@ def small_heat_maps(
         row, column = divmod(number, columns)
         left, top = column / columns, 1.0 - row / rows
         own = str(number + 1) if number else ""
-        across, down = [left, left + 0.9 / columns], [top - 0.8 / rows, top - 0.1 / rows]
+        across, down = [left, left + 0.95 / columns], [top - 0.95 / rows, top - 0.12 / rows]
         plain = {"showgrid": False, "zeroline": False, "showticklabels": False, "ticks": "", "constrain": "domain"}
         layout[f"xaxis{own}"] = plain | {"domain": across, "anchor": f"y{own}"}
         layout[f"yaxis{own}"] = plain | {
@@ -161,8 +161,8 @@ def small_heat_maps(
             "autorange": "reversed",
             "scaleanchor": f"x{own}",
         }
-        at = {"x": sum(across) / 2, "y": top - 0.1 / rows, "xref": "paper", "yref": "paper"}
-        layout["annotations"].append(at | {"yanchor": "bottom", "text": name, "showarrow": False})
+        at = {"x": sum(across) / 2, "y": top - 0.12 / rows, "xref": "paper", "yref": "paper"}
+        layout["annotations"].append(at | {"xanchor": "center", "yanchor": "bottom", "text": name, "showarrow": False})
         data.append(
             {
                 "type": "heatmap",
@@ -177,7 +177,7 @@ def small_heat_maps(
                 "yaxis": f"y{own}",
             }
         )
-    return Plot(title, data, layout, caption, height_px=230 * rows)
+    return Plot(title, data, layout, caption, height_px=60 + 190 * rows)
 
 
 def block_maxima(values: FloatArray, block: int) -> FloatArray:

@@ -1,0 +1,78 @@
+"""The verb `budget`: its report, and what it refuses."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.budget import BudgetOptions, budget
+from wlr_render.models.model_file import EyeModel, save_eye_models
+
+NO_TRACKER_ERRORS = {
+    "eye_noise_mm": (0.0,),
+    "eye_bias_mm": (0.0,),
+    "eye_latency_ms": 0.0,
+    "head_noise_deg": 0.0,
+    "head_noise_mm": 0.0,
+    "head_latency_ms": 0.0,
+}
+
+
+def test_report_of_a_model(model_file, tmp_path):
+    report = budget(BudgetOptions(model_file, depth_m=0.8, out=tmp_path))
+    assert "at 0.8 m" in report.verdict
+    assert report.advice[0].startswith("Improve this first: ")
+    (found,) = json.loads((tmp_path / "budget.json").read_text())["eyes"]
+    for parts in (found["owners"], found["sources"]):
+        assert sum(each["share"] for each in parts) == pytest.approx(1.0)
+        assert sum(each["rms_arcmin"] ** 2 for each in parts) == pytest.approx(found["rms_arcmin"] ** 2)
+        assert all(each["radius_if_halved_arcmin"] <= found["radius_arcmin"] + 1e-9 for each in parts)
+    assert set(found["regions"]) == {"centre", "edge", "corner"}
+    assert {path.name for path in report.files} == {"budget.html", "budget.md", "budget.json"}
+
+
+def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
+    report = budget(BudgetOptions(model_file, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
+    found = report.record["eyes"][0]
+    assert found.owners[0].name == "model"
+    of_model = next(each for each in found.sources if each.name == "model: noise and stage")
+    assert of_model.rms_arcmin > 0
+
+
+def test_both_eyes_have_disparity(straight_device, tmp_path):
+    report = budget(BudgetOptions(straight_device, eye="both", out=tmp_path))
+    disparity = {each.source: each for each in report.record["disparity"]}
+    one_eye = {each.name: each for each in report.record["eyes"][0].sources}
+    assert disparity["head tracker: noise"].vertical_arcmin < 0.1 * one_eye["head tracker: noise"].rms_arcmin
+    parts = [each.horizontal_arcmin for name, each in disparity.items() if name != "all"]
+    assert disparity["all"].horizontal_arcmin == pytest.approx(float(np.linalg.norm(parts)))
+    assert "is a device" in report.warnings[0]
+
+
+def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model, tmp_path):
+    bare = replace(small_panel_model, display=replace(small_panel_model.display, spread=None))
+    path = save_eye_models(tmp_path / "old.json", [EyeModel(bare, "northstar")])
+    with pytest.raises(BadInputError, match=r"old\.json: .*no covariance.*calibrate again"):
+        budget(BudgetOptions(str(path), out=tmp_path / "out"))
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"eye_noise_mm": (0.0005,)}, "--eye-noise-mm is 0.0005.* millimetres .is it in another unit"),
+        ({"eye_bias_mm": (-0.1,)}, "--eye-bias-mm is -0.1"),
+        ({"eye_bias_mm": (0.1, 0.2)}, "--eye-bias-mm has 2 values"),
+        ({"depth_m": 500.0}, "--depth-m is 500.* metres .is it in another unit"),
+        ({"head_noise_deg": 0.0003}, "--head-noise-deg is 0.0003.* degrees"),
+        ({"eye_latency_ms": 0.045}, "--eye-latency-ms is 0.045.* milliseconds"),
+    ],
+)
+def test_sizes_in_another_unit_are_asked_about(values, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        BudgetOptions("model.json", **values)
+
+
+def test_zero_is_a_size():
+    assert BudgetOptions("model.json", **NO_TRACKER_ERRORS).head_noise_mm == 0.0
