@@ -5,9 +5,6 @@
 uniform vec3 base_colour;
 uniform bool has_texture;
 uniform sampler2D base_texture;
-uniform mat3 world_from_camera;
-uniform vec3 camera_in_world;
-uniform int instance;
 
 in vec3 point_in_camera;
 in vec3 normal_in_camera;
@@ -16,11 +13,6 @@ in vec3 interpolated_colour;
 
 layout(location = 0) out vec4 colour;
 layout(location = 1) out float inverse_depth;
-#if WITH_EXTRA
-layout(location = 2) out vec3 position_in_world;
-layout(location = 3) out vec3 normal_in_world;
-layout(location = 4) out ivec2 ids;
-#endif
 
 void main()
 {
@@ -32,9 +24,4 @@ void main()
     }
     colour = vec4(srgb_of_linear(albedo * irradiance(point_in_camera, normal)), 1.0);
     inverse_depth = gl_FragCoord.w;
-#if WITH_EXTRA
-    position_in_world = world_from_camera * point_in_camera + camera_in_world;
-    normal_in_world = world_from_camera * normal;
-    ids = ivec2(instance, gl_PrimitiveID);
-#endif
 }

@@ -1,7 +1,5 @@
 """The intermediate image by ray tracing: the oracle of `GlRaster`."""
 
-from collections.abc import Collection
-
 import numpy as np
 
 from wlr_render.numerics.arrays import Float32Array
@@ -11,14 +9,14 @@ from wlr_render.rendering.stored_picture import NEAREST_M
 from wlr_render.rendering.view import GeometryImage, View
 
 
-def raster_on_cpu(scene: Scene, view: View, buffers: Collection[str] = ()) -> GeometryImage:
-    """Colour and inverse depth, and of "position", "normal", "ids" those named in `buffers`."""
+def raster_on_cpu(scene: Scene, view: View) -> GeometryImage:
+    """Colour and inverse depth."""
     height, width = view.camera.height_px, view.camera.width_px
-    traced = RayRenderer(scene).render_blocks((height, width), lambda rows: _rays(view, rows), buffers)
+    traced = RayRenderer(scene).render_blocks((height, width), lambda rows: _rays(view, rows))
     # The directions reach one metre along -z, so that the distance along them is the depth. A camera that stands on
     # a surface would have an infinite one.
     inverse_depth = np.reciprocal(np.maximum(traced.distance, np.float32(NEAREST_M)))
-    return GeometryImage(traced.colour, inverse_depth, traced.position, traced.normal, traced.instance, traced.triangle)
+    return GeometryImage(traced.colour, inverse_depth)
 
 
 def _rays(view: View, rows: slice) -> tuple[Float32Array, Float32Array]:

@@ -128,7 +128,7 @@ def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) ->
         context.includes[path.name] = path.read_text(encoding="utf-8")
     (instance,), suns = scene.instances, [light for light in scene.lights if light.kind == "directional"]
     mesh = scene.mesh_of(instance)
-    constants: dict[str, float] = {"POINT_LIGHTS": 0, "DIRECTIONAL_LIGHTS": len(suns), "WITH_EXTRA": 0}
+    constants: dict[str, float] = {"POINT_LIGHTS": 0, "DIRECTIONAL_LIGHTS": len(suns)}
     scene_pass = context.program(
         vertex_shader=shader_source("scene.vert", constants), fragment_shader=shader_source("scene.frag", constants)
     )

@@ -60,7 +60,7 @@ def traced(mappings: EyeMappings, size, at_viewpoint, pose, renderer: RayRendere
     axes = middle_axes(mappings)
     solved = solve_pixels(mappings, axes, WarpGrid.of_pixels(mappings.display.panel, size).panel_pixel(), at_viewpoint)
     field = RayMap(at_viewpoint, axes, np.moveaxis(solved.slope_offset, -1, 0).astype(np.float32), solved.status)
-    image = renderer.render_blocks(field.shape, lambda rows: field.world_rays(pose, rows), ("position",))
+    image = renderer.render_blocks(field.shape, lambda rows: field.world_rays(pose, rows), with_position=True)
     return Traced(image.colour, image.position, field)
 
 

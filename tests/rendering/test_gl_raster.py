@@ -1,10 +1,11 @@
+from dataclasses import replace
+
 import gl_scenes
 import numpy as np
 import pytest
 from cpu_raster import raster_on_cpu
 from gl_scenes import at, cube, quad, unlit, view
 
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.gl_raster import GlRaster
@@ -17,6 +18,12 @@ CAMERA = gl_scenes.OFF_CENTRE
 def srgb(linear):
     linear = np.asarray(linear, float)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055) * 255
+
+
+def positions(image):
+    """The points that a picture of `CAMERA` from the origin shows, (height, width, 3)."""
+    tangents = CAMERA.pixel_centre_tangents()
+    return np.concatenate([tangents, -np.ones((*tangents.shape[:2], 1))], axis=-1) / image.inverse_depth[..., None]
 
 
 def test_a_rectangle_lands_on_its_analytic_pixels_right_way_up(gl_context):
@@ -44,47 +51,22 @@ def test_inverse_depth_of_a_tilted_plane_is_the_closed_form(gl_context, viewpoin
     np.testing.assert_allclose(image.inverse_depth, expected, rtol=1e-6)
 
 
-def test_positions_and_normals_are_in_the_world(gl_context):
-    head = transforms.rigid(transforms.rotation_about("x", 0.3), np.array([0.5, 1.6, -2.0]))
-    turn = transforms.rotation_about("y", 0.5)
-    pose = at(0.4, 1.8, -4.0, turn)
-    frame = view(CAMERA, (0.01, 0.0, 0.02), head)
-    buffers = ("position", "normal")
-    image = GlRaster(gl_context, unlit((quad((-9, -9), (9, 9)), pose))).draw(frame, buffers)
-    origin, direction = frame.pixel_rays()
-    seen = origin + direction * np.linalg.norm(image.position - origin, axis=-1, keepdims=True)
-    np.testing.assert_allclose(image.position, seen, atol=3e-6)
-    np.testing.assert_allclose((image.position - pose[:3, 3]) @ turn[:, 2], 0, atol=3e-6)
-    np.testing.assert_allclose(image.normal, np.broadcast_to(turn[:, 2], image.normal.shape), atol=1e-6)
-    assert image.instance is None
-
-
-def test_ids_name_instances_of_a_shared_mesh_and_their_triangles(gl_context):
+def test_instances_of_a_shared_mesh_lie_each_in_its_place(gl_context):
     tile = quad((-0.1, -0.1), (0.1, 0.1))
-    scene = unlit((tile, at(-0.6, 0, -2)), (tile, at(0.3, 0, -2)))
-    image = GlRaster(gl_context, scene).draw(view(), ("ids", "position"))
-    assert set(np.unique(image.instance)) == {-1, 0, 1}
-    assert (image.position[image.instance == 0][:, 0] < -0.4).all()
-    assert (image.position[image.instance == 1][:, 0] > 0.1).all()
-    # Triangle 1 of the quad is the one with the lower left corner.
-    local = image.position - [0.3, 0, 0]
-    second = image.instance == 1
-    lower_left = local[..., 0] + local[..., 1] < 0
-    np.testing.assert_array_equal(image.triangle[second], lower_left[second])
-    nothing = image.instance == -1
-    assert (image.triangle[nothing] == -1).all()
-    assert np.isnan(image.position[nothing]).all()
-    assert (image.inverse_depth[nothing] == 0).all()
+    scene = unlit((tile, at(-0.6, 0, -2)), (tile, at(0.3, 0, -4)))
+    seen = GlRaster(gl_context, scene).draw(view()).inverse_depth
+    tangents = CAMERA.pixel_centre_tangents()
+    assert set(np.unique(seen)) == {0, 0.25, 0.5}
+    assert (np.abs(2 * tangents[seen == 0.5] - [-0.6, 0]) < 0.1).all()
+    assert (np.abs(4 * tangents[seen == 0.25] - [0.3, 0]) < 0.1).all()
 
 
 def test_the_nearer_cube_hides_the_farther_whichever_is_drawn_first(gl_context):
     near, far = (cube(0.4), at(-0.1, 0, -1.5)), (cube(1.2), at(-0.3, 0, -3))
-    frames = [GlRaster(gl_context, unlit(*pair)).draw(view(), ("ids",)) for pair in ((near, far), (far, near))]
+    frames = [GlRaster(gl_context, unlit(*pair)).draw(view()) for pair in ((near, far), (far, near))]
     np.testing.assert_array_equal(frames[0].colour, frames[1].colour)
-    hit = frames[0].instance >= 0
-    np.testing.assert_array_equal(frames[0].instance[hit], 1 - frames[1].instance[hit])
+    np.testing.assert_array_equal(frames[0].inverse_depth, frames[1].inverse_depth)
     centre = CAMERA.pixel_of_tangents(np.array([-0.1 / 1.5, 0.0])).astype(int)
-    assert frames[0].instance[centre[1], centre[0]] == 0
     np.testing.assert_allclose(frames[0].inverse_depth[centre[1], centre[0]], 1 / 1.3, rtol=1e-6)
 
 
@@ -112,8 +94,8 @@ def test_lights_follow_the_stated_law_on_both_sides(gl_context, side):
     turn = transforms.rotation_about("y", side)
     albedo = np.array([0.5, 0.6, 0.7], np.float32)
     scene = gl_scenes.lit((quad((-9, -9), (9, 9), base_colour=albedo), at(0, 0, -2, turn)))
-    image = GlRaster(gl_context, scene).draw(view(), ("position",))
-    to_lamp = scene.lights[0].vector - image.position
+    image = GlRaster(gl_context, scene).draw(view())
+    to_lamp = scene.lights[0].vector - positions(image)
     squared = np.sum(to_lamp**2, axis=-1, keepdims=True)
     lambert = to_lamp[..., 2:] / np.sqrt(squared)
     light = scene.ambient + scene.lights[0].colour * lambert / squared + scene.lights[1].colour * 0.8
@@ -140,12 +122,12 @@ def test_normals_under_a_non_uniform_scale_stay_perpendicular(gl_context):
     mesh = type(mesh)(
         "tilted", mesh.position @ tilted.T.astype("f4"), mesh.normal @ tilted.T.astype("f4"), mesh.triangles
     )
-    image = GlRaster(gl_context, unlit((mesh, pose))).draw(view(), ("position", "normal"))
-    along = image.position[:, 1:] - image.position[:, :-1]
-    inside = np.isfinite(along).all(-1)
-    slope = np.abs(np.sum(directions.normalised(along[inside]) * image.normal[:, 1:][inside], -1))
-    assert inside.sum() > 500
-    assert slope.max() < 1e-3
+    scene = gl_scenes.lit((mesh, pose))
+    image = GlRaster(gl_context, replace(scene, lights=scene.lights[1:])).draw(view())
+    point = positions(image)
+    normal = directions.normalised(np.cross(point[:-1, 1:] - point[:-1, :-1], point[1:, :-1] - point[:-1, :-1]))
+    light = 0.1 + scene.lights[1].colour * np.abs(normal @ scene.lights[1].vector)[..., None]
+    np.testing.assert_allclose(image.colour[:-1, :-1], srgb(light), atol=1)
 
 
 def test_colour_and_geometry_agree_with_the_cpu_path(gl_context):
@@ -153,21 +135,12 @@ def test_colour_and_geometry_agree_with_the_cpu_path(gl_context):
     wall = (quad((-3, -3), (3, 3), texture=texture), at(0.2, 0, -4, transforms.rotation_about("y", -0.6)))
     scene = gl_scenes.lit(wall, (cube(0.6), at(0, 0, -1.5, transforms.rotation_about("x", 0.4))))
     frame = view(CAMERA, (0.02, 0.01, 0.0), at(0.5, 1.0, 2.0))
-    drawn = GlRaster(gl_context, scene).draw(frame, ("position", "normal", "ids"))
-    traced = raster_on_cpu(scene, frame, ("position", "normal", "ids"))
-    same = (drawn.instance == traced.instance) & (drawn.triangle == traced.triangle)
+    drawn, traced = GlRaster(gl_context, scene).draw(frame), raster_on_cpu(scene, frame)
+    same = np.isclose(drawn.inverse_depth, traced.inverse_depth, rtol=1e-4)
     assert same.mean() > 0.995
-    np.testing.assert_allclose(drawn.inverse_depth[same], traced.inverse_depth[same], rtol=1e-4)
-    np.testing.assert_allclose(drawn.position[same], traced.position[same], atol=1e-4)
-    np.testing.assert_allclose(drawn.normal[same], traced.normal[same], atol=1e-4)
     difference = np.abs(drawn.colour.astype(int) - traced.colour)[same]
     assert difference.mean() < 0.5
     assert np.percentile(difference, 99) <= 3  # the texture unit's 8-bit weights
-
-
-def test_an_unknown_buffer_is_refused_in_a_sentence(gl_context):
-    with pytest.raises(BadInputError, match="There is no buffer 'depth'; ask for some of position, normal, ids"):
-        GlRaster(gl_context, unlit((cube(), at(0, 0, -2)))).draw(view(), ("depth",))
 
 
 def test_pictures_of_two_names_do_not_overwrite_each_other(gl_context):

@@ -76,7 +76,7 @@ def test_the_point_that_a_pixel_shows_lies_on_its_world_ray(toy_headset, way, pa
     pixel = toy_headset.display.panel.pixel_centres()
     view_dir = toy_headset.display.view_dir_of_pixel(pixel, viewpoint).value
     world_ray = rays.transformed(HEAD_POSE, toy_headset.see_through.real_ray_of_view_dir(view_dir, viewpoint).value)
-    truth = RayRenderer(scene).render_rays(*rays.split(world_ray), buffers=("position",))
+    truth = RayRenderer(scene).render_rays(*rays.split(world_ray), with_position=True)
     settled = off_edges(truth.position)
     assert settled.mean() > 0.8
     assert rays.distance_to_point(world_ray, frame.position)[settled].max() < 1e-4

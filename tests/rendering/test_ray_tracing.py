@@ -9,7 +9,6 @@ from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import world_normals
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 
-BUFFERS = ("position", "normal", "ids")
 TEXTURE = np.random.default_rng(4).integers(0, 256, (8, 8, 3)).astype(np.uint8)
 SCENE = lit(
     (cube(), at(0.3, 0.2, -2.0, transforms.rotation_about("x", 0.5))),
@@ -56,27 +55,24 @@ def slow_pixel(scene, tracer, origin, direction, shadows):
         x, y = np.array([corner[0], corner[0] + 1]) % size[0], np.array([corner[1], corner[1] + 1]) % size[1]
         texels = decode_srgb(mesh.texture[np.ix_(y, x)])
         colour = colour * np.einsum("i,j,ijc->c", [1 - down, down], [1 - right, right], texels)
-    return position, normal, colour
+    return position, colour
 
 
 @pytest.mark.parametrize("shadows", [False, True])
 def test_frames_are_those_of_the_slow_plain_renderer(shadows):
     renderer = RayRenderer(SCENE)
     origin, direction = pinhole_rays()
-    image = renderer.render_rays(origin, direction, BUFFERS, shadows)
+    image = renderer.render_rays(origin, direction, True, shadows)
     missed = 0
     for pixel in np.ndindex(image.distance.shape):
         expected = slow_pixel(SCENE, renderer.tracer, origin[pixel], direction[pixel], shadows)
         if expected is None:
             missed += 1
-            assert image.instance[pixel] == image.triangle[pixel] == -1
             assert np.isnan(image.position[pixel]).all()
-            assert np.isnan(image.normal[pixel]).all()
             assert np.isinf(image.distance[pixel])
             continue
-        position, normal, colour = expected
+        position, colour = expected
         np.testing.assert_allclose(image.position[pixel], position, atol=3e-6)
-        np.testing.assert_allclose(image.normal[pixel], normal, atol=1e-6)
         code = 255 * np.where(colour < 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
         np.testing.assert_allclose(image.colour[pixel], np.clip(code, 0, 255), atol=0.6)
     assert 20 < missed < image.distance.size / 2
@@ -85,10 +81,10 @@ def test_frames_are_those_of_the_slow_plain_renderer(shadows):
 def test_blocks_and_threads_change_no_bit(monkeypatch):
     renderer = RayRenderer(SCENE)
     origin, direction = pinhole_rays()
-    whole = renderer.render_rays(origin, direction, BUFFERS, shadows=True)
+    whole = renderer.render_rays(origin, direction, with_position=True, shadows=True)
     monkeypatch.setattr(ray_tracing, "_RAYS_PER_BLOCK", 32)
-    cut = renderer.render_rays(origin, direction, BUFFERS, shadows=True)
-    for name in ("colour", "distance", "position", "normal", "instance", "triangle"):
+    cut = renderer.render_rays(origin, direction, with_position=True, shadows=True)
+    for name in ("colour", "distance", "position"):
         np.testing.assert_array_equal(getattr(cut, name), getattr(whole, name), err_msg=name)
 
 
@@ -96,19 +92,11 @@ def test_rays_that_are_missing_show_the_background():
     renderer = RayRenderer(unlit((quad((-9, -9), (9, 9)), at(0, 0, -2)), background=(0.0, 0.25, 1.0)))
     _, direction = pinhole_rays()
     direction[5:9, 3:20] = np.nan
-    image = renderer.render_rays(np.zeros(3), direction, BUFFERS)
+    image = renderer.render_rays(np.zeros(3), direction)
     assert (image.colour[5:9, 3:20] == encode_srgb(np.float32([0, 0.25, 1]))).all()
-    assert (image.instance[5:9, 3:20] == -1).all()
+    assert np.isinf(image.distance[5:9, 3:20]).all()
     assert (image.colour[:5] == 255).all()
-    assert (image.instance[9:] == 0).all()
-
-
-def test_buffers_are_given_on_request_only():
-    renderer = RayRenderer(SCENE)
-    image = renderer.render_rays(*pinhole_rays())
-    assert image.position is image.normal is image.instance is image.triangle is None
-    with pytest.raises(BadInputError, match="no buffer 'depth'"):
-        renderer.render_rays(*pinhole_rays(), buffers=("depth",))
+    assert np.isfinite(image.distance[9:]).all()
 
 
 def test_rays_are_requested_row_by_row():

@@ -153,9 +153,8 @@ class TracedPainter:
         colours, traced = [], []
         for mappings, rays, sample_plans in zip(self._channels, ray_maps, self._sample_plans, strict=True):
             if with_geometry or not sample_plans:
-                buffers = ("position",) if with_geometry else ()
                 rays_of = partial(rays.world_rays, world_from_device)
-                image = self._renderer.render_blocks(rays.shape, rays_of, buffers, self._shadows)
+                image = self._renderer.render_blocks(rays.shape, rays_of, with_geometry, self._shadows)
                 colour = image.colour
                 if image.position is not None:
                     traced.append(image.position)

@@ -1,6 +1,6 @@
 """Whole frames by ray tracing, and an eyeball camera's picture through the optics."""
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -26,9 +26,6 @@ RaysOfRows = Callable[[slice], tuple[Float32Array, Float32Array]]
 n = rows * width, row by row, and the origin (n, 3) or (3,). Rays with a NaN see the background. Called from several
 threads at once."""
 
-BUFFERS = ("position", "normal", "ids")
-"""What a frame can tell besides colour and distance."""
-
 _RAYS_PER_BLOCK = 1 << 15
 
 
@@ -40,36 +37,17 @@ class TracedImage:
         colour: (height, width, 3) uint8 sRGB.
         distance: (height, width) float32 along the ray, in lengths of its direction; inf where nothing is.
         position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
-        normal: (height, width, 3) float32 world frame unit, facing the ray's origin, NaN where nothing is; or None.
-        instance, triangle: (height, width) int32 as in `Intersections`, -1 where nothing is; None when not asked for.
     """
 
     colour: NDArray[np.uint8]
     distance: Float32Array
     position: Float32Array | None = None
-    normal: Float32Array | None = None
-    instance: NDArray[np.int32] | None = None
-    triangle: NDArray[np.int32] | None = None
 
     @classmethod
-    def empty(cls, shape: tuple[int, int], buffers: Collection[str]) -> "TracedImage":
-        """Empty images, with the requested buffers.
-
-        Raises:
-            BadInputError: a buffer of another name than `BUFFERS`.
-        """
-        for name in buffers:
-            if name not in BUFFERS:
-                raise BadInputError(f"There is no buffer '{name}'; ask for some of {', '.join(BUFFERS)}.")
-        ids = "ids" in buffers
-        return cls(
-            colour=np.empty((*shape, 3), np.uint8),
-            distance=np.empty(shape, np.float32),
-            position=np.full((*shape, 3), np.nan, np.float32) if "position" in buffers else None,
-            normal=np.full((*shape, 3), np.nan, np.float32) if "normal" in buffers else None,
-            instance=np.empty(shape, np.int32) if ids else None,
-            triangle=np.empty(shape, np.int32) if ids else None,
-        )
+    def empty(cls, shape: tuple[int, int], with_position: bool) -> "TracedImage":
+        """Images to be filled in."""
+        position = np.full((*shape, 3), np.nan, np.float32) if with_position else None
+        return cls(np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32), position)
 
 
 class RayRenderer:
@@ -81,30 +59,32 @@ class RayRenderer:
         self.surfaces = Surfaces.of(scene)
 
     def render_blocks(
-        self, shape: tuple[int, int], rays_of_rows: RaysOfRows, buffers: Collection[str] = (), shadows: bool = False
+        self, shape: tuple[int, int], rays_of_rows: RaysOfRows, with_position: bool = False, shadows: bool = False
     ) -> TracedImage:
         """A frame whose rays are made as they are needed, in the thread that traces them.
 
         Args:
             shape: (height, width).
             rays_of_rows: see `RaysOfRows`.
-            buffers: some of `BUFFERS`.
+            with_position: also return the points that the rays meet.
             shadows: whether surfaces cast shadows.
         """
-        image = TracedImage.empty(shape, buffers)
+        image = TracedImage.empty(shape, with_position)
         background = encode_srgb(self.scene.background)
 
         def render(rows: slice) -> None:
             hits, shaded = self._trace(rays_of_rows(rows), shadows)
             code = encode_srgb(shaded.colour)
             _flat_rows(image.colour, rows)[:] = _scattered(code, shaded.index, len(hits.distance), background)
-            _keep(image, rows, hits, shaded)
+            _flat_rows(image.distance, rows)[:] = hits.distance
+            if image.position is not None:
+                _flat_rows(image.position, rows)[shaded.index] = shaded.position.T
 
         for_blocks(render, shape[0], _rows_per_block(shape))
         return image
 
     def render_rays(
-        self, origin: ArrayLike, direction: ArrayLike, buffers: Collection[str] = (), shadows: bool = False
+        self, origin: ArrayLike, direction: ArrayLike, with_position: bool = False, shadows: bool = False
     ) -> TracedImage:
         """Render a frame of given rays: (height, width, 3) world frame, origin possibly (3,); NaN for no ray."""
         origin, direction = np.broadcast_arrays(np.asarray(origin, np.float32), np.asarray(direction, np.float32))
@@ -113,7 +93,7 @@ class RayRenderer:
             return origin[rows].reshape(-1, 3), direction[rows].reshape(-1, 3)
 
         height, width = direction.shape[:2]
-        return self.render_blocks((height, width), rays_of_rows, buffers, shadows)
+        return self.render_blocks((height, width), rays_of_rows, with_position, shadows)
 
     def render_supersampled(
         self, shape: tuple[int, int], samples: Iterable[RaysOfRows], shadows: bool = False
@@ -179,18 +159,6 @@ def _scattered(
     result[:] = background
     result[index] = components.T
     return result
-
-
-def _keep(image: TracedImage, rows: slice, hits: Intersections, shaded: Shaded) -> None:
-    """Write a block's buffers into the frame."""
-    _flat_rows(image.distance, rows)[:] = hits.distance
-    if image.position is not None:
-        _flat_rows(image.position, rows)[shaded.index] = shaded.position.T
-    if image.normal is not None:
-        _flat_rows(image.normal, rows)[shaded.index] = shaded.normal.T
-    if image.instance is not None and image.triangle is not None:
-        _flat_rows(image.instance, rows)[:] = hits.instance
-        _flat_rows(image.triangle, rows)[:] = hits.triangle
 
 
 @dataclass(frozen=True, eq=False)

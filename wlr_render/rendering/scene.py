@@ -82,7 +82,7 @@ class Scene:
 
     Attributes:
         name: for messages.
-        meshes, instances, lights: as above; an instance's index is its id in geometry buffers.
+        meshes, instances, lights: as above.
         ambient: (3,) linear RGB added to every surface's irradiance.
         background: (3,) linear RGB where nothing is hit.
     """

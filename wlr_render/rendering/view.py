@@ -81,18 +81,10 @@ class GeometryImage:
     Attributes:
         colour: (height, width, 3) uint8 sRGB.
         inverse_depth: (height, width) float32, 1 / (distance along the view's -z axis) in 1/m; 0 where nothing is.
-        position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
-        normal: (height, width, 3) float32 world frame unit, NaN where nothing is; None when not asked for.
-        instance: (height, width) int32 index of the instance, -1 where nothing is; None when not asked for.
-        triangle: (height, width) int32 index in the instance's mesh, -1 where nothing is; None when not asked for.
     """
 
     colour: NDArray[np.uint8]
     inverse_depth: NDArray[np.float32]
-    position: NDArray[np.float32] | None = None
-    normal: NDArray[np.float32] | None = None
-    instance: NDArray[np.int32] | None = None
-    triangle: NDArray[np.int32] | None = None
 
 
 def write_view(path: str | Path, view: View) -> Path:
