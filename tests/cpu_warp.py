@@ -11,7 +11,7 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import sampling
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.rendering.thread_pool import for_blocks
-from wlr_render.rendering.view import GeometryImage, in_camera_frame
+from wlr_render.rendering.view import GeometryImage
 from wlr_render.rendering.warp import WarpedImage, WarpStatus
 
 _PIXELS_PER_BLOCK = 1 << 15
@@ -43,12 +43,12 @@ def warp_on_cpu(
             image.colour, depths, camera, slope_offsets[0], image_from_ray_map, background, samples_per_axis
         )
     greys = (np.ascontiguousarray(image.colour[..., k]) for k in range(3))
-    return WarpedImage.of_channels(
-        [
-            _warp_channel(grey, depths, camera, slope_offset, image_from_ray_map, code, samples_per_axis)
-            for grey, slope_offset, code in zip(greys, slope_offsets, background, strict=True)
-        ]
-    )
+    channels = [
+        _warp_channel(grey, depths, camera, slope_offset, image_from_ray_map, code, samples_per_axis)
+        for grey, slope_offset, code in zip(greys, slope_offsets, background, strict=True)
+    ]
+    status = np.max([each.status for each in channels], axis=0)
+    return WarpedImage(np.stack([each.colour for each in channels], axis=-1), status, channels[1].source)
 
 
 def _warp_channel(
@@ -95,6 +95,31 @@ def _in_image_frame(slope_offset: Float32Array, image_from_ray_map: FloatArray |
     return in_camera_frame(
         slope_offset[:, rows], image_from_ray_map if image_from_ray_map.ndim == 2 else image_from_ray_map[rows]
     )
+
+
+def in_camera_frame(slope_offset: Float32Array, image_from_ray_map: FloatArray) -> Float32Array:
+    """Transform rays in (slope, offset) form to another camera frame.
+
+    With X = O + l D, O = (c, d, 0) and D = (a, b, -1), the transform gives O' = R O + t and D' = R D; D' is scaled to
+    D'_z = -1 and O' slid along it to z = 0.
+
+    Args:
+        slope_offset: (4, rows, columns), as `RayMap.slope_offset`.
+        image_from_ray_map: rigid, from the camera frame of `slope_offset` to the other, (4, 4), or (rows, 4, 4) with
+            one for each row.
+
+    Returns:
+        (4, rows, columns) of the type of `slope_offset`; NaN where a ray does not lead forwards in the other frame.
+    """
+    entries = np.moveaxis(np.asarray(image_from_ray_map, slope_offset.dtype), (-2, -1), (0, 1))[..., None]
+    a, b, c, d = slope_offset
+    direction = [row[0] * a + row[1] * b - row[2] for row in entries[:3]]
+    origin = [row[0] * c + row[1] * d + row[3] for row in entries[:3]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(direction[2] < 0, -direction[2], np.nan)
+        tangents = [direction[0] / depth, direction[1] / depth]
+    offset = [origin[axis] + origin[2] * tangents[axis] for axis in range(2)]
+    return np.asarray(np.stack([*tangents, *offset]), slope_offset.dtype)
 
 
 def _outside(pixel: Float32Array, camera: Pinhole) -> NDArray[np.bool_]:

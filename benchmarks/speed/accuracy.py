@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.rolling_scanout import row_poses
+from wlr_render.compositing.frame_handle import row_poses
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.evaluation.disocclusion import hidden_from
 from wlr_render.evaluation.metrics import summary

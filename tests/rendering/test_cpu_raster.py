@@ -42,7 +42,9 @@ def test_the_image_agrees_with_ray_tracing_its_pixels():
     head = transforms.rigid(transforms.rotation_about("x", 0.1), np.array([0.0, 0.1, 0.2]))
     frame = view(OFF_CENTRE, (0.01, 0.0, 0.02), head)
     image = raster_on_cpu(two_cubes(), frame)
-    traced = RayRenderer(two_cubes()).render_rays(*frame.pixel_rays(), with_position=True)
+    in_camera = directions.dir_of_tangents(OFF_CENTRE.pixel_centre_tangents())
+    direction = transforms.rotate(frame.world_from_camera, in_camera)
+    traced = RayRenderer(two_cubes()).render_rays(frame.position_in_world, direction, with_position=True)
     seen = np.isfinite(traced.distance)
     assert np.abs(image.colour.astype(int) - traced.colour).max() <= 1
     in_camera = transforms.apply(np.linalg.inv(frame.world_from_camera), traced.position[seen].astype(float))

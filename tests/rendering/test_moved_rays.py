@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+from cpu_warp import in_camera_frame
 
 from wlr_render.geometry import transforms
-from wlr_render.rendering.view import in_camera_frame
 
 RAYS = np.random.default_rng(4).uniform(-0.5, 0.5, (4, 3, 5)) * np.array([1, 1, 0.02, 0.02])[:, None, None]
 

@@ -35,9 +35,8 @@ from wlr_render.compositing.checks import (
 )
 from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.eye_camera import EyeCamera
-from wlr_render.compositing.frame_handle import HISTORY, FrameHandle, MotionPredictor
+from wlr_render.compositing.frame_handle import HISTORY, FrameHandle, MotionPredictor, Scan, row_poses
 from wlr_render.compositing.gl_backend import GlBackend, HostState
-from wlr_render.compositing.rolling_scanout import Scan, row_poses
 from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray

@@ -1,17 +1,23 @@
-"""Handles of frames that an engine draws, and the prediction of their poses."""
+"""Handles of frames that an engine draws, the prediction of their poses, and poses of a display's rows."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
 
 from wlr_render.compositing.checks import checked_number, nearest_in_reach
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
 from wlr_render.geometry.prediction import LONGEST_S, predicted_point, predicted_pose
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
 
 HISTORY = 3
 """Frames that may be drawn at the same time: pictures of older ones are refused."""
+Scan = Literal["down", "up"]
+"""Order in which the rows of a display light up: the top one first, or the bottom one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,3 +102,13 @@ class MotionPredictor:
             for eye, at in viewpoints.items()
         }
         return predicted_pose(before.world_from_device, world_from_device, between_s, ahead_s), pupils
+
+
+def row_poses(first: FloatArray, last: FloatArray, rows: int, scan: Scan = "down") -> FloatArray:
+    """Interpolate the head pose of each row, (rows, 4, 4) from the top, between two (4, 4).
+
+    `first` is the pose when the first row lights up, the bottom one with "up". Rows light up at equal intervals, and
+    the head moves at constant speed meanwhile.
+    """
+    poses = transforms.between(first, last, np.linspace(0.0, 1.0, rows))
+    return poses if scan == "down" else poses[::-1]

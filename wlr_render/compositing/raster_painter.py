@@ -84,9 +84,7 @@ class WarpedPainter:
         sources = tuple(
             with_inverse_depth(intermediate, composed.source(channel=channel)) for channel in range(len(self._channels))
         )
-        return Frame(
-            composed.read(), ray_maps, composed.status(), sources=sources, view=camera.view, intermediate=intermediate
-        )
+        return Frame(composed.read(), ray_maps, sources=sources, view=camera.view, intermediate=intermediate)
 
 
 class MeshWarpedPainter:

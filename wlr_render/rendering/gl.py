@@ -1,4 +1,4 @@
-"""OpenGL for drawing modules: opens or adopts contexts, reads textures, and has the names of ModernGL that they use.
+"""OpenGL for drawing modules: opens or adopts contexts, render targets, reads textures, and has ModernGL's names.
 
 Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/conventions.glsl`
 is turned over; so reading and writing textures here turns nothing.
@@ -8,6 +8,7 @@ import contextlib
 import ctypes
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import moderngl
@@ -35,8 +36,6 @@ from wlr_render.rendering.gl_state import UNITS, GlState
 from wlr_render.rendering.host_checks import ErrorReader
 from wlr_render.rendering.host_checks import GlError as GlError
 from wlr_render.rendering.native_contexts import CurrentContext, EglBinding, NoCurrentContextError, OsMesaContext
-from wlr_render.rendering.render_targets import RenderTarget as RenderTarget
-from wlr_render.rendering.render_targets import RenderTargets as RenderTargets
 
 _FRAMEBUFFER = 0x8D40
 _VERSION = divmod(GLSL_VERSION // 10, 10)
@@ -68,17 +67,46 @@ def read_between_levels(texture: Texture) -> None:
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
 
 
-def read_at_texels(texture: Texture) -> None:
-    """Set nearest-texel sampling on a texture, the default of `GlContext.target`."""
-    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-
-
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
     """A texture as (height, width, components), or (height, width) if it has one component."""
     shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())
     pixels = np.empty(shape, dtype)
     texture.read_into(pixels, alignment=1)
     return pixels
+
+
+@dataclass(frozen=True, eq=False)
+class RenderTarget:
+    """A framebuffer and its textures, in the order of the shader's outputs."""
+
+    framebuffer: Framebuffer
+    textures: tuple[Texture, ...]
+
+
+class RenderTargets:
+    """Targets by name; a target is made once for each size, and the next drawing overwrites it."""
+
+    def __init__(self, context: GlContext) -> None:
+        self._context = context
+        self._targets: dict[str, RenderTarget] = {}
+
+    def get(
+        self, name: str, size: tuple[int, int], *formats: tuple[int, str], with_depth: bool = False
+    ) -> RenderTarget:
+        """The target of a name and size (width, height).
+
+        Args:
+            name: of the target, which keeps its formats.
+            size: (width, height) in pixels.
+            formats: components and dtype of each texture, as in `GlContext.target`.
+            with_depth: attach a depth texture.
+        """
+        target = self._targets.get(name)
+        if target is None or target.framebuffer.size != size:
+            textures = [self._context.target(size, *each) for each in formats]
+            depth = self._context.depth_target(size) if with_depth else None
+            target = self._targets[name] = RenderTarget(self._context.framebuffer(textures, depth), tuple(textures))
+        return target
 
 
 def open_context(backend: str = "auto") -> GlContext:

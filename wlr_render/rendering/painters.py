@@ -27,8 +27,6 @@ class Frame:
     Attributes:
         colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
         solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
-        warp_status: (height, width) uint8, one `WarpStatus` each, the worst of the channels; on request, None for
-            frames that were not warped by depth.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
             where none; on request, empty for a frame that was not met with the mesh.
         sources: of each channel (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the
@@ -39,7 +37,6 @@ class Frame:
 
     colour: NDArray[np.uint8]
     solve_ray_maps: Callable[[], tuple[RayMap, ...]]
-    warp_status: NDArray[np.uint8] | None = None
     traced: tuple[Float32Array, ...] = ()
     sources: tuple[Float32Array, ...] = ()
     view: View | None = None

@@ -1,4 +1,4 @@
-"""The camera pose and intrinsics that a picture is drawn with, its file, and rays in another camera's frame."""
+"""The camera pose and intrinsics that a picture is drawn with, its file, and the transform of rays to its frame."""
 
 import functools
 import json
@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.files import write_text
-from wlr_render.geometry import directions, transforms
+from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.numerics.arrays import Float32Array, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +39,6 @@ class View:
         """(4, 4), read-only; the camera frame's origin is the position."""
         turned = self.world_from_device[:3, :3] @ self.device_from_camera
         return _read_only(transforms.rigid(turned, self.position_in_world))
-
-    def pixel_rays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World rays through the pixel centres: origin (3,), unit directions (height, width, 3)."""
-        in_camera = directions.dir_of_tangents(self.camera.pixel_centre_tangents())
-        return self.position_in_world, transforms.rotate(self.world_from_camera, in_camera)
 
 
 def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -101,28 +95,3 @@ def write_view(path: str | Path, view: View) -> Path:
         "world_from_camera": view.world_from_camera.tolist(),
     }
     return write_text(path, json.dumps(record, indent=1) + "\n")
-
-
-def in_camera_frame(slope_offset: Float32Array, image_from_ray_map: FloatArray) -> Float32Array:
-    """Transform rays in (slope, offset) form to another camera frame.
-
-    With X = O + l D, O = (c, d, 0) and D = (a, b, -1), the transform gives O' = R O + t and D' = R D; D' is scaled to
-    D'_z = -1 and O' slid along it to z = 0.
-
-    Args:
-        slope_offset: (4, rows, columns), as `RayMap.slope_offset`.
-        image_from_ray_map: rigid, from the camera frame of `slope_offset` to the other, (4, 4), or (rows, 4, 4) with
-            one for each row.
-
-    Returns:
-        (4, rows, columns) of the type of `slope_offset`; NaN where a ray does not lead forwards in the other frame.
-    """
-    entries = np.moveaxis(np.asarray(image_from_ray_map, slope_offset.dtype), (-2, -1), (0, 1))[..., None]
-    a, b, c, d = slope_offset
-    direction = [row[0] * a + row[1] * b - row[2] for row in entries[:3]]
-    origin = [row[0] * c + row[1] * d + row[3] for row in entries[:3]]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = np.where(direction[2] < 0, -direction[2], np.nan)
-        tangents = [direction[0] / depth, direction[1] / depth]
-    offset = [origin[axis] + origin[2] * tangents[axis] for axis in range(2)]
-    return np.asarray(np.stack([*tangents, *offset]), slope_offset.dtype)

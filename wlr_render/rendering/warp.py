@@ -1,6 +1,6 @@
 """The backward warp of an intermediate image along rays: the algorithm that all backends implement, and its result.
 
-For each display pixel the ray map holds (a, b, c, d); `view.in_camera_frame` transforms it to the camera frame of the
+For each display pixel the ray map holds (a, b, c, d); `view.image_from_ray_map` takes it to the camera frame of the
 intermediate image. There the world ray passes through (c, d, 0) with tangents (a, b). A point of the ray at inverse
 depth w is projected to the image position
 
@@ -42,7 +42,6 @@ With one ray map per colour channel (red, green, blue) each channel follows its 
 three (the largest), the source that of green.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -87,15 +86,3 @@ class WarpedImage:
     colour: NDArray[np.uint8]
     status: NDArray[np.uint8]
     source: NDArray[np.float32] | None = None
-
-    @classmethod
-    def of_channels(cls, images: Sequence["WarpedImage"]) -> "WarpedImage":
-        """One picture of one for all colours, or of three whose red, green and blue are taken in this order.
-
-        The pictures may hold all colours or, each, the grey values (height, width) of its own.
-        """
-        if len(images) == 1:
-            return images[0]
-        colours = [each.colour if each.colour.ndim == 2 else each.colour[..., k] for k, each in enumerate(images)]
-        status = np.max([each.status for each in images], axis=0)
-        return cls(np.stack(colours, axis=-1), status, images[1].source)
