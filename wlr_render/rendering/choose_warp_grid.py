@@ -4,6 +4,7 @@
 size and more.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
@@ -24,9 +25,12 @@ _COARSEST_CELLS = 16
 _MOST_CELLS = 256
 _JUDGED_CELLS = 10
 _JUDGED_PIXELS = 60
-_JUDGED_PLACES = np.array([0.21, 0.79])  # in a cell: where the error of a cubic is largest
-_JUDGED_VIEWPOINTS = np.array([[0, 0, 0], [1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]], dtype=np.float64)
+_JUDGED_PLACES = np.array([[0.21, 0.21], [0.79, 0.21], [0.5, 0.5], [0.21, 0.79], [0.79, 0.79]])
+"""In a cell: where the error of a cubic of one coordinate is largest, and on the cut, where that of mixed ones is."""
+_JUDGED_VIEWPOINTS = np.array([[0, 0, 0], *itertools.product((-1, 1), repeat=3)], dtype=np.float64)
 _AIM = 0.95
+_BLOCK_PX = 4
+_MOST_SNAPPED = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +58,12 @@ def choose_warp_grid(
     device_from_camera: FloatArray,
     tolerance_arcmin: float = TOLERANCE_ARCMIN,
 ) -> ChosenWarpGrid:
-    """Return the coarsest warp grid of square cells whose error is within the tolerance over the eye box.
+    """Return the coarsest warp grid of nearly square cells whose error is within the tolerance over the eye box.
 
-    Judged at the eye box's centre and at four of its corners, no two of which share an edge, at `judged_pixels`. There
-    are at most 256 cells along an axis: where that is not fine enough, the bound says what is reached.
+    Judged at the eye box's centre and at its corners, at `judged_pixels`. There are at most 256 cells along an axis:
+    where that is not fine enough, the bound says what is reached. Cells are whole blocks of 4 x 4 px where such a size
+    divides the panel and is not much smaller than necessary: GPUs and software renderers shade pixels in blocks, and
+    those on the border of two triangles twice.
 
     Args:
         mappings: any pair.
@@ -68,12 +74,22 @@ def choose_warp_grid(
     finest_px = float(np.max(panel.size_px)) / _MOST_CELLS
     cell_px = max(float(np.min(panel.size_px)) / _COARSEST_CELLS, finest_px)
     while True:
-        columns, rows = np.maximum(np.ceil(panel.size_px / cell_px).astype(int) + 1, 3).tolist()
+        columns, rows = (max(_cells_along(int(size), cell_px) + 1, 3) for size in panel.size_px)
         warp_grid = WarpGrid.edge_to_edge(panel, columns, rows)
         chosen = _judged(mappings, device_from_camera, warp_grid)
         if chosen.bound_arcmin <= tolerance_arcmin or cell_px <= finest_px or chosen.hole_share == 1:
             return chosen
         cell_px = max(finest_px, cell_px * min(0.9, float(np.cbrt(_AIM * tolerance_arcmin / chosen.bound_arcmin))))
+
+
+def _cells_along(size_px: int, most_px: float) -> int:
+    """Number of equal cells of at most that size along an axis."""
+    whole_blocks = [
+        cell
+        for cell in range(_BLOCK_PX, int(most_px) + 1, _BLOCK_PX)
+        if size_px % cell == 0 and cell >= (1 - _MOST_SNAPPED) * most_px
+    ]
+    return size_px // whole_blocks[-1] if whole_blocks else int(np.ceil(size_px / most_px))
 
 
 def _judged(mappings: EyeMappings, device_from_camera: FloatArray, warp_grid: WarpGrid) -> ChosenWarpGrid:
@@ -91,11 +107,9 @@ def _judged(mappings: EyeMappings, device_from_camera: FloatArray, warp_grid: Wa
 
 def judged_pixels(warp_grid: WarpGrid) -> FloatArray:
     """Panel positions (n, 2): in cells out to the panel's corners, and fixed pseudo-random ones."""
-    along = [
-        (np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round())[:, None] + _JUDGED_PLACES).reshape(-1)
-        for count in warp_grid.size
-    ]
-    in_cells = warp_grid.first_px + warp_grid.step_px * np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 2)
+    along = [np.unique(np.linspace(0, count - 2, _JUDGED_CELLS).round()) for count in warp_grid.size]
+    cells = np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 1, 2)
+    in_cells = warp_grid.first_px + warp_grid.step_px * (cells + _JUDGED_PLACES).reshape(-1, 2)
     rng = np.random.default_rng(20250102)
     return np.concatenate([in_cells, rng.uniform(0.5, warp_grid.panel.size_px - 0.5, (_JUDGED_PIXELS, 2))])
 
