@@ -16,6 +16,7 @@ BENCHMARKS = {
     "kills": "Jobs that are killed at random moments and resumed, compared with undisturbed ones.",
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "photographs": "Readings of simulated photographs, compared with exact traces.",
+    "budget": "Predicted covariance of registration against true errors of simulated sessions.",
     "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",
     "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",

@@ -1,10 +1,13 @@
-"""Confidence intervals of counts of trials."""
+"""Confidence intervals of counts of trials, and of sums over sessions."""
 
+import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import binomtest
 
 LEVEL = 0.95
 INTERVAL = "95 % interval (%)"
 """Head of a column of intervals."""
+_RESAMPLED = 2000
 
 
 def interval_percent(count: int, total: int) -> str:
@@ -17,3 +20,14 @@ def interval_percent(count: int, total: int) -> str:
     if count == 0:
         return f"below {100 * found.high:.1f}"
     return f"above {100 * found.low:.1f}" if count == total else f"{100 * found.low:.1f} to {100 * found.high:.1f}"
+
+
+def ratio_interval(numerators: ArrayLike, denominators: ArrayLike) -> tuple[float, float]:
+    """95 % confidence interval of the ratio of two sums over sessions (n,), by bootstrap over them.
+
+    For what is dependent within a session: each session counts as one draw.
+    """
+    above, below = np.asarray(numerators, np.float64), np.asarray(denominators, np.float64)
+    drawn = np.random.default_rng(1).integers(0, len(above), (_RESAMPLED, len(above)))
+    low, high = np.quantile(above[drawn].sum(axis=1) / below[drawn].sum(axis=1), [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    return float(low), float(high)

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.intervals import INTERVAL, interval_percent
+from benchmarks.intervals import INTERVAL, interval_percent, ratio_interval
 from benchmarks.photographs.bench_models import CALIBRATED, EXACT, NOMINAL
 from benchmarks.photographs.bench_trial import DEVICES, FAULTY, BenchOutcome, BenchTrialKind
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
-_RESAMPLED = 2000
 _SHORT = 160  # characters of a sentence
 
 
@@ -81,9 +80,7 @@ def _sigmas(outcomes: Sequence[BenchOutcome]) -> ReportTable:
 
 
 def _interval(squares: FloatArray) -> tuple[float, float]:
-    rng = np.random.default_rng(1)
-    means = squares[rng.integers(0, len(squares), (_RESAMPLED, len(squares)))].mean(axis=1)
-    low, high = np.sqrt(np.quantile(means, [0.025, 0.975]))
+    low, high = np.sqrt(ratio_interval(squares, np.ones(len(squares))))
     return float(low), float(high)
 
 

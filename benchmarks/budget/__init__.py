@@ -1,0 +1,1 @@
+"""Predicted covariance of registration against true errors of simulated sessions."""

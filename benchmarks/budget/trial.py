@@ -1,0 +1,204 @@
+"""One trial: simulate a session, calibrate it, and compare true registration errors with the predicted covariance."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from benchmarks.photographs.bench_trial import DEVICES
+from wlr_render.budget.errors import ErrorSizes, PerAxis, Truncation
+from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.statement import REGIONS, region_of, variance
+from wlr_render.calibration.bench.calibrate_bench import calibrate_bench
+from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.fit_eye import EyeFit, fit_eye
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.jobs.budget import BudgetOptions
+from wlr_render.mappings import EyeMappings
+from wlr_render.models.registration import right_and_up
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
+
+MODEL_ALONE, WITH_TRACKERS = "models alone", "with trackers"
+CONDITIONS = (MODEL_ALONE, WITH_TRACKERS)
+SHARES = (0.68, 0.95)
+"""Of the ellipses."""
+
+_READINGS = ReadingOptions(most_dots=200, panel_samples=500)  # a third of the usual: the stage decides, not the noise
+_POINTS = 600  # pixels, viewpoints and depths of a session
+_NEAR_M, _FAR_M = 0.3, 5.0
+_TAIL = 5  # degrees of freedom of Student's t, of which noise is drawn
+_ALIKE = 0.6  # correlation of the trackers' errors along different axes
+
+
+@dataclass(frozen=True)
+class BudgetTrial:
+    """A simulated session; devices take turns."""
+
+    number: int
+
+    @property
+    def device(self) -> str:
+        """The headset."""
+        return DEVICES[self.number % len(DEVICES)]
+
+    @property
+    def file(self) -> str:
+        """Name of the file of its outcome."""
+        return f"budget-{self.number:03d}-{self.device}.json"
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """True errors of one region of a panel beside their predicted covariance.
+
+    Attributes:
+        condition: one of `CONDITIONS`. region: one of `REGIONS`.
+        points: how many errors. inside: of them within each ellipse of `SHARES`.
+        true, predicted: sums of squared lengths, square arcminutes.
+    """
+
+    condition: str
+    region: str
+    points: int
+    inside: tuple[int, ...]
+    true: float
+    predicted: float
+
+
+@dataclass(frozen=True)
+class BudgetOutcome:
+    """What became of a trial.
+
+    Attributes:
+        trial: the session.
+        coverage: by condition and region.
+        truncation: of the models.
+        refused: an error that stopped the calibration; "" if none.
+    """
+
+    trial: BudgetTrial
+    coverage: list[Coverage] = field(default_factory=list)
+    truncation: Truncation = field(default_factory=Truncation)
+    refused: str = ""
+
+
+def loaded_outcome(trial: BudgetTrial, content: dict[str, Any]) -> BudgetOutcome:
+    """The outcome of a trial from its fields as JSON has them."""
+    content["trial"] = trial
+    content["coverage"] = [Coverage(**each | {"inside": tuple(each["inside"])}) for each in content["coverage"]]
+    content["truncation"] = Truncation(**content["truncation"])
+    return BudgetOutcome(**content)
+
+
+def run_trial(trial: BudgetTrial, seed: int) -> BudgetOutcome:
+    """Run a trial; the same seed gives the same outcome."""
+    recipe = SimulationRecipe(trial.device, bench=PhotoBenchOptions(seed=10_000 * seed + trial.number))
+    simulated = simulate_readings(recipe, _READINGS)
+    try:
+        bench = calibrate_bench(simulated.session, simulated.reading)
+        captures, _ = sound_captures(simulated.session, simulated.reading, bench)
+        fit = fit_eye(captures, "planar")
+    except BadInputError as error:
+        return BudgetOutcome(trial, refused=str(error))
+    made = simulated.truth.bench
+    # An error of the tracking camera's stated pose moves display, world, eye and trackers alike.
+    model_from_true = made.stated_device_from_tracking @ transforms.inverse(made.device_from_tracking)
+    truncation = Truncation.from_report(_report(fit))
+    truth = traced_eye(made.device, made.eye)
+    rng = np.random.default_rng([seed, 31, trial.number])
+    coverage = judged(fit.mappings, truth, model_from_true, truncation, rng)
+    return BudgetOutcome(trial, coverage, truncation)
+
+
+def _report(fit: EyeFit) -> dict[str, Any]:
+    return {name.replace("-", "_"): asdict(side.report) for name, side in fit.sides.items()}
+
+
+def judged(
+    eye: EyeMappings, truth: EyeMappings, model_from_true: FloatArray, truncation: Truncation, rng: np.random.Generator
+) -> list[Coverage]:
+    """True errors of registration at random pixels, viewpoints and depths, beside the covariance that models predict.
+
+    Args:
+        eye: the models, in the frame of the calibration.
+        truth: the headset, in its own frame.
+        model_from_true: (4, 4) between the frames.
+        truncation: of the models.
+        rng: of the points, and of the trackers' errors.
+    """
+    pixel = rng.uniform(0.0, 1.0, (_POINTS, 2)) * eye.display.panel.size_px
+    viewpoint = eye.eye_box.at(rng.uniform(-1.0, 1.0, (_POINTS, 3)))
+    depth = 1.0 / rng.uniform(1.0 / _FAR_M, 1.0 / _NEAR_M, _POINTS)
+    found = []
+    for condition in CONDITIONS:
+        sizes = ErrorSizes(truncation=truncation)
+        tracked, motion = np.zeros(3), np.eye(4)[None]
+        if condition == WITH_TRACKERS:
+            sizes = BudgetOptions(truth.name, raster_arcmin=0.0).sizes(0.0, truncation)
+            tracked, motion = _eye_errors(sizes, rng), _head_errors(sizes, rng)
+        predicted = registration_covariance(eye, pixel, viewpoint, depth, sizes)
+        # The renderer draws at this pixel what its trackers make it believe lies behind it.
+        believed = registration_covariance(eye, pixel, viewpoint + tracked, depth, ErrorSizes()).point
+        point = np.einsum("nij,nj->ni", motion[:, :3, :3], believed) + motion[:, :3, 3]
+        error = _true_error(truth, transforms.inverse(model_from_true), pixel, viewpoint, point)
+        error = np.einsum("nij,nj->ni", right_and_up(predicted.view_dir), error) / ARCMIN
+        inverse = np.linalg.inv(np.where(np.isfinite(predicted.total), predicted.total, np.eye(2)))
+        distance = np.einsum("ni,nij,nj->n", error, inverse, error)
+        known = predicted.is_inside & np.isfinite(error).all(axis=1) & np.isfinite(predicted.total).all(axis=(1, 2))
+        for number, region in enumerate(REGIONS):
+            own = known & (region_of(eye.display.panel, pixel) == number)
+            found.append(
+                Coverage(
+                    condition,
+                    region,
+                    int(own.sum()),
+                    tuple(int(np.sum(distance[own] <= -2.0 * np.log(1.0 - share))) for share in SHARES),
+                    float(np.sum(error[own] ** 2)),
+                    float(np.sum(variance(predicted.total[own]))),
+                )
+            )
+    return found
+
+
+def _true_error(
+    truth: EyeMappings, true_from_model: FloatArray, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
+) -> FloatArray:
+    """Direction (n, 3) of pixels less that of points, as the headset shows them; axes of the model's frame."""
+    viewpoint, point = (transforms.apply(true_from_model, each) for each in (viewpoint, point))
+    shown = truth.display.view_dir_of_pixel(pixel, viewpoint).value
+    seen = truth.see_through.view_dir_of_real_point(point, viewpoint).value
+    return transforms.rotate(transforms.inverse(true_from_model), shown - seen)
+
+
+def _eye_errors(sizes: ErrorSizes, rng: np.random.Generator) -> FloatArray:
+    """Errors (n, 3) of the tracked viewpoint: one bias for the session, noise with tails, motions along gaze paths."""
+    eye = sizes.eye
+    bias = _axes(eye.bias_m) * rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), 3)
+    late = eye.latency_s * _axes(eye.speed_m_s) * rng.laplace(0.0, np.sqrt(0.5), (_POINTS, 3))
+    return bias + _tailed(rng, 3) * _axes(eye.noise_m) + late
+
+
+def _head_errors(sizes: ErrorSizes, rng: np.random.Generator) -> FloatArray:
+    """Motions (n, 4, 4) of the world in the device frame by which the head tracker is wrong."""
+    head = sizes.head
+    noise, speed = _tailed(rng, 6), rng.laplace(0.0, np.sqrt(0.5), (_POINTS, 6))
+    turn = noise[:, :3] * _axes(head.rotation_rad) + head.latency_s * speed[:, :3] * _axes(head.angular_speed_rad_s)
+    shift = noise[:, 3:] * _axes(head.position_m) + head.latency_s * speed[:, 3:] * _axes(head.speed_m_s)
+    return transforms.rigid(transforms.rotations_of_vectors(turn), shift)
+
+
+def _axes(size: PerAxis) -> FloatArray:
+    return np.broadcast_to(np.asarray(size, np.float64), (3,))
+
+
+def _tailed(rng: np.random.Generator, count: int) -> FloatArray:
+    """Numbers (n, count) of unit variance with tails, correlated between columns."""
+    correlation = _ALIKE + (1.0 - _ALIKE) * np.eye(count)
+    drawn = rng.standard_t(_TAIL, (_POINTS, count)) / np.sqrt(_TAIL / (_TAIL - 2.0))
+    return np.asarray(drawn @ np.linalg.cholesky(correlation).T)
