@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from benchmarks.budget.trial import (
+    CAMERA_FRAME,
     CONDITIONS,
     MODEL_ALONE,
     SHARES,
@@ -94,9 +95,10 @@ def tables(outcomes: Sequence[BudgetOutcome]) -> list[ReportTable]:
         "Ellipses of the predicted covariance; wanted: 60 to 76 and 92 to 98 % within, and 0.8 to 1.25 for predicted "
         "over true rms. Intervals: 95 %, bootstrap over sessions, because errors of one session are dependent; of a "
         "few sessions they are too narrow.",
-        f"{MODEL_ALONE.capitalize()}: exact trackers. Trackers: sizes as `budget` takes them by default; noise with "
-        "Student's t of five degrees of freedom and correlated axes, one bias a session, evenly distributed, motion "
-        "with Laplace's distribution.",
+        f"{MODEL_ALONE.capitalize()}: exact trackers, in the device's own frame. {CAMERA_FRAME.capitalize()}: exact "
+        "trackers in the frame of the tracking camera as stated, without the source of that name.",
+        "Trackers: sizes as `budget` takes them by default; noise with Student's t of five degrees of freedom and "
+        "correlated axes, one bias a session, evenly distributed, motion with Laplace's distribution.",
         "Depths of 0.3 to 5 m, evenly in dioptres; pixels over the whole panel, viewpoints over the whole eye box.",
     )
     heads = ["condition", "", "sessions", "within 68 % (%)", "interval", "within 95 % (%)", "interval ", "rms (arcmin)"]

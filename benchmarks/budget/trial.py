@@ -7,11 +7,13 @@ import numpy as np
 
 from benchmarks.photographs.bench_trial import DEVICES
 from wlr_render.budget.errors import ErrorSizes, PerAxis, Truncation
-from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.registration import covered_points, registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance
-from wlr_render.calibration.bench.calibrate_bench import calibrate_bench
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
+from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.fit_eye import EyeFit, fit_eye
+from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -22,14 +24,19 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
+from wlr_render.simulation.photographs.simulate_readings import (
+    ReadingOptions,
+    SimulatedReadings,
+    simulate_readings,
+)
 
-MODEL_ALONE, WITH_TRACKERS = "models alone", "with trackers"
-CONDITIONS = (MODEL_ALONE, WITH_TRACKERS)
+MODEL_ALONE, CAMERA_FRAME, WITH_TRACKERS = "models alone", "models, camera's frame", "with trackers"
+CONDITIONS = (MODEL_ALONE, CAMERA_FRAME, WITH_TRACKERS)
 SHARES = (0.68, 0.95)
 """Of the ellipses."""
 
-_READINGS = ReadingOptions(most_dots=200, panel_samples=500)  # a third of the usual: the stage decides, not the noise
+_PLACES = 16
+_READINGS = ReadingOptions(most_dots=300, panel_samples=800)  # half of the usual: the bench decides, not their noise
 _POINTS = 600  # pixels, viewpoints and depths of a session
 _NEAR_M, _FAR_M = 0.3, 5.0
 _TAIL = 5  # degrees of freedom of Student's t, of which noise is drawn
@@ -98,22 +105,32 @@ def loaded_outcome(trial: BudgetTrial, content: dict[str, Any]) -> BudgetOutcome
 
 def run_trial(trial: BudgetTrial, seed: int) -> BudgetOutcome:
     """Run a trial; the same seed gives the same outcome."""
-    recipe = SimulationRecipe(trial.device, bench=PhotoBenchOptions(seed=10_000 * seed + trial.number))
-    simulated = simulate_readings(recipe, _READINGS)
+    bench_seed = 1000 * (seed - 1) + trial.number // len(DEVICES) + 1
     try:
-        bench = calibrate_bench(simulated.session, simulated.reading)
-        captures, _ = sound_captures(simulated.session, simulated.reading, bench)
+        simulated, reading, bench = _calibrated(trial.device, bench_seed)
+        captures, _ = sound_captures(simulated.session, reading, bench)
         fit = fit_eye(captures, "planar")
     except BadInputError as error:
         return BudgetOutcome(trial, refused=str(error))
     made = simulated.truth.bench
-    # An error of the tracking camera's stated pose moves display, world, eye and trackers alike.
-    model_from_true = made.stated_device_from_tracking @ transforms.inverse(made.device_from_tracking)
     truncation = Truncation.from_report(_report(fit))
     truth = traced_eye(made.device, made.eye)
-    rng = np.random.default_rng([seed, 31, trial.number])
-    coverage = judged(fit.mappings, truth, model_from_true, truncation, rng)
+    stated_from_true = made.stated_device_from_tracking @ transforms.inverse(made.device_from_tracking)
+    coverage = []
+    for number, condition in enumerate(CONDITIONS):
+        rng = np.random.default_rng([seed, 31, trial.number, number])
+        frame = stated_from_true if condition == CAMERA_FRAME else np.eye(4)
+        trackers = BudgetOptions(trial.device, raster_arcmin=0.0).sizes(0.0, truncation)
+        sizes = trackers if condition == WITH_TRACKERS else ErrorSizes(truncation=truncation)
+        coverage += judged(condition, fit.mappings, truth, frame, sizes, rng)
     return BudgetOutcome(trial, coverage, truncation)
+
+
+def _calibrated(device: str, bench_seed: int) -> tuple[SimulatedReadings, Reading, CalibratedBench]:
+    recipe = SimulationRecipe(device, viewpoints=_PLACES, bench=PhotoBenchOptions(seed=bench_seed))
+    simulated = simulate_readings(recipe, _READINGS)
+    reading = with_half_turns(simulated.session, simulated.reading)
+    return simulated, reading, calibrate_bench(simulated.session, reading)
 
 
 def _report(fit: EyeFit) -> dict[str, Any]:
@@ -121,48 +138,44 @@ def _report(fit: EyeFit) -> dict[str, Any]:
 
 
 def judged(
-    eye: EyeMappings, truth: EyeMappings, model_from_true: FloatArray, truncation: Truncation, rng: np.random.Generator
+    condition: str,
+    eye: EyeMappings,
+    truth: EyeMappings,
+    model_from_true: FloatArray,
+    sizes: ErrorSizes,
+    rng: np.random.Generator,
 ) -> list[Coverage]:
-    """True errors of registration at random pixels, viewpoints and depths, beside the covariance that models predict.
+    """True errors of registration at random pixels, viewpoints and depths, beside the covariance that is predicted.
 
     Args:
+        condition: one of `CONDITIONS`.
         eye: the models, in the frame of the calibration.
         truth: the headset, in its own frame.
-        model_from_true: (4, 4) between the frames.
-        truncation: of the models.
+        model_from_true: (4, 4) between the frames: the identity where trackers know the true one.
+        sizes: of the trackers' errors, which are drawn from other distributions, and of truncation.
         rng: of the points, and of the trackers' errors.
     """
     pixel = rng.uniform(0.0, 1.0, (_POINTS, 2)) * eye.display.panel.size_px
     viewpoint = eye.eye_box.at(rng.uniform(-1.0, 1.0, (_POINTS, 3)))
     depth = 1.0 / rng.uniform(1.0 / _FAR_M, 1.0 / _NEAR_M, _POINTS)
+    predicted = registration_covariance(eye, pixel, viewpoint, depth, sizes)
+    predicted = predicted.in_camera_frame() if condition == CAMERA_FRAME else predicted
+    # The renderer draws at this pixel what its trackers make it believe lies behind it.
+    believed = covered_points(eye, pixel, viewpoint + _eye_errors(sizes, rng), depth)
+    motion = _head_errors(sizes, rng)
+    point = np.einsum("nij,nj->ni", motion[:, :3, :3], believed) + motion[:, :3, 3]
+    error = _true_error(truth, transforms.inverse(model_from_true), pixel, viewpoint, point)
+    error = np.einsum("nij,nj->ni", right_and_up(predicted.view_dir), error) / ARCMIN
+    total = predicted.total
+    known = predicted.is_inside & np.isfinite(error).all(axis=1) & np.isfinite(total).all(axis=(1, 2))
+    inverse = np.linalg.inv(np.where(known[:, None, None], total, np.eye(2)))
+    distance = np.einsum("ni,nij,nj->n", error, inverse, error)
     found = []
-    for condition in CONDITIONS:
-        sizes = ErrorSizes(truncation=truncation)
-        tracked, motion = np.zeros(3), np.eye(4)[None]
-        if condition == WITH_TRACKERS:
-            sizes = BudgetOptions(truth.name, raster_arcmin=0.0).sizes(0.0, truncation)
-            tracked, motion = _eye_errors(sizes, rng), _head_errors(sizes, rng)
-        predicted = registration_covariance(eye, pixel, viewpoint, depth, sizes)
-        # The renderer draws at this pixel what its trackers make it believe lies behind it.
-        believed = registration_covariance(eye, pixel, viewpoint + tracked, depth, ErrorSizes()).point
-        point = np.einsum("nij,nj->ni", motion[:, :3, :3], believed) + motion[:, :3, 3]
-        error = _true_error(truth, transforms.inverse(model_from_true), pixel, viewpoint, point)
-        error = np.einsum("nij,nj->ni", right_and_up(predicted.view_dir), error) / ARCMIN
-        inverse = np.linalg.inv(np.where(np.isfinite(predicted.total), predicted.total, np.eye(2)))
-        distance = np.einsum("ni,nij,nj->n", error, inverse, error)
-        known = predicted.is_inside & np.isfinite(error).all(axis=1) & np.isfinite(predicted.total).all(axis=(1, 2))
-        for number, region in enumerate(REGIONS):
-            own = known & (region_of(eye.display.panel, pixel) == number)
-            found.append(
-                Coverage(
-                    condition,
-                    region,
-                    int(own.sum()),
-                    tuple(int(np.sum(distance[own] <= -2.0 * np.log(1.0 - share))) for share in SHARES),
-                    float(np.sum(error[own] ** 2)),
-                    float(np.sum(variance(predicted.total[own]))),
-                )
-            )
+    for number, region in enumerate(REGIONS):
+        own = known & (region_of(eye.display.panel, pixel) == number)
+        inside = tuple(int(np.sum(distance[own] <= -2.0 * np.log(1.0 - share))) for share in SHARES)
+        true, expected = float(np.sum(error[own] ** 2)), float(np.sum(variance(total[own])))
+        found.append(Coverage(condition, region, int(own.sum()), inside, true, expected))
     return found
 
 

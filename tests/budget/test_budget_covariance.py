@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.budget.errors import Drawing, ErrorSizes, EyeTracker, HeadTracker, Truncation
-from wlr_render.budget.registration import disparity_covariance, registration_covariance
+from wlr_render.budget.registration import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -156,6 +156,14 @@ def test_models_state_their_own_errors(small_panel_model):
     bare = replace(small_panel_model, display=replace(small_panel_model.display, spread=None))
     with pytest.raises(BadInputError, match=r"has no covariance.*calibrate again"):
         registration_covariance(bare, *at, ErrorSizes())
+
+
+def test_the_tracking_camera_does_not_count_in_its_own_frame(flat_image_headset):
+    at = (*pixels_and_viewpoints(flat_image_headset), DEPTH_M)
+    found = registration_covariance(flat_image_headset, *at, ALL_SIZES)
+    with_camera = replace(found, by_source=found.by_source | {TRACKING_CAMERA: np.eye(2) + np.zeros((4, 3, 2, 2))})
+    np.testing.assert_allclose(with_camera.total, found.total + np.eye(2))
+    np.testing.assert_allclose(with_camera.in_camera_frame().total, found.total)
 
 
 def test_disparity_of_two_equal_eyes_has_only_what_is_independent(flat_image_headset):

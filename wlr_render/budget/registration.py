@@ -7,7 +7,7 @@ derivatives times -d. An error of the head's pose moves the point in the device 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -23,6 +23,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
 """Owners of the sources; a source is "OWNER: what"."""
+TRACKING_CAMERA = f"{MODEL}: tracking camera"
+"""Source of models from photographs: the stated pose of the headset's camera, in whose frame all was measured."""
 
 _STEP_M = 20e-6  # of a viewpoint: models bend over millimetres, solves end at 1e-12
 _STEP_RAD = 1e-4  # of a real point, as seen from the viewpoint
@@ -51,6 +53,14 @@ class RegistrationCovariance:
         """Sum over all sources, (..., 2, 2)."""
         return np.asarray(sum(self.by_source.values()))
 
+    def in_camera_frame(self) -> "RegistrationCovariance":
+        """Covariance where the trackers measure by the tracking camera, with its stated pose.
+
+        An error of that pose then moves display, world, eye and trackers alike, and is none of registration.
+        """
+        kept = {name: each for name, each in self.by_source.items() if name != TRACKING_CAMERA}
+        return replace(self, by_source=kept)
+
 
 def registration_covariance(
     eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray, sizes: ErrorSizes
@@ -68,11 +78,24 @@ def registration_covariance(
     """
     lead = np.broadcast_shapes(np.shape(pixel)[:-1], np.shape(viewpoint)[:-1], np.shape(depth_m))
     pixel, viewpoint = np.broadcast_to(pixel, (*lead, 2)), np.broadcast_to(viewpoint, (*lead, 3))
-    shown = eye.display.view_dir_of_pixel(pixel, viewpoint)
-    seen = eye.see_through.real_ray_of_view_dir(shown.value, viewpoint)
-    point = rays.split(rays.at_z(seen.value, viewpoint[..., 2] - depth_m))[0]
+    shown, seen, point = _covered(eye, pixel, viewpoint, depth_m)
     by_source = _Sensitivity(eye, pixel, viewpoint, point, shown.value).covariances(sizes)
     return RegistrationCovariance(by_source, shown.value, point, shown.ok & seen.ok)
+
+
+def covered_points(
+    eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray
+) -> FloatArray:
+    """Real points (..., 3) that pixels cover as seen from viewpoints, at depths in front of these; NaN for none."""
+    return _covered(eye, pixel, viewpoint, depth_m)[2]
+
+
+def _covered(
+    eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray
+) -> tuple[QueryResult, QueryResult, FloatArray]:
+    shown = eye.display.view_dir_of_pixel(pixel, viewpoint)
+    seen = eye.see_through.real_ray_of_view_dir(shown.value, viewpoint)
+    return shown, seen, rays.split(rays.at_z(seen.value, viewpoint[..., 2] - depth_m))[0]
 
 
 def disparity_covariance(
@@ -82,7 +105,7 @@ def disparity_covariance(
 
     The models of both eyes are independent, and so are noise and bias of their eye trackers. Errors of the head's
     pose are common to both eyes, and cancel but for what the eyes see differently. Eyes turn together: latency is
-    common, too.
+    common, too. An error of the tracking camera's stated pose moves both eyes alike, and is left out.
 
     Args:
         eyes: left and right.
@@ -110,7 +133,7 @@ def disparity_covariance(
     common = {
         name: _spread(by - of_left[name][0], variance) for name, (by, variance) in right.common_motions(sizes).items()
     }
-    names = dict.fromkeys([*apart[0], *apart[1]])
+    names = dict.fromkeys(name for each in apart for name in each if name != TRACKING_CAMERA)
     summed = {name: np.asarray(sum(each[name] for each in apart if name in each)) for name in names}
     return summed | common
 

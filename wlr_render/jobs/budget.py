@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from wlr_render.budget.errors import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
-from wlr_render.budget.registration import disparity_covariance, registration_covariance
+from wlr_render.budget.registration import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
@@ -84,6 +84,14 @@ class BudgetOptions(Options):
     ] = 0.004
     whole_pixels: Annotated[
         bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True)
+    ] = False
+    camera_frame: Annotated[
+        bool,
+        described(
+            "Head poses and pupils come in the frame of the tracking camera of the calibration, with its stated pose: "
+            "an error of that pose then cancels.",
+            flag=True,
+        ),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/budget")
 
@@ -162,7 +170,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
         with naming(Path(options.headset)):
             grid = choose_warp_grid(mappings, np.eye(3))
             sizes.append(options.sizes(grid.bound_arcmin, truncation))
-            found.append(eye_budget(mappings, options.depth_m, sizes[-1]))
+            found.append(eye_budget(mappings, options.depth_m, sizes[-1], options.camera_frame))
         eyes.append(mappings)
     folder = output_folder(options.out)
     blocks: list[Block] = []
@@ -192,8 +200,14 @@ def _opened(headset: str, eye: str) -> tuple[EyeMappings, Truncation]:
     return model.mappings, Truncation.from_report(model.report)
 
 
-def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes) -> EyeBudget:
+def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes, in_camera_frame: bool = False) -> EyeBudget:
     """Budget of an eye over its eye box and nominal field, or panel if it states no field.
+
+    Args:
+        eye: both mappings.
+        depth_m: of the real points.
+        sizes: of all errors but those of the models.
+        in_camera_frame: see `RegistrationCovariance.in_camera_frame`.
 
     Raises:
         BadInputError: a model without covariance, or an eye that sees no pixel.
@@ -202,6 +216,7 @@ def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes) -> EyeBudget
     pixel = panel.grid(_COLUMNS, max(4, round(_COLUMNS * panel.height_px / panel.width_px)))
     viewpoint = volumetric(eye.eye_box, _VIEWPOINTS)[:, None, None]
     found = registration_covariance(eye, pixel, viewpoint, depth_m, sizes)
+    found = found.in_camera_frame() if in_camera_frame else found
     known = found.is_inside & np.isfinite(found.total).all(axis=(-2, -1))
     if eye.field is not None:
         known &= eye.field.contains(found.view_dir)
@@ -293,6 +308,8 @@ _HOW = {
     "head tracker: noise": "the noise of the head tracker",
     "head tracker: latency": "the latency that prediction and late warp of the head's pose leave",
     "drawing: whole pixels": "the drawing, by a filter",
+    TRACKING_CAMERA: "the stated pose of the tracking camera (or let head poses and pupils be measured by that camera: "
+    "--camera-frame)",
     "model: truncation": "what the models cannot follow (more camera positions, higher degrees)",
     "model: noise and stage": "noise and stage of the calibration (more camera positions)",
 }
