@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from wlr_render import files
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import Float32Array
+from wlr_render.processes import usable_cores
 from wlr_render.rendering.gl_programs import shader_source
 from wlr_render.rendering.gl_raster import NEAR_M
 from wlr_render.rendering.gpu_image import shader_intrinsics
 from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
-from wlr_render.rendering.thread_pool import worker_count
 from wlr_render.rendering.view import View
 
 _VERTEX = """
@@ -80,8 +80,8 @@ def raw_embree(scene: Scene, origin: Float32Array, direction: Float32Array) -> C
     for instance in scene.instances:
         mesh = scene.mesh_of(instance)
         TriangleMesh(embree, world_positions(mesh, instance).astype(np.float32), mesh.triangles.astype(np.int32))
-    pool = ThreadPoolExecutor(worker_count())
-    shares = np.array_split(np.arange(len(direction)), worker_count())
+    pool = ThreadPoolExecutor(usable_cores())
+    shares = np.array_split(np.arange(len(direction)), usable_cores())
     blocks = [slice(share[0], share[-1] + 1) for share in shares]
     embree.run(origin[:1], direction[:1])
 

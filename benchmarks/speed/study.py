@@ -20,9 +20,9 @@ from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.files import output_folder
 from wlr_render.jobs.options import Backend, Options, ProgressArgument, described
 from wlr_render.mappings import Panel
+from wlr_render.processes import usable_cores
 from wlr_render.progress import SILENT
 from wlr_render.rendering import gl
-from wlr_render.rendering.thread_pool import worker_count
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.save import save_report
 
@@ -129,7 +129,7 @@ def _load() -> str:
 
 def _machine(renderer: Renderer | None) -> tuple[str, str]:
     return (
-        f"{renderer.name if renderer else 'no OpenGL'}; {worker_count()} processors, {platform.machine()}, Python "
+        f"{renderer.name if renderer else 'no OpenGL'}; {usable_cores()} processors, {platform.machine()}, Python "
         f"{platform.python_version()}.",
         "Times are medians of runs that take turns in one process; ratios are medians over the turns, with their "
         f"standard errors. The machine's load when the run began: {_load()}.",

@@ -3,7 +3,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import sampling
-from wlr_render.rendering.sampling import nearest, remap
+from wlr_render.rendering.sampling import remap
 
 RNG = np.random.default_rng(11)
 
@@ -39,10 +39,9 @@ def test_the_identity_changes_no_bit(channels, kind):
     assert inside.all()
 
 
-@pytest.mark.parametrize("sample", [remap, nearest])
-def test_one_pixel_to_the_right_and_two_down(sample):
+def test_one_pixel_to_the_right_and_two_down():
     image = image_of(9, 11, 3, np.float32)
-    sampled, inside = sample(image, centres(9, 11) + [1, 2], background=-1)
+    sampled, inside = remap(image, centres(9, 11) + [1, 2], background=-1)
     np.testing.assert_array_equal(sampled[:-2, :-1], image[2:, 1:])
     assert inside[:-2, :-1].all()
     assert not inside[-2:].any()
@@ -61,21 +60,12 @@ def test_bilinear_is_the_plain_one(kind, tolerance, channels):
     assert inside.all()
 
 
-@pytest.mark.parametrize("sample", [remap, nearest])
-def test_the_border_is_the_outer_edge_of_the_outermost_pixels(sample):
+def test_the_border_is_the_outer_edge_of_the_outermost_pixels():
     image = np.array([[1, 2], [3, 4]], np.float32)
     position = np.array([[0, 0], [2, 2], [2, 0], [-1e-3, 1], [1, 2.001], [np.nan, 1], [1, np.nan]])
-    sampled, inside = sample(image, position, background=np.nan)
+    sampled, inside = remap(image, position, background=np.nan)
     np.testing.assert_array_equal(sampled, [1, 4, 2, np.nan, np.nan, np.nan, np.nan])
     np.testing.assert_array_equal(inside, [True, True, True, False, False, False, False])
-
-
-def test_nearest_takes_the_pixel_that_holds_the_position_in_any_type():
-    ids = np.arange(12, dtype=np.int64).reshape(3, 4) * 10**12
-    position = np.array([[0.99, 0.0], [1.0, 0.0], [3.4, 2.9]])
-    np.testing.assert_array_equal(nearest(ids, position, -1)[0], ids[[0, 0, 2], [0, 1, 3]])
-    pairs = np.stack([ids, -ids], axis=-1)
-    np.testing.assert_array_equal(nearest(pairs, position[2], -1)[0], pairs[2, 3])
 
 
 def test_a_background_per_channel():
@@ -84,14 +74,13 @@ def test_a_background_per_channel():
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,), (5000,)])
-@pytest.mark.parametrize("sample", [remap, nearest])
-def test_any_leading_shape(sample, shape):
+def test_any_leading_shape(shape):
     image = image_of(6, 7, 3, np.float32)
     position = RNG.uniform(0, 6, (*shape, 2))
-    sampled, inside = sample(image, position, 0)
+    sampled, inside = remap(image, position, 0)
     assert sampled.shape == (*shape, 3)
     assert inside.shape == shape
-    one_by_one = [sample(image, place, 0)[0] for place in position.reshape(-1, 2)[:20]]
+    one_by_one = [remap(image, place, 0)[0] for place in position.reshape(-1, 2)[:20]]
     np.testing.assert_array_equal(sampled.reshape(-1, 3)[:20], np.reshape(one_by_one, (-1, 3)))
 
 

@@ -3,7 +3,8 @@ import threading
 
 import pytest
 
-from wlr_render.rendering.thread_pool import for_blocks, worker_count
+from wlr_render.processes import usable_cores
+from wlr_render.rendering.thread_pool import for_blocks
 
 
 @pytest.mark.parametrize(("total", "block"), [(0, 4), (3, 4), (4, 4), (10, 4), (7, 1)])
@@ -26,7 +27,7 @@ def test_parallel_work_may_call_parallel_work():
             seen.append(part.start)
 
     # More outer blocks than workers: a shared queue would wait for itself.
-    outer = 4 * worker_count()
+    outer = 4 * usable_cores()
     for_blocks(lambda _: for_blocks(inner, 3, 1), outer, 1)
     assert sorted(seen) == sorted([0, 1, 2] * outer)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,41 +10,11 @@ from numpy.typing import NDArray
 from wlr_render.compositing.checks import checked_eye
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_map import RayMap, RayMapSolver, SolvedT
+from wlr_render.rendering.ray_map import RayMapSolver, SolvedT
 from wlr_render.rendering.readback import Readback
-from wlr_render.rendering.warp import WarpedImage
 
-
-class ComposedEye(Protocol):
-    """One eye's picture."""
-
-    @property
-    def texture(self) -> Any:
-        """The ModernGL texture with its top row first; None if it went into a framebuffer of the caller's."""
-
-    def read_async(self) -> Readback:
-        """Start to fetch the colour."""
-
-    def read_into(self, target: Any) -> None:
-        """Copy the colour as RGBA into an array, or into a buffer on the GPU."""
-
-    def read_colour(self) -> NDArray[Any]:
-        """Fetch the colour alone, (height, width, 3)."""
-
-    def read_status(self) -> NDArray[np.uint8]:
-        """Fetch (height, width) uint8, one `WarpStatus` each."""
-
-    def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
-        """Fetch the pull map of a channel, green's if None; None if it was composed without."""
-
-    def read(self) -> WarpedImage:
-        """Fetch colour and status, and the pull map if it was composed with one."""
-
-    def unsolved(self) -> dict[str, int]:
-        """Number of unsolved points of the ray maps by reason; empty if all are solved."""
-
-    def read_ray_maps(self) -> list[RayMap]:
-        """Fetch the ray maps of the picture at the points of the warp grid, one per channel."""
+if TYPE_CHECKING:
+    from wlr_render.compositing.gl_backend import GlComposed
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +26,7 @@ class ComposedFrame:
         check_readable: raises a `BadInputError` once an eye's picture is overwritten, or the compositor released.
     """
 
-    eyes: Mapping[str, ComposedEye]
+    eyes: "Mapping[str, GlComposed]"
     check_readable: Callable[[str], None]
 
     def read(self, eye: str | None = None) -> NDArray[Any]:
@@ -132,7 +102,7 @@ class ComposedFrame:
             self.check_readable(name)
         return {name: eye.unsolved() for name, eye in self.eyes.items()}
 
-    def _eye(self, eye: str | None) -> ComposedEye:
+    def _eye(self, eye: str | None) -> "GlComposed":
         if eye in ("left", "right") and eye not in self.eyes:
             raise BadInputError(
                 f"the {eye} eye was not composed in this frame, which has {', '.join(self.eyes)}; if the headset has "

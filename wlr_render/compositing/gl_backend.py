@@ -28,7 +28,6 @@ from wlr_render.rendering.readback import Readback, read_into
 from wlr_render.rendering.stored_picture import Rows, StoredColour, StoredDepth
 from wlr_render.rendering.target_framebuffers import TargetFramebuffers
 from wlr_render.rendering.view import View
-from wlr_render.rendering.warp import WarpedImage
 
 HostState = Literal["kept", "clean"]
 """Who keeps the OpenGL state of an adopted context, see `Compositor`."""
@@ -49,39 +48,35 @@ class GlComposed:
 
     @property
     def texture(self) -> gl.Texture | None:
-        """See `ComposedEye`."""
+        """The texture with its top row first; None if the picture went into a framebuffer of the caller's."""
         return self.warped.colour if self.warped else None
 
-    def read(self) -> WarpedImage:
-        """See `ComposedEye`."""
-        return self._own().read()
-
     def read_async(self) -> Readback:
-        """See `ComposedEye`."""
+        """Start to fetch the colour."""
         own = self._own()
         with own.context.drawing():
             return Readback(own.context, own.colour)
 
     def read_into(self, target: Any) -> None:
-        """See `ComposedEye`."""
+        """Copy the colour as RGBA into an array, or into a buffer on the GPU."""
         own = self._own()
         with own.context.drawing():
             read_into(own.context, own.colour, target)
 
     def read_colour(self) -> NDArray[Any]:
-        """See `ComposedEye`."""
+        """Fetch the colour alone, (height, width, 3)."""
         own = self._own()
         with own.context.drawing():
             return read_rgb(own.colour)
 
     def read_status(self) -> NDArray[np.uint8]:
-        """See `ComposedEye`."""
+        """Fetch (height, width) uint8, one `WarpStatus` each."""
         own = self._own()
         with own.context.drawing():
             return gl.read(own.status, np.uint8)
 
     def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
-        """See `ComposedEye`."""
+        """Fetch the pull map of a channel, green's if None; None if it was composed without."""
         own = self._own()
         chosen = len(self.ray_maps) // 2 if channel is None else channel
         if chosen not in range(len(self.ray_maps)):
@@ -93,11 +88,11 @@ class GlComposed:
             return gl.read(drawn.source, np.float32)
 
     def unsolved(self) -> dict[str, int]:
-        """See `ComposedEye`."""
+        """Number of unsolved points of the ray maps by reason; empty if all are solved."""
         return count_unsolved(each.read_status() for each in self.ray_maps)
 
     def read_ray_maps(self) -> list[RayMap]:
-        """See `ComposedEye`."""
+        """Fetch the ray maps at the points of the warp grid, one per channel."""
         return [each.read() for each in self.ray_maps]
 
     def _own(self) -> GpuWarped:

@@ -77,29 +77,6 @@ def remap(
     return sampled, inside
 
 
-def nearest(
-    image: NDArray[_Pixel], source_pixel: NDArray[np.floating], background: ArrayLike
-) -> tuple[NDArray[_Pixel], NDArray[np.bool_]]:
-    """The pixel that holds each position, for ids, positions and everything that must not be mixed.
-
-    Args:
-        image: (height, width) or (height, width, c) of any type.
-        source_pixel: (..., 2), centres at +0.5; NaN for nothing.
-        background: where there is nothing.
-
-    Returns:
-        Values (...) or (..., c), and where the position lies inside the image, (...).
-    """
-    inside = _inside(image, source_pixel)
-    corner = np.where(inside[..., None], source_pixel, 0).astype(np.intp)
-    column = np.minimum(corner[..., 0], image.shape[1] - 1)
-    row = np.minimum(corner[..., 1], image.shape[0] - 1)
-    value = np.asarray(image[row, column])
-    if not inside.all():
-        value[~inside] = background
-    return value, inside
-
-
 def _inside(image: NDArray[np.generic], source_pixel: NDArray[np.floating]) -> NDArray[np.bool_]:
     height, width = image.shape[:2]
     u, v = source_pixel[..., 0], source_pixel[..., 1]

@@ -6,14 +6,9 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from wlr_render.processes import usable_cores
+
 _thread = threading.local()
-
-
-def worker_count() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def for_blocks(work: Callable[[slice], None], total: int, block: int) -> None:
@@ -33,7 +28,7 @@ def for_blocks(work: Callable[[slice], None], total: int, block: int) -> None:
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(worker_count(), "wlr-render", initializer=_mark_worker)
+    return ThreadPoolExecutor(usable_cores(), "wlr-render", initializer=_mark_worker)
 
 
 def _mark_worker() -> None:

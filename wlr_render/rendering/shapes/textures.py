@@ -79,10 +79,10 @@ def marble() -> Texture:
     return encoded(mixed(hex_colour("e9e6df"), hex_colour("7c7f86"), 0.65 * vein) + cloud)
 
 
-def stripes(colours: tuple[str, ...], repeats: int = 1) -> Texture:
-    """Bands of sRGB colours "rrggbb" across u, `repeats` times around. Repeats."""
+def stripes(colours: tuple[str, ...]) -> Texture:
+    """Bands of sRGB colours "rrggbb" across u. Repeats."""
     u, _ = texel_grid(64, 1024)
-    index = np.floor(u * len(colours) * repeats).astype(int) % len(colours)
+    index = np.floor(u * len(colours)).astype(int)
     return encoded(np.stack([hex_colour(code) for code in colours])[index])
 
 
