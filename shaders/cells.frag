@@ -17,7 +17,8 @@ layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without 
 layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
 layout(location = 2) out vec4 mixed_bend_and_range;  // the range: see range_of_cell, `marked`
 
-const int NARROWINGS = 6;
+const int SEARCHES = 3, PARTS = 8;
+const float SHORT_PX = 4.0;  // paths of which parts would tell no more than the whole
 const float SLACK_PX = 6.0;  // reach of the depth's filter, and how far paths bulge within a cell
 
 vec4 path_at(int channel, ivec2 point)
@@ -115,18 +116,16 @@ vec2 range_of_cell(int channel, ivec2 point)
     if (low.x > high.x)
         return vec2(0.0);
     vec4 middle = 0.5 * (low + high), size = high - low;
-    vec2 within = range_around(middle.xy, 1e9);
-    for (int k = 0; k < NARROWINGS; ++k) {
-        float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
-        within = narrowed(middle.xy, middle.zw, within, width_px, size_px);
-        // Half of the path along which the image shows nothing so near, or so far, is not searched.
-        float half_way = 0.5 * (within.x + within.y);
-        float near = range_along(middle.xy, middle.zw, vec2(half_way, within.y), width_px, size_px).y;
-        within.y = min(within.y, max(half_way, near));
-        float far = range_along(middle.xy, middle.zw, vec2(within.x, half_way), width_px, size_px).x;
-        within.x = max(within.x, min(min(half_way, within.y), far));
-    }
     float px_per_inverse_depth = length(max(abs(low.zw), abs(high.zw)));
+    vec2 within = range_around(middle.xy, 1e9);
+    for (int k = 0; k < 2; ++k) {
+        float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
+        within = narrowed(middle.xy, middle.zw, within, width_px, size_px, true);
+    }
+    for (int k = 0; k < SEARCHES && px_per_inverse_depth * (within.y - within.x) > SHORT_PX; ++k) {
+        float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
+        within = searched(middle.xy, middle.zw, within, PARTS, width_px, size_px, true);
+    }
     bool direct = px_per_inverse_depth * (within.y - within.x) <= DIRECT_PX;
     return marked(direct ? within.yx : within, is_minified(corner));
 }

@@ -6,6 +6,9 @@
 // loop tested at its end for all neighbours at once, and may mix the last rounds: so the variables of the result (query,
 // last_crossing, converged) no longer change once a pixel has stopped searching.
 
+const float PART_PX = float(TILE) - 3.0;  // with its margin as long as the pyramid's finest texels
+const int MAX_PARTS = 24;
+
 float nearest_inverse_depth(vec2 pixel)
 {
     return texture(inverse_depth, pixel * per_texel).r;
@@ -26,9 +29,12 @@ float smooth_inverse_depth(vec2 pixel)
 int march(vec2 at_infinity, vec2 shift, out vec2 pixel)
 {
     float px_per_inverse_depth = length(shift);
-    vec2 within = narrowed(at_infinity, shift, range, 3.0, size_px);
-    // A second time, because bounds near a depth edge come from a longer path than is left.
-    within = narrowed(at_infinity, shift, within, 3.0, size_px);
+    float path_px = px_per_inverse_depth * (range.y - range.x);
+    int parts = path_px > PART_PX ? min(int(path_px / PART_PX) + 1, MAX_PARTS) : 0;
+    vec2 within = searched(at_infinity, shift, range, parts, 3.0, size_px, false);
+    // Twice, because bounds near a depth edge come from a longer path than is left.
+    within = narrowed(at_infinity, shift, within, 3.0, size_px, false);
+    within = narrowed(at_infinity, shift, within, 3.0, size_px, false);
     float step_count = clamp(ceil(px_per_inverse_depth * (within.y - within.x) / STEP_PX), 1.0, float(MAX_STEPS));
     float stride = (within.y - within.x) / step_count;
 

@@ -1,6 +1,6 @@
 // Bounds of the inverse depth along a path, from a pyramid of the image's smallest and largest ones.
 //
-// Needs TILE, the side in pixels of what a texel of the finest level covers.
+// Needs TILE, the side in pixels of what a texel of the finest level covers, and SURFACE_STEP.
 
 uniform sampler2D ranges;  // see range_pyramid.frag
 
@@ -17,17 +17,56 @@ vec2 range_around(vec2 middle, float side_px)
     return vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));
 }
 
+// The same from 4 x 4 texels of a finer level: more reads, and bounds from at most 2.7 times the square's side, not 4.
+vec2 range_closely_around(vec2 middle, float side_px)
+{
+    vec2 size = vec2(textureSize(ranges, 0));
+    float tiles_per_texel = exp2(clamp(ceil(log2(side_px / float(3 * TILE))), 0.0, log2(size.y) - 2.0));
+    vec2 corner = round(middle / (float(TILE) * tiles_per_texel));
+    corner = clamp(corner, vec2(2.0), vec2(size.y / tiles_per_texel - 2.0));
+    corner.x += 2.0 * size.y * (1.0 - 1.0 / tiles_per_texel);
+    vec2 seen = vec2(1e30, 0.0);
+    for (int k = 0; k < 4; ++k) {
+        vec2 place = (corner + vec2(k % 2, k / 2) * 2.0 - 1.0) / size;
+        vec4 low = textureGather(ranges, place, 0), high = textureGather(ranges, place, 1);
+        seen.x = min(seen.x, min(min(low.x, low.y), min(low.z, low.w)));
+        seen.y = max(seen.y, max(max(high.x, high.y), max(high.z, high.w)));
+    }
+    return seen;
+}
+
 // Bounds of what the image shows along the part `within` (near end y, far end x) of a path, or of a bundle of paths of
 // this width. A ray in front of everything at the near end, and behind it at the far end, still is at the new ends.
-vec2 range_along(vec2 at_infinity, vec2 shift, vec2 within, float width_px, vec2 size_px)
+vec2 range_along(vec2 at_infinity, vec2 shift, vec2 within, float width_px, vec2 size_px, bool closely)
 {
     vec2 middle = clamp(at_infinity + 0.5 * (within.x + within.y) * shift, vec2(0.0), size_px);
     float length_px = max(abs(shift.x), abs(shift.y)) * (within.y - within.x);
-    return range_around(middle, length_px + width_px);
+    return closely ? range_closely_around(middle, length_px + width_px) : range_around(middle, length_px + width_px);
 }
 
-vec2 narrowed(vec2 at_infinity, vec2 shift, vec2 within, float width_px, vec2 size_px)
+vec2 narrowed(vec2 at_infinity, vec2 shift, vec2 within, float width_px, vec2 size_px, bool closely)
 {
-    vec2 seen = range_along(at_infinity, shift, within, width_px, size_px);
+    vec2 seen = range_along(at_infinity, shift, within, width_px, size_px, closely);
     return vec2(max(within.x, seen.x), max(max(within.x, seen.x), min(within.y, seen.y)));
+}
+
+// `within` without what lies before the first and behind the last of its equal parts in which a ray may meet something:
+// in the others it is in front of all that the image shows there, or behind it. Nor is anything searched behind a part
+// in which all rays must meet one surface, because they are in front of it at the near end and behind it at the far end.
+vec2 searched(vec2 at_infinity, vec2 shift, vec2 within, int parts, float width_px, vec2 size_px, bool closely)
+{
+    vec2 found = within;
+    bool begun = false, ended = false;
+    for (int k = 0; k < parts; ++k) {
+        float near_end = mix(within.y, within.x, float(k) / float(parts));
+        float far_end = k + 1 == parts ? within.x : mix(within.y, within.x, float(k + 1) / float(parts));
+        vec2 seen = range_along(at_infinity, shift, vec2(far_end, near_end), width_px, size_px, closely);
+        bool may_meet = !ended && seen.y >= far_end && seen.x <= near_end;
+        found.y = may_meet && !begun ? min(near_end, seen.y) : found.y;
+        found.x = may_meet ? max(far_end, seen.x) : found.x;
+        begun = begun || may_meet;
+        bool one_surface = seen.y - seen.x <= SURFACE_STEP * seen.y;
+        ended = ended || may_meet && one_surface && seen.y <= near_end && seen.x >= far_end;
+    }
+    return vec2(min(found.x, found.y), found.y);
 }

@@ -103,7 +103,7 @@ class GlDepthRanges:
         if self._last is not None and self._last[0] is image:
             return self._last[1]
         width, height = (-(-side // TILE) for side in image.inverse_depth.size)
-        side = 1 << max(1, (max(width, height) - 1).bit_length())
+        side = 1 << max(2, (max(width, height) - 1).bit_length())
         tiles = self._targets.get("tiles", (width, height), (2, "f4"))
         pyramid = self._targets.get("pyramid", (2 * side, side), (2, "f4"))
         _draw(self._context, self._of_tiles, tiles, values=image.inverse_depth)
