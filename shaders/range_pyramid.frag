@@ -1,8 +1,9 @@
 #version 410
 // The pyramid of smallest and largest values that ranges.glsl reads, from those of the tiles.
 //
-// Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the target's height. Tiles beyond the image
-// repeat its last ones.
+// Levels lie side by side, with n, n / 2, ... 2 texels along each axis; n is the target's height. A place holds the bounds
+// of the four texels around its upper left corner, so that one read gets them. Tiles beyond the image repeat its last
+// ones.
 
 uniform sampler2D tiles;
 
@@ -20,7 +21,8 @@ void main()
     range = vec2(0.0);
     if (place.x >= side || place.y >= side)
         return;
-    ivec2 first = min(place * tiles_per_texel, size - 1), end = min(first + tiles_per_texel, size);
+    ivec2 first = clamp((place - 1) * tiles_per_texel, ivec2(0), size - 1);
+    ivec2 end = clamp((place + 1) * tiles_per_texel, first + 1, size);
     vec4 low = vec4(uintBitsToFloat(0x7f800000u)), high = vec4(0.0);
     for (int y = first.y; y < end.y; y += 2) {
         for (int x = first.x; x < end.x; x += 2) {

@@ -4,6 +4,13 @@
 
 uniform sampler2D ranges;  // see range_pyramid.frag
 
+// Bounds of the four texels of a level around one of its corners, counted from the image's upper left one.
+vec2 range_at(vec2 corner, float tiles_per_texel, vec2 size)
+{
+    float left = 2.0 * size.y * (1.0 - 1.0 / tiles_per_texel);
+    return texture(ranges, (corner + vec2(left + 0.5, 0.5)) / size).xy;
+}
+
 // Bounds within a square of this side around a position. The four texels around a corner of a level whose texels are no
 // smaller than the square cover it.
 vec2 range_around(vec2 middle, float side_px)
@@ -11,26 +18,20 @@ vec2 range_around(vec2 middle, float side_px)
     vec2 size = vec2(textureSize(ranges, 0));
     float tiles_per_texel = exp2(clamp(ceil(log2(side_px / float(TILE))), 0.0, log2(size.y) - 1.0));
     vec2 corner = round(middle / (float(TILE) * tiles_per_texel));
-    corner = clamp(corner, vec2(1.0), vec2(size.y / tiles_per_texel - 1.0));
-    vec2 place = (corner + vec2(2.0 * size.y * (1.0 - 1.0 / tiles_per_texel), 0.0)) / size;
-    vec4 low = textureGather(ranges, place, 0), high = textureGather(ranges, place, 1);
-    return vec2(min(min(low.x, low.y), min(low.z, low.w)), max(max(high.x, high.y), max(high.z, high.w)));
+    return range_at(clamp(corner, vec2(1.0), vec2(size.y / tiles_per_texel - 1.0)), tiles_per_texel, size);
 }
 
-// The same from 4 x 4 texels of a finer level: more reads, and bounds from at most 2.7 times the square's side, not 4.
+// The same from 4 x 4 texels of a finer level: bounds from at most 2.7 times the square's side, not 4.
 vec2 range_closely_around(vec2 middle, float side_px)
 {
     vec2 size = vec2(textureSize(ranges, 0));
     float tiles_per_texel = exp2(clamp(ceil(log2(side_px / float(3 * TILE))), 0.0, log2(size.y) - 2.0));
     vec2 corner = round(middle / (float(TILE) * tiles_per_texel));
     corner = clamp(corner, vec2(2.0), vec2(size.y / tiles_per_texel - 2.0));
-    corner.x += 2.0 * size.y * (1.0 - 1.0 / tiles_per_texel);
-    vec2 seen = vec2(1e30, 0.0);
-    for (int k = 0; k < 4; ++k) {
-        vec2 place = (corner + vec2(k % 2, k / 2) * 2.0 - 1.0) / size;
-        vec4 low = textureGather(ranges, place, 0), high = textureGather(ranges, place, 1);
-        seen.x = min(seen.x, min(min(low.x, low.y), min(low.z, low.w)));
-        seen.y = max(seen.y, max(max(high.x, high.y), max(high.z, high.w)));
+    vec2 seen = range_at(corner - 1.0, tiles_per_texel, size);
+    for (int k = 1; k < 4; ++k) {
+        vec2 one = range_at(corner + vec2(k % 2, k / 2) * 2.0 - 1.0, tiles_per_texel, size);
+        seen = vec2(min(seen.x, one.x), max(seen.y, one.y));
     }
     return seen;
 }
@@ -57,16 +58,16 @@ vec2 searched(vec2 at_infinity, vec2 shift, vec2 within, int parts, float width_
 {
     vec2 found = within;
     bool begun = false, ended = false;
-    for (int k = 0; k < parts; ++k) {
+    for (int k = 0; k < parts && !ended; ++k) {
         float near_end = mix(within.y, within.x, float(k) / float(parts));
         float far_end = k + 1 == parts ? within.x : mix(within.y, within.x, float(k + 1) / float(parts));
         vec2 seen = range_along(at_infinity, shift, vec2(far_end, near_end), width_px, size_px, closely);
-        bool may_meet = !ended && seen.y >= far_end && seen.x <= near_end;
+        bool may_meet = seen.y >= far_end && seen.x <= near_end;
         found.y = may_meet && !begun ? min(near_end, seen.y) : found.y;
         found.x = may_meet ? max(far_end, seen.x) : found.x;
         begun = begun || may_meet;
         bool one_surface = seen.y - seen.x <= SURFACE_STEP * seen.y;
-        ended = ended || may_meet && one_surface && seen.y <= near_end && seen.x >= far_end;
+        ended = may_meet && one_surface && seen.y <= near_end && seen.x >= far_end;
     }
     return vec2(min(found.x, found.y), found.y);
 }

@@ -1,0 +1,53 @@
+"""A large near object while the head moves: paths of many pixels, of which the GPU searches only parts."""
+
+import numpy as np
+import pytest
+from cpu_warp import warp_on_cpu
+from warping import uploaded, uploaded_field
+
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import Panel
+from wlr_render.rendering.gl_warp import GlWarp
+from wlr_render.rendering.view import GeometryImage
+from wlr_render.rendering.warp import WarpStatus
+from wlr_render.rendering.warp_grid import WarpGrid
+
+pytestmark = pytest.mark.gl
+
+WIDTH, HEIGHT = 400, 320
+CAMERA = Pinhole(WIDTH, HEIGHT, np.array([-0.5, -0.4]), np.array([0.5, 0.4]))
+
+
+@pytest.fixture
+def image():
+    """A hand at 0.1 m with a slit between its fingers, before thin poles at 0.3 and 0.5 m and a tilted wall."""
+    tangents = CAMERA.pixel_centre_tangents()
+    inverse_depth = 0.6 + 0.3 * tangents[..., 0] - 0.2 * tangents[..., 1]
+    for column, value in ((60, 2.0), (95, 3.3), (110, 2.0), (300, 3.3), (345, 2.0)):
+        inverse_depth[:, column : column + 2] = value
+    inverse_depth[90:230, 120:280] = 10.0
+    inverse_depth[90:180, 200:203] = 0.6
+    waves = np.stack([tangents @ np.array(k) for k in ([9, 4], [-5, 11], [12, -7])], axis=-1)
+    return GeometryImage(np.rint(127 + 120 * np.sin(waves)).astype(np.uint8), inverse_depth.astype(np.float32))
+
+
+@pytest.mark.parametrize("offset", [(0.02, 0.0), (-0.02, 0.0), (0.0, 0.015), (-0.014, 0.014)])
+@pytest.mark.parametrize("cells", [(9, 9), (21, 17)])
+def test_a_search_in_parts_finds_what_the_whole_path_shows(gl_context, image, offset, cells):
+    def rays(tangents):
+        shape = (*tangents.shape[:2], 2)
+        return np.moveaxis(np.concatenate([tangents, np.broadcast_to(offset, shape)], axis=-1), -1, 0)
+
+    grid = WarpGrid.edge_to_edge(Panel(WIDTH, HEIGHT), *cells)
+    field = uploaded_field(gl_context, rays(CAMERA.tangents_of_pixel(grid.panel_pixel())), grid)
+    picture = uploaded(gl_context, image, CAMERA)
+    found = GlWarp(gl_context).draw(picture, [field], np.eye(4), (WIDTH, HEIGHT), with_source=True).read()
+    expected = warp_on_cpu(image, CAMERA, [rays(CAMERA.pixel_centre_tangents()).astype(np.float32)])
+    hidden = expected.status == WarpStatus.DISOCCLUDED
+    assert hidden.sum() > 5000
+    assert (found.status == expected.status)[hidden].mean() > 0.98
+    assert (found.status == expected.status).mean() > 0.995
+    seen = (found.status == WarpStatus.SEEN) & (expected.status == WarpStatus.SEEN)
+    close = np.abs(found.source - expected.source)[seen].max(axis=-1) < 0.05
+    print(f"hidden {hidden.sum()}, other status {(found.status != expected.status).sum()}, farther {(~close).sum()}")
+    assert close.mean() > 0.998
