@@ -1,6 +1,7 @@
 #version 410
 #include "conventions.glsl"
 #include "ranges.glsl"
+#include "insets.glsl"
 // For each point of a warp grid: where its ray appears in the image, the second differences of that, and the bounds of
 // the inverse depth for the cell of which it is the upper left corner. Channels lie one below the other.
 
@@ -12,6 +13,11 @@ uniform vec4 camera_matrix[3];  // from the rays
 #endif
 uniform vec2 size_px;  // of the image
 uniform vec2 display_px_per_cell;
+#if HAS_INSET
+uniform sampler2D inset_paths;  // of the next sharper picture
+uniform sampler2D inset_ranges;
+uniform vec2 inset_size_px;
+#endif
 
 layout(location = 0) out vec4 path;  // at infinity, shift; x = MISSING without a ray
 layout(location = 1) out vec4 bend;  // second differences along the rows and along the columns
@@ -118,6 +124,12 @@ vec2 range_of_cell(int channel, ivec2 point)
     vec4 middle = 0.5 * (low + high), size = high - low;
     float px_per_inverse_depth = length(max(abs(low.zw), abs(high.zw)));
     vec2 within = range_around(middle.xy, 1e9);
+#if INSET
+    // A cell that shows nothing of the inset.
+    vec2 reach = within.y * max(abs(low.zw), abs(high.zw)) + SLACK_PX;
+    if (any(lessThan(high.xy + reach, vec2(0.0))) || any(greaterThan(low.xy - reach, size_px)))
+        return vec2(MISSING);
+#endif
     for (int k = 0; k < 2; ++k) {
         float width_px = max(size.x, size.y) + within.y * max(size.z, size.w) + SLACK_PX;
         within = narrowed(middle.xy, middle.zw, within, width_px, size_px, true);
@@ -140,4 +152,9 @@ void main()
     vec2 mixed = mixed_difference(channel, point);
     bool has_cell = all(lessThan(point, last));
     mixed_bend_and_range = vec4(mixed, has_cell ? range_of_cell(channel, point) : vec2(0.0));
+#if HAS_INSET
+    // All that the cell may show lies inside the next sharper picture, which is drawn over this one.
+    if (is_filled(inset_paths, inset_ranges, point, inset_size_px))
+        mixed_bend_and_range.zw = vec2(COVERED);
+#endif
 }

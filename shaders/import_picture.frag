@@ -11,6 +11,13 @@ uniform bool bottom_first;
 uniform bool in_metres;
 uniform vec2 inverse_depth_of_0_and_1;  // where not in metres
 uniform vec2 limits;                    // of the stored depth of a surface; NaN lies outside them
+#if INSET
+uniform sampler2D wider;  // the picture around the inset; gives linear light
+uniform sampler2D wider_inverse_depth;
+uniform vec4 wider_from_inset;  // scale and offset of pixels
+uniform float border_px;
+uniform bool shares_depth;
+#endif
 
 const float LARGEST = 65504.0;  // half float; an infinite texel would spoil all samples around it
 
@@ -41,4 +48,11 @@ void main()
     inverse_depth = !surface   ? 0.0
                     : in_metres ? 1.0 / stored
                                 : inverse_depth_of_depth_buffer(stored, inverse_depth_of_0_and_1);
+#if INSET
+    // Both pictures are drawn from one place, so that the same is seen in one direction, whatever its depth.
+    vec2 place = (gl_FragCoord.xy * wider_from_inset.xy + wider_from_inset.zw) / vec2(textureSize(wider, 0));
+    vec2 to_edge = min(gl_FragCoord.xy, vec2(size) - gl_FragCoord.xy) - 0.5;
+    colour = mix(texture(wider, place), colour, smoothstep(0.0, border_px, min(to_edge.x, to_edge.y)));
+    inverse_depth = shares_depth ? texture(wider_inverse_depth, place).r : inverse_depth;
+#endif
 }

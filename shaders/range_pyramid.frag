@@ -6,13 +6,14 @@
 // ones.
 
 uniform sampler2D tiles;
+uniform int target_height;
 
 layout(location = 0) out vec2 range;
 
 void main()
 {
     ivec2 place = ivec2(gl_FragCoord.xy), size = textureSize(tiles, 0);
-    int side = SIDE, tiles_per_texel = 1;
+    int side = target_height, tiles_per_texel = 1;
     while (place.x >= side && side > 2) {
         place.x -= side;
         side /= 2;

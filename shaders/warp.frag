@@ -18,9 +18,13 @@ uniform sampler2D uniformity;  // factors of the light
 in vec2 panel_place;
 #endif
 
-#if OVERLAY
-uniform sampler2D overlay;
-uniform vec3 overlay_place[3];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
+#if OVERLAYS
+uniform sampler2D overlays[OVERLAYS];
+uniform vec3 overlay_place[3 * OVERLAYS];  // rows that take a pixel of the image to the place on a quad, times its inverse depth
+#endif
+#if INSET
+uniform vec4 widest_from_inset;  // scale and offset of pixels
+flat in float filled;
 #endif
 
 in vec2 grid_place;
@@ -72,16 +76,17 @@ vec4 filtered_light(vec2 pixel, vec2 across, vec2 down)
 #endif
 }
 
-#if OVERLAY
-// Premultiplied light where the ray meets the overlay's quad, with smooth edges; 0 beside it and behind the viewer.
-vec4 overlay_light(vec2 at_infinity, vec2 shift)
+#if OVERLAYS
+// Premultiplied light where the ray meets an overlay's quad, with smooth edges; 0 beside it and behind the viewer.
+vec4 overlay_light(int k, vec2 at_infinity, vec2 shift)
 {
+    vec3 row_x = overlay_place[3 * k], row_y = overlay_place[3 * k + 1], row_w = overlay_place[3 * k + 2];
     // The plane's inverse depth is linear in the pixel, and the pixel in the inverse depth.
-    float inverse = dot(overlay_place[2], vec3(at_infinity, 1.0)) / (1.0 - dot(overlay_place[2].xy, shift));
+    float inverse = dot(row_w, vec3(at_infinity, 1.0)) / (1.0 - dot(row_w.xy, shift));
     vec3 pixel = vec3(at_infinity + inverse * shift, 1.0);
-    vec2 place = vec2(dot(overlay_place[0], pixel), dot(overlay_place[1], pixel)) / dot(overlay_place[2], pixel);
+    vec2 place = vec2(dot(row_x, pixel), dot(row_y, pixel)) / dot(row_w, pixel);
     vec2 covered = clamp(min(place, 1.0 - place) / fwidth(place) + 0.5, 0.0, 1.0);
-    vec4 sampled = texture(overlay, place);
+    vec4 sampled = texture(overlays[k], place);
     return inverse > 0.0 ? covered.x * covered.y * sampled : vec4(0.0);
 }
 #endif
@@ -119,22 +124,33 @@ void main()
         pixel = at_infinity + texture(inverse_depth, nearby * per_texel).r * shift;
         int status = SEEN;
 #endif
-        bool inside = all(greaterThanEqual(pixel, vec2(0.0))) && all(lessThanEqual(pixel, size_px));
+        bool inside = all(greaterThanEqual(pixel, vec2(0.5 * INSET))) && all(lessThanEqual(pixel, size_px - 0.5 * INSET));
+#if INSET
+        inside = inside || filled == 1.0;  // never a hole, whatever the depths
+#endif
         status = lost ? NO_RAY : (inside ? status : OUTSIDE);
         bool found = status <= DISOCCLUDED;
 
         vec4 sampled = filtered_light(pixel, dFdx(path[channel].xy), dFdy(path[channel].xy));
         vec3 share = CHANNELS == 1 ? vec3(1.0) : vec3(equal(ivec3(0, 1, 2), ivec3(channel)));
         vec4 seen = found ? vec4(sampled.rgb, max(sampled.a, opaque)) : vec4(background, opaque);
-#if OVERLAY
-        vec4 over = overlay_light(at_infinity, shift);
-        seen = lost ? seen : over + (1.0 - over.a) * seen;
+#if OVERLAYS
+        for (int k = 0; k < OVERLAYS; ++k) {
+            vec4 over = overlay_light(k, at_infinity, shift);
+            seen = lost ? seen : over + (1.0 - over.a) * seen;
+        }
 #endif
         light += share * seen.rgb;
         alpha = channel == CHANNELS / 2 ? seen.a : alpha;
         worst = max(worst, status);
         seen_at = channel == CHANNELS / 2 ? (found ? pixel : vec2(NOWHERE)) : seen_at;
     }
+#if INSET
+    // The wider picture is drawn there already.
+    if (worst > DISOCCLUDED)
+        discard;
+    seen_at = seen_at * widest_from_inset.xy + widest_from_inset.zw;
+#endif
 #if UNIFORMITY
     light *= texture(uniformity, panel_place).rgb;
 #endif

@@ -6,6 +6,11 @@ uniform sampler2D paths;  // see cells.frag
 uniform sampler2D bends;
 uniform sampler2D mixed_bends_and_ranges;
 uniform bool top_row_first;
+#if INSET
+#include "insets.glsl"
+uniform sampler2D picture;
+flat out float filled;  // 1 if the wider picture is not drawn here
+#endif
 
 out vec2 grid_place;
 #if UNIFORMITY
@@ -27,7 +32,7 @@ void main()
     ivec2 upper_left = ivec2(index % (points.x - 1), index / (points.x - 1));
     ivec2 point = upper_left + CORNERS[gl_VertexID % 6];
     range = vec2(MISSING, 0.0);
-    bool direct = true, minified = false;
+    bool direct = true, minified = false, skipped = false;
     for (int channel = 0; channel < CHANNELS; ++channel) {
         ivec2 texel = point + ivec2(0, channel * points.y);
         path[channel] = texelFetch(paths, texel, 0);
@@ -39,17 +44,21 @@ void main()
         bend[channel] = texelFetch(bends, texel, 0);
         mixed_bend[channel] = texelFetch(mixed_bends_and_ranges, texel, 0).xy;
         vec2 of_cell = texelFetch(mixed_bends_and_ranges, upper_left + ivec2(0, channel * points.y), 0).zw;
+        skipped = skipped || of_cell.x > 0.5 * MISSING;
         minified = minified || of_cell.x < 0.0;
         of_cell = of_cell.x < 0.0 ? -1.0 - of_cell : of_cell;
         direct = direct && of_cell.x >= of_cell.y;
         range = vec2(min(range.x, min(of_cell.x, of_cell.y)), max(range.y, max(of_cell.x, of_cell.y)));
     }
+#if INSET
+    filled = is_filled(paths, mixed_bends_and_ranges, upper_left, vec2(textureSize(picture, 0))) ? 1.0 : 0.0;
+#endif
     cell = vec2(upper_left);
     grid_place = vec2(point);
 #if UNIFORMITY
     panel_place = vec2(point) / vec2(points - 1);
 #endif
     vec2 place = 2.0 * vec2(point) / vec2(points - 1) - 1.0;
-    bool mine = direct == (MARCH == 0) && (minified == (SAMPLES_PER_AXIS > 1) || FILTERS == 0);
+    bool mine = !skipped && direct == (MARCH == 0) && (minified == (SAMPLES_PER_AXIS > 1) || FILTERS == 0);
     gl_Position = mine ? vec4(place.x, top_row_first ? place.y : -place.y, 0.0, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 }

@@ -195,6 +195,9 @@ def test_prepared_compositors_compile_nothing_later(compositor, monkeypatch, cha
     for into in (None, target):
         for last in (None, MOVED):
             made.compose(into, pose_at_last_row=last)
+    made.submit_overlay(np.zeros((4, 4, 4), np.uint8), device_from_quad=at(0, 0, -1))
+    for into in (None, target):
+        made.compose(into)
     assert not compiled
     made.compose(with_source=True)
     assert compiled

@@ -7,6 +7,7 @@ from gl_scenes import at
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.rendering.framebuffers import TextureLayer
 from wlr_render.rendering.panel_light import PanelLight
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.stored_picture import Rows, StoredColour
@@ -87,6 +88,48 @@ def test_light_is_added_over_what_alpha_lets_through(compositor, flat_image_head
     np.testing.assert_allclose(shown, np.broadcast_to([0.5029 + rest, rest, 1 + rest, 1], shown.shape), atol=2e-3)
 
 
+def test_overlays_are_composited_in_the_order_of_their_layers(compositor, flat_image_headset):
+    made = compositor(flat_image_headset, panel=FLOATS)
+    behind(made, flat_image_headset, 0.4)
+    colours = np.array([[0.2, 0.0, 0.1, 0.3], [0.0, 0.3, 0.1, 0.6], [0.1, 0.1, 0.0, 0.25], [0.05, 0.0, 0.2, 0.5]])
+    expected, quad = np.array([0.4, 0.4, 0.4, 1.0]), {"device_from_quad": at(0, 0, -1), "stored_colour": LINEAR}
+
+    def shown():
+        pixels = np.empty((*SMALL[::-1], 4), np.float16)
+        made.compose().read_into(pixels)
+        return pixels[INSIDE].astype(np.float64)
+
+    for layer in (2, 0, 3, 1):
+        made.submit_overlay(np.full((9, 9, 4), colours[layer], np.float32), (5.0, 5.0), layer=layer, **quad)
+    for colour in colours:
+        expected = colour + (1 - colour[3]) * expected
+    np.testing.assert_allclose(shown(), np.broadcast_to(expected, shown().shape), atol=1e-3)
+    made.submit_overlay(None, layer=3)
+    made.submit_overlay(None, layer=1)
+    expected = np.array([0.4, 0.4, 0.4, 1.0])
+    for colour in colours[[0, 2]]:
+        expected = colour + (1 - colour[3]) * expected
+    np.testing.assert_allclose(shown(), np.broadcast_to(expected, shown().shape), atol=1e-3)
+
+
+def test_layers_lie_at_their_own_places(compositor, flat_image_headset):
+    model = flat_image_headset
+    made = compositor(model, panel=FLOATS)
+    behind(made, model)
+    other = at(-0.03, 0.01, -0.6, transforms.rotation_about("y", -0.3))
+    alone = []
+    for layer, quad in ((0, QUAD), (2, other)):
+        made.submit_overlay(places(), SIZE_M, device_from_quad=quad, stored_colour=LINEAR, layer=layer)
+        alone.append(made.compose(pose=LATER).read().astype(np.float64))
+        made.submit_overlay(None, layer=layer)
+    for layer, quad in ((0, QUAD), (2, other)):
+        made.submit_overlay(places(), SIZE_M, device_from_quad=quad, stored_colour=LINEAR, layer=layer)
+    both = made.compose(pose=LATER).read().astype(np.float64)
+    covers = alone[1][..., 2:]  # its blue is its alpha
+    assert 0.05 < covers.mean() < 0.9
+    np.testing.assert_allclose(both, alone[1] + (1 - covers) * alone[0], atol=2e-3)
+
+
 def test_fine_stripes_keep_their_light(compositor, flat_image_headset):
     made = compositor(flat_image_headset, panel=FLOATS)
     stripes = np.ones((512, 4096, 4), np.float32)
@@ -105,6 +148,14 @@ def test_textures_arrays_and_rows(compositor, flat_image_headset):
     for given, rows in ((texture, None), (np.ascontiguousarray(places()[::-1]), Rows.BOTTOM_FIRST)):
         made.submit_overlay(given, SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR, rows=rows)
         np.testing.assert_array_equal(made.compose().read(), expected)
+    with made.context.drawing() as ctx:
+        ours = ctx.texture_array((300, 200, 2), 4, np.stack([np.ones_like(places()), places()[::-1]]), dtype="f4")
+    for given in (texture.glo, TextureLayer(ours, 1), TextureLayer(ours.glo, 1), TextureLayer(texture)):
+        made.submit_overlay(given, SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
+        # Copied floats are half floats.
+        np.testing.assert_allclose(made.compose().read().astype(float), expected.astype(float), atol=2**-10)
+    made.submit_overlay(ours, SIZE_M, device_from_quad=QUAD, stored_colour=LINEAR)
+    assert made.compose().read()[..., 0].max() == 1
     made.submit_overlay(None)
     assert not made.compose().read().any()
 
@@ -132,6 +183,13 @@ def test_a_quad_that_is_seen_from_behind_is_not_shown(compositor, flat_image_hea
         (np.zeros((0, 4, 4), np.uint8), {"world_from_quad": HEAD}, r"shape \(0, 4, 4\)"),
         (np.zeros((4, 4, 4)), {"world_from_quad": HEAD}, "float64"),
         ("menu.png", {"world_from_quad": HEAD}, "cannot be taken from a str"),
+        (
+            np.zeros((4, 4, 4), np.uint8),
+            {"world_from_quad": HEAD, "layer": 4},
+            "layer is 4; give a whole number from 0 to 3",
+        ),
+        (np.zeros((4, 4, 4), np.uint8), {"world_from_quad": HEAD, "layer": "top"}, "give a whole number from 0 to 3"),
+        (99999, {"world_from_quad": HEAD}, "Number 99999 is not a texture of this context"),
     ],
 )
 def test_overlays_that_cannot_be_are_refused_and_the_last_stays(compositor, flat_image_headset, picture, given, words):

@@ -161,7 +161,7 @@ def test_floats_keep_more_than_bytes(gl_context, take):
     light = np.full((HEIGHT, WIDTH, 4), 0.50098, np.float16)
     with gl_context.drawing() as ctx:
         colour, depth = ctx.texture(SIZE, 4, light, dtype="f2"), ctx.texture(SIZE, 1, DEPTHS, dtype="f4")
-        copied, _ = vars(take)["_copy"].copy_layers(TextureLayer(colour), TextureLayer(depth), SIZE, INVERSE)
+        copied, _ = vars(take)["_copy"].copy_layers([TextureLayer(colour), TextureLayer(depth)], SIZE, INVERSE)
         np.testing.assert_array_equal(gl.read(copied, np.float16), light)
 
 

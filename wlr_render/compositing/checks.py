@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS, shown
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray, finite_array
@@ -183,6 +184,42 @@ def checked_size(size_px: Sequence[int]) -> tuple[int, int]:
     if (size < 1).any() or (size != size.round()).any() or size.prod() > LIMITS.picture_pixels:
         raise BadInputError(f"the size is {shown(size_px)}; give {wanted}.")
     return int(size[0]), int(size[1])
+
+
+def checked_fov(fov_rad: object) -> FloatArray:
+    """(4,) angles of the left, right, upper and lower border of a field.
+
+    Raises:
+        BadInputError: not four angles within a right angle, or no field between them.
+    """
+    wanted = "the angles (left, right, up, down) of its borders in radians, as EyeCamera.fov_rad"
+    angles = finite_array(fov_rad, (4,), "fov_rad", wanted)
+    if (np.abs(angles) >= 0.5 * np.pi).any() or angles[0] >= angles[1] or angles[3] >= angles[2]:
+        raise BadInputError(f"the fov_rad is {shown(fov_rad)}; give {wanted}, with left < right and down < up.")
+    return angles
+
+
+def check_inset_field(inset: Pinhole, wider: Pinhole) -> None:
+    """Check that an inset shows a part of a wider picture of the same camera frame, with more pixels.
+
+    Raises:
+        BadInputError: it reaches outside, or is no sharper.
+    """
+    slack = _ROUNDING * (wider.tangent_max - wider.tangent_min)
+    if (inset.tangent_min < wider.tangent_min - slack).any() or (inset.tangent_max > wider.tangent_max + slack).any():
+        fields = (
+            f"{np.round(each.tangent_min, 3).tolist()} to {np.round(each.tangent_max, 3).tolist()}"
+            for each in (inset, wider)
+        )
+        raise BadInputError(
+            "the inset's field has the tangents {}, and the picture around it {}; keep it within.".format(*fields)
+        )
+    if (inset.focal_px <= (1 + _ROUNDING) * wider.focal_px).any():
+        ours, theirs = (each.focal_px.round(1).tolist() for each in (inset, wider))
+        raise BadInputError(
+            f"the inset has {ours} pixels per unit tangent, and the picture around it {theirs}; give it more, and "
+            "submit each inset once."
+        )
 
 
 def check_camera_size(plan: EyePlan) -> None:

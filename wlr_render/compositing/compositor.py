@@ -17,6 +17,7 @@ import numpy as np
 
 from wlr_render.compositing.checks import (
     check_camera_size,
+    check_inset_field,
     check_stored,
     check_submitted,
     checked_background,
@@ -38,9 +39,12 @@ from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.compositing.frame_handle import HISTORY, FrameHandle, MotionPredictor, Scan, row_poses
 from wlr_render.compositing.gl_backend import GlBackend, HostState
 from wlr_render.errors import BadInputError, stacklevel_of_caller
+from wlr_render.input_files import shown
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.framebuffers import is_number
 from wlr_render.rendering.gl import GlContext
+from wlr_render.rendering.gl_warp import MAX_OVERLAYS
 from wlr_render.rendering.panel_light import SRGB_PANEL, PanelLight
 from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
 from wlr_render.rendering.stored_picture import CODES, METRES, PREMULTIPLIED, Rows, StoredColour, StoredDepth
@@ -191,8 +195,9 @@ class Compositor:
         rows: Rows | None = None,
         frame: FrameHandle | None = None,
         stored_colour: StoredColour = CODES,
+        inset: EyeCamera | None = None,
     ) -> None:
-        """Submit the picture of an eye, drawn with the camera that `begin_frame` returned.
+        """Submit the picture of an eye, drawn with the camera that `begin_frame` returned, or an inset of it.
 
         Args:
             color: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first; or
@@ -210,16 +215,24 @@ class Compositor:
             frame: the frame that it was drawn for; the newest if left out, which is right only while no frames overlap:
                 of pictures other than a `GpuImage` the pose cannot be checked.
             stored_colour: what the colours mean: sRGB codes of 8 bits if left out.
+            inset: the camera from `EyeCamera.inset` that drew it, for a sharper picture of a part of the field, shown
+                in place of the eye's picture there. Submit the eye's picture of the frame first, then its insets, each
+                within the last. An inset is copied, also a `GpuImage`; without a depth (arrays, textures) it has that
+                of the picture around it.
 
         Raises:
             BadInputError: no frame begun, or one that is older than the last three or than the eye's newest picture; an
                 eye submitted twice or without a camera in the frame; a picture of another size, kind or context; a
-                `GpuImage` of another pose; or metres in a depth format.
+                `GpuImage` of another pose; metres in a depth format; or an inset before the eye's picture, of another
+                pose, outside the picture before it, or no sharper.
         """
         handle, eye = self._handle(frame), checked_eye(eye, self.eyes)
         check_stored(stored, stored_colour, rows)
         if eye not in handle:
             raise BadInputError(f"the {eye} eye has no camera in this frame; name its viewpoint in begin_frame.")
+        if inset is not None:
+            self._submit_inset(inset, handle, eye, color, depth, stored, rows, stored_colour)
+            return
         if eye in handle.submitted:
             raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
         last = self._newest.get(eye)
@@ -240,21 +253,46 @@ class Compositor:
         handle.submitted.add(eye)
         self._newest[eye] = _Submitted(handle, not_copied)
 
+    def _submit_inset(
+        self,
+        inset: EyeCamera,
+        handle: FrameHandle,
+        eye: str,
+        *picture: Any,
+    ) -> None:
+        newest = self._newest.get(eye)
+        if newest is None or newest.handle is not handle:
+            raise BadInputError(f"the {eye} eye does not show this frame; submit its picture before its insets.")
+        if not isinstance(inset, EyeCamera):
+            raise BadInputError(f"inset is {shown(inset)}; give the camera from EyeCamera.inset that drew the picture.")
+        if inset.eye != eye or not np.array_equal(inset.world_from_camera, handle[eye].world_from_camera):
+            raise BadInputError(
+                f"the inset's camera is not of the {eye} eye in this frame; make it with `inset` of the camera that "
+                "begin_frame gave."
+            )
+        shows = self._backend.eyes[eye]
+        check_inset_field(inset.view.camera, shows.sharpest)
+        with self._backend.working():
+            shows.add_inset(inset.view, *picture)
+
     def submit_overlay(
         self,
         picture: Any,
         size_m: tuple[float, float] = (1.0, 1.0),
         *,
+        layer: int = 0,
         world_from_quad: FloatArray | None = None,
         device_from_quad: FloatArray | None = None,
         eyes: Sequence[str] | None = None,
         stored_colour: StoredColour = PREMULTIPLIED,
         rows: Rows | None = None,
     ) -> None:
-        """Show a flat picture over all else, from the next `compose` on, until another or None is submitted.
+        """Show a flat picture over all else, from the next `compose` on, until its layer gets another or None.
 
         Args:
-            picture: an array (height, width, 3 or 4), or a ModernGL texture, which is copied; None to remove it.
+            picture: an array (height, width, 3 or 4), or a texture (ModernGL's, its OpenGL name, or a
+                `framebuffers.TextureLayer`), which is copied; None to remove the layer.
+            layer: 0 to 3; higher layers are composited over lower ones, whatever their distance.
             size_m: (width, height) of the quad.
             world_from_quad: (4, 4) pose of its middle in the world: x right, y up, seen from +z.
             device_from_quad: or in the device frame, for one that moves with the head.
@@ -268,9 +306,11 @@ class Compositor:
         chosen = checked_eyes(eyes, self.eyes)
         quad = None if picture is None else checked_quad(size_m, world_from_quad, device_from_quad)
         check_stored(METRES, stored_colour, rows)
+        if not is_number(layer) or not 0 <= layer < MAX_OVERLAYS:
+            raise BadInputError(f"layer is {shown(layer)}; give a whole number from 0 to {MAX_OVERLAYS - 1}.")
         with self._backend.working():
             for eye in chosen:
-                self._backend.eyes[eye].set_overlay(picture, quad, stored_colour, rows)
+                self._backend.eyes[eye].set_overlay(int(layer), picture, quad, stored_colour, rows)
 
     def compose(
         self,
@@ -328,7 +368,7 @@ class Compositor:
             for eye in chosen:
                 view, at = self._newest[eye].handle[eye].view, viewpoints[eye]
                 moved = image_from_ray_map(view, at, self._plans[eye].device_from_camera, poses)
-                over = self._backend.eyes[eye].seen_overlay(view, newest)
+                over = self._backend.eyes[eye].seen_overlays(view, newest)
                 composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source, over)
         generations = {eye: self._backend.eyes[eye].generation for eye in chosen}
 
@@ -341,10 +381,19 @@ class Compositor:
 
         return ComposedFrame(composed, check_readable)
 
-    def prepare(self) -> None:
-        """Compile all shaders, so that no frame has to: draws once in every way, which takes up to some seconds."""
+    def prepare(self, overlays: int = 1, insets: bool = False) -> None:
+        """Compile all shaders, so that no frame has to: draws once in every way, which takes up to some seconds.
+
+        Args:
+            overlays: the most overlays that an eye will show at once, 0 to 4; each number has shaders of its own.
+            insets: whether there will be insets.
+
+        Raises:
+            BadInputError: not such a number, or not True or False.
+        """
         self._check_alive()
-        self._backend.prepare()
+        count = int(checked_number(overlays, "overlays", 0, MAX_OVERLAYS))
+        self._backend.prepare(count, checked_flag(insets, "insets"))
 
     def finish(self) -> None:
         """Block until the GPU is idle. Needed only for timing."""

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.compositing.checks import checked_flag
+from wlr_render.compositing.checks import check_inset_field, checked_flag, checked_fov, checked_size
 from wlr_render.geometry import transforms
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.stored_picture import check_planes
 from wlr_render.rendering.view import View
@@ -58,6 +59,27 @@ class EyeCamera:
         """Angles of the left, right, upper and lower border from straight ahead, as OpenXR's XrFovf has them."""
         (left, down), (right, up) = np.arctan([self.view.camera.tangent_min, self.view.camera.tangent_max])
         return float(left), float(right), float(up), float(down)
+
+    def inset(self, fov_rad: tuple[float, float, float, float], size_px: tuple[int, int]) -> "EyeCamera":
+        """The camera of an inset, a sharper picture of a part of this one's field: `Compositor.submit(inset=...)`.
+
+        It has this camera's pose, so that one view matrix serves for both.
+
+        Args:
+            fov_rad: angles of the left, right, upper and lower border, as `fov_rad`. The inset changes to the picture
+                around it within a tenth of its shorter side.
+            size_px: (width, height) of the inset.
+
+        Raises:
+            BadInputError: no such angles or size, a field that is not within this one, or no sharper than it.
+        """
+        width, height = checked_size(size_px)
+        left, right, up, down = np.tan(checked_fov(fov_rad))
+        camera = Pinhole(width, height, np.array([left, down]), np.array([right, up]))
+        check_inset_field(camera, self.view.camera)
+        view = self.view
+        inset = View(camera, view.position_in_device, view.world_from_device, view.device_from_camera)
+        return EyeCamera(self.eye, inset)
 
     def projection(self, near_m: float, far_m: float = np.inf, zero_to_one: bool = False) -> FloatArray:
         """(4, 4) clip space from the camera frame; OpenGL takes its transpose.

@@ -1,5 +1,6 @@
 """Compositor backend in OpenGL, on a GPU or a software renderer."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.compositing.checks import checked_choice
 from wlr_render.compositing.composed_frame import CachedRayMaps
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import shown
 from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
@@ -18,11 +20,11 @@ from wlr_render.rendering import gl
 from wlr_render.rendering.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
 from wlr_render.rendering.gl_panel import PanelEncoder
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
-from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpTarget
+from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpedPicture, WarpTarget
 from wlr_render.rendering.gpu_image import GpuImage, read_rgb
 from wlr_render.rendering.panel_light import PanelLight
 from wlr_render.rendering.picture_import import PictureImport
-from wlr_render.rendering.raster_camera import EyePlan
+from wlr_render.rendering.raster_camera import MAX_SAMPLES, EyePlan
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, RayMapSolver, choose_plan
 from wlr_render.rendering.readback import Readback, read_into
 from wlr_render.rendering.stored_picture import Rows, StoredColour, StoredDepth
@@ -121,9 +123,10 @@ class GlEye:
         self._encoder = PanelEncoder.of(context, panel)
         self._warp = GlWarp(context, len(channels), self._encoder)
         self._import = PictureImport(context)
-        self._picture: GpuImage | None = None
-        self._import_overlay: OverlayImport | None = None
-        self._overlay: Overlay | None = None
+        self._pictures: list[WarpedPicture] = []  # the widest first
+        self._import_insets: list[PictureImport] = []
+        self._import_overlays: dict[int, OverlayImport] = {}
+        self._overlays: dict[int, Overlay] = {}
         self.generation = 0
         """Number of pictures composed; each overwrites the one before."""
 
@@ -132,9 +135,34 @@ class GlEye:
     ) -> None:
         """See `Compositor.submit`; after an error the last picture stays."""
         if isinstance(color, GpuImage):
-            self._picture = checked_image(color, view, self._context)
+            image = checked_image(color, view, self._context)
         else:
-            self._picture = self._import.take(view.camera, color, depth, stored, rows, stored_colour)
+            image = self._import.take(view.camera, color, depth, stored, rows, stored_colour)
+        self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
+
+    @property
+    def sharpest(self) -> Pinhole:
+        """Camera of the picture that was submitted last, around the next inset."""
+        return self._pictures[-1].image.camera
+
+    def add_inset(
+        self, view: View, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
+    ) -> None:
+        """Add a picture of `Compositor.submit(inset=...)`, which lies within the last one."""
+        self.check_picture()
+        wider = self._pictures[-1].image
+        if isinstance(color, GpuImage):
+            checked_image(color, view, self._context)
+        has_alpha = color.has_alpha if isinstance(color, GpuImage) else stored_colour.alpha
+        if has_alpha != wider.has_alpha:
+            raise BadInputError("an inset has alpha if and only if the picture around it has; submit both with alpha.")
+        _check_side(f"the {self._plan.eye} eye's inset", view.camera.size_px, self._context.largest_side_px, "size_px")
+        count = len(self._pictures)
+        if len(self._import_insets) < count:
+            self._import_insets.append(PictureImport(self._context))
+        take = self._import_insets[count - 1].take
+        image = take(view.camera, color, depth, stored, rows, stored_colour, wider)
+        self._pictures.append(WarpedPicture(image, self._plan.samples_of(view.camera)))
 
     def check_picture(self) -> None:
         """Check the picture that the eye shows.
@@ -142,27 +170,31 @@ class GlEye:
         Raises:
             BadInputError: its renderer has drawn another one over it.
         """
-        if self._picture is not None and self._picture.is_overwritten():
+        if self._pictures and self._pictures[0].image.is_overwritten():
             raise BadInputError(
                 f"the {self._plan.eye} eye's picture has been drawn over since it was submitted; submit the new one, "
                 "or draw under two names in turn."
             )
 
-    def set_overlay(self, picture: Any, quad: Quad | None, stored_colour: StoredColour, rows: Rows | None) -> None:
+    def set_overlay(
+        self, layer: int, picture: Any, quad: Quad | None, stored_colour: StoredColour, rows: Rows | None
+    ) -> None:
         """See `Compositor.submit_overlay`; after an error the last overlay stays."""
         if quad is None:
-            self._overlay = None
+            self._overlays.pop(layer, None)
             return
-        if self._import_overlay is None:
-            self._import_overlay = OverlayImport(self._context)
-        self._overlay = self._import_overlay.take(picture, quad, stored_colour, rows)
+        if layer not in self._import_overlays:
+            self._import_overlays[layer] = OverlayImport(self._context)
+        self._overlays[layer] = self._import_overlays[layer].take(picture, quad, stored_colour, rows)
 
-    def seen_overlay(self, view: View, world_from_device: FloatArray) -> SeenOverlay | None:
-        """The overlay in the picture of a view, with the head at a pose (4, 4)."""
-        if self._overlay is None:
-            return None
-        place_of_pixel = self._overlay.quad.place_of_pixel(view, world_from_device)
-        return None if place_of_pixel is None else SeenOverlay(self._overlay.texture, place_of_pixel)
+    def seen_overlays(self, view: View, world_from_device: FloatArray) -> list[SeenOverlay]:
+        """The overlays that a view sees, with the head at a pose (4, 4), in the order in which they are drawn."""
+        seen = []
+        for _, overlay in sorted(self._overlays.items()):
+            place_of_ray = overlay.quad.place_of_ray(view, world_from_device)
+            if place_of_ray is not None:
+                seen.append(SeenOverlay(overlay.texture, place_of_ray))
+        return seen
 
     def compose(
         self,
@@ -170,48 +202,55 @@ class GlEye:
         image_from_ray_map: FloatArray,
         target: WarpTarget | None,
         with_source: bool,
-        overlay: SeenOverlay | None,
+        overlays: Sequence[SeenOverlay],
     ) -> GlComposed:
         """The picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `targets`."""
-        assert self._picture is not None, "the compositor checks that the eye is submitted"
+        assert self._pictures, "the compositor checks that the eye is submitted"
         self.generation += 1
-        return self._composed(self._picture, viewpoint, image_from_ray_map, target, with_source, overlay)
+        return self._composed(self._pictures, viewpoint, image_from_ray_map, target, with_source, overlays)
 
-    def prepare(self, framebuffer: gl.Framebuffer) -> None:
+    def prepare(self, framebuffer: gl.Framebuffer, overlays: int, insets: bool) -> None:
         """Draw once in every way, which compiles the shaders; see `Compositor.prepare`."""
         plan = self._plan
         size = plan.camera.width_px, plan.camera.height_px
-        picture = GpuImage(
+        image = GpuImage(
             self._context, plan.camera, self._context.target(size, 4, "srgb"), self._context.target(size, 1, "f4")
         )
-        at = plan.channels[0].eye_box.centre
-        for poses in (np.eye(4), np.broadcast_to(np.eye(4), (plan.size_px[1], 4, 4))):
-            for target in (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)):
-                self._composed(picture, at, poses, target, with_source=False)
+        picture, at = WarpedPicture(image, plan.samples_per_axis), plan.channels[0].eye_box.centre
+        overlay = SeenOverlay(image.colour, np.eye(3))
+        all_samples = [WarpedPicture(image, samples) for samples in range(1, MAX_SAMPLES + 1)] if insets else []
+        for poses, target, pictures, over in itertools.product(
+            (np.eye(4), np.broadcast_to(np.eye(4), (plan.size_px[1], 4, 4))),
+            (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),
+            ([picture], [picture, *all_samples])[: 1 + insets],
+            [[overlay] * count for count in range(overlays + 1)],
+        ):
+            self._composed(pictures, at, poses, target, False, over)
         self.generation += 1
 
     def _composed(
         self,
-        picture: GpuImage,
+        pictures: Sequence[WarpedPicture],
         viewpoint: FloatArray,
         image_from_ray_map: FloatArray,
         target: WarpTarget | None,
         with_source: bool,
-        overlay: SeenOverlay | None = None,
+        overlays: Sequence[SeenOverlay],
     ) -> GlComposed:
-        ray_maps = self._ray_maps.at(viewpoint)
-        drawn = (picture, ray_maps, image_from_ray_map)
+        ray_maps, (widest, *insets) = self._ray_maps.at(viewpoint), pictures
+        drawn, settings = (widest.image, ray_maps, image_from_ray_map), (self._background, widest.samples_per_axis)
         if target is not None:
-            self._warp.draw_into(target, *drawn, self._background, self._plan.samples_per_axis, overlay)
+            self._warp.draw_into(target, *drawn, *settings, overlays, insets)
             return GlComposed(None, ray_maps)
-        settings = self._plan.size_px, self._background, self._plan.samples_per_axis
-        warped = self._warp.draw(*drawn, *settings, with_source, overlay)
+        size_px = self._plan.size_px
+        warped = self._warp.draw(*drawn, size_px, *settings, with_source, overlays, insets)
         if not with_source or len(ray_maps) == 1:
             return GlComposed(warped, ray_maps)
         of_one = GlWarp(self._context, 1, self._encoder)  # a warp of three channels gives green's pull map alone
 
         def draw_source(channel: int) -> GpuWarped:
-            return of_one.draw(picture, [ray_maps[channel]], image_from_ray_map, *settings, with_source=True)
+            of_channel = widest.image, [ray_maps[channel]], image_from_ray_map
+            return of_one.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
 
         return GlComposed(warped, ray_maps, draw_source)
 
@@ -253,11 +292,11 @@ class GlBackend:
         """Target of each eye's picture; empty for textures of our own. See `Compositor.compose`."""
         return {} if into is None else self._framebuffers.targets(into, eyes, size_px)
 
-    def prepare(self) -> None:
+    def prepare(self, overlays: int, insets: bool) -> None:
         """See `Compositor.prepare`."""
         with self.context.drawing():
             for eye in self.eyes.values():
-                eye.prepare(self.context.framebuffer([self.context.target(eye.size_px, 4, "f1")]))
+                eye.prepare(self.context.framebuffer([self.context.target(eye.size_px, 4, "f1")]), overlays, insets)
 
     def finish(self) -> None:
         """Block until the GPU is idle."""
@@ -270,12 +309,16 @@ class GlBackend:
 
 
 def _check_sizes(plan: EyePlan, largest_px: int) -> None:
-    for what, size in (("display", plan.size_px), ("camera", (plan.camera.width_px, plan.camera.height_px))):
-        if max(size) > largest_px:
-            raise BadInputError(
-                f"the {plan.eye} eye's {what} would have {size[0]} x {size[1]} pixels, and OpenGL takes {largest_px} "
-                "here; make size or resolution smaller."
-            )
+    for what, size in (("display", plan.size_px), ("camera", plan.camera.size_px)):
+        _check_side(f"the {plan.eye} eye's {what}", size, largest_px, "size or resolution")
+
+
+def _check_side(what: str, size: tuple[int, int], largest_px: int, made_smaller: str) -> None:
+    if max(size) > largest_px:
+        raise BadInputError(
+            f"{what} would have {size[0]} x {size[1]} pixels, and OpenGL takes {largest_px} here; make {made_smaller} "
+            "smaller."
+        )
 
 
 def _context(context: Any, host_is_clean: bool) -> gl.GlContext:

@@ -33,6 +33,11 @@ class Pinhole:
         return cls(int(size[0]), int(size[1]), centre - half, centre + half)
 
     @property
+    def size_px(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.width_px, self.height_px
+
+    @property
     def focal_px(self) -> FloatArray:
         """(2,) pixels per unit tangent in u and v, both positive."""
         size = np.array([self.width_px, self.height_px])
@@ -50,6 +55,12 @@ class Pinhole:
         (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
         return np.array([[focal_u, 0, -centre_u, 0], [0, -focal_v, -centre_v, 0], [0, 0, -1, 0]])
 
+    @property
+    def camera_from_image(self) -> FloatArray:
+        """(3, 3): (u, v, 1) of a pixel -> its direction in the camera frame, scaled to z = -1."""
+        (focal_u, focal_v), (centre_u, centre_v) = self.focal_px, self.centre_px
+        return np.array([[1 / focal_u, 0, -centre_u / focal_u], [0, -1 / focal_v, centre_v / focal_v], [0, 0, -1]])
+
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
         """Pixels (..., 2) of tangents (..., 2); v runs down, ty up."""
         return np.asarray(tangents * (self.focal_px * [1, -1]) + self.centre_px)
@@ -62,3 +73,10 @@ class Pinhole:
         """Tangents at all pixel centres, (height, width, 2)."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
         return self.tangents_of_pixel(np.stack([u, v], axis=-1))
+
+
+def pixels_from(source: Pinhole, target: Pinhole) -> tuple[float, float, float, float]:
+    """Pixels of one camera from those of another in the same frame: scale (u, v), then offset (u, v)."""
+    scale_u, scale_v = target.focal_px / source.focal_px
+    offset_u, offset_v = target.centre_px - [scale_u, scale_v] * source.centre_px
+    return float(scale_u), float(scale_v), float(offset_u), float(offset_v)

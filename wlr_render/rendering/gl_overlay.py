@@ -11,8 +11,8 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
-from wlr_render.rendering.picture_import import PictureImport
-from wlr_render.rendering.stored_picture import Rows, StoredColour, StoredDepth
+from wlr_render.rendering.picture_import import PictureImport, is_texture
+from wlr_render.rendering.stored_picture import METRES, Rows, StoredColour
 from wlr_render.rendering.view import View
 
 _NEAREST_M = 1e-3
@@ -33,19 +33,15 @@ class Quad:
     size_m: FloatArray
     is_head_locked: bool
 
-    def place_of_pixel(self, view: View, world_from_device: FloatArray) -> FloatArray | None:
-        """Homogeneous place on the quad of a pixel of a view: (3, 3), None if the quad is seen from behind or edge-on.
+    def place_of_ray(self, view: View, world_from_device: FloatArray) -> FloatArray | None:
+        """Homogeneous place on the quad that a view sees in a direction: (3, 3), None if it is seen from behind.
 
-        Rows times (u, v, 1) are x w, y w and w, with the place (x, y) from (0, 0) in the upper left to (1, 1), and the
-        inverse depth w of the quad's plane at the pixel.
+        Rows times a direction in the camera frame with z = -1 are x w, y w and w, with the place (x, y) from (0, 0) in
+        the upper left to (1, 1), and the inverse depth w of the quad's plane in that direction.
         """
         world_from_quad = world_from_device @ self.pose if self.is_head_locked else self.pose
         quad_from_camera = transforms.inverse(world_from_quad) @ view.world_from_camera
-        (focal_u, focal_v), (centre_u, centre_v) = view.camera.focal_px, view.camera.centre_px
-        ray_of_pixel = np.array(
-            [[1 / focal_u, 0, -centre_u / focal_u], [0, -1 / focal_v, centre_v / focal_v], [0, 0, -1]]
-        )
-        x, y, z = quad_from_camera[:3, :3] @ ray_of_pixel
+        x, y, z = quad_from_camera[:3, :3]
         at_x, at_y, at_z = quad_from_camera[:3, 3]
         if at_z < _NEAREST_M:
             return None
@@ -66,10 +62,10 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class SeenOverlay:
-    """An overlay with `Quad.place_of_pixel`, (3, 3)."""
+    """An overlay with `Quad.place_of_ray`, (3, 3)."""
 
     texture: gl.Texture
-    place_of_pixel: FloatArray
+    place_of_ray: FloatArray
 
 
 class OverlayImport:
@@ -79,27 +75,28 @@ class OverlayImport:
         self._context, self._import = context, PictureImport(context)
 
     def take(self, picture: Any, quad: Quad, stored_colour: StoredColour, rows: Rows | None) -> Overlay:
-        """A picture as an array, a ModernGL texture, or as a layer of one.
+        """A picture as an array, or as a texture of any kind that `PictureImport.from_textures` takes.
 
         Raises:
-            BadInputError: another type, or as `PictureImport.take`.
+            BadInputError: another type, or as `PictureImport.from_arrays` and `from_textures`.
         """
         is_array = isinstance(picture, np.ndarray)
-        if not is_array and not isinstance(picture, gl.Texture):
+        if not is_array and not is_texture(picture):
             raise BadInputError(
                 f"an overlay cannot be taken from a {type(picture).__name__}; give an array (height, width, 3 or 4), "
-                "or a ModernGL texture."
+                "or a texture (ModernGL's, its OpenGL name, or TextureLayer)."
             )
-        shape = picture.shape[1::-1] if is_array else (0, 0) if gl.is_released(picture) else picture.size
-        if is_array and (picture.ndim != 3 or not all(0 < side <= self._context.largest_side_px for side in shape)):
+        width, height = picture.shape[1::-1] if is_array else self._import.size_of(picture)
+        largest_px = self._context.largest_side_px
+        if is_array and (picture.ndim != 3 or not (0 < width <= largest_px and 0 < height <= largest_px)):
             raise BadInputError(
                 f"the overlay has the shape {picture.shape}; give (height, width, 3 or 4), with sides of "
-                f"{min(self._context.largest_side_px, LIMITS.picture_side)} at most."
+                f"{min(largest_px, LIMITS.picture_side)} at most."
             )
-        # Its depth is not used: of a texture the red component passes for it.
-        depth = np.ones(shape[::-1], np.float32) if is_array else picture
-        camera = Pinhole(shape[0], shape[1], -np.ones(2), np.ones(2))
-        image = self._import.take(camera, picture, depth, StoredDepth(), rows, stored_colour)
+        camera, take = Pinhole(width, height, -np.ones(2), np.ones(2)), self._import
+        usual = Rows.TOP_FIRST if is_array else Rows.BOTTOM_FIRST
+        take_any = take.from_arrays if is_array else take.from_textures
+        image = take_any(camera, picture, None, METRES, rows or usual, stored_colour)
         with self._context.drawing():
             gl.read_between_levels(image.colour)
         return Overlay(image.colour, quad)

@@ -1,7 +1,7 @@
 """Save and restore the state of an adopted OpenGL context around draws.
 
 What no block of this library touches or depends on is left out: bindings of uniform, storage and transform buffers, of
-images, of textures other than 2D, and units past the first nine; and of a row of viewports and scissor boxes only the
+images, of textures other than 2D, and units past the first twelve; and of a row of viewports and scissor boxes only the
 first is put back.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 from wlr_render.rendering.host_checks import HostChecks
 from wlr_render.rendering.native_contexts import CurrentContext
 
-UNITS = 9
+UNITS = 12
 """Texture units that are kept; a block must use no others."""
 
 _DRAW_BUFFERS = 8  # every OpenGL has as many

@@ -1,12 +1,14 @@
 """Backward warp of an intermediate image on the GPU; `warp.py` states the algorithm."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import pixels_from
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_overlay import SeenOverlay
@@ -27,6 +29,9 @@ from wlr_render.rendering.warp import (
     WarpStatus,
 )
 
+MAX_OVERLAYS = 4
+"""Overlays of an eye that are shown at once."""
+
 _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "STEP_PX": STEP_PX,
     "MAX_STEPS": MAX_STEPS,
@@ -38,6 +43,20 @@ _CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
     "SPACING_PX": SPACING_PX,
     "MISSING": 1e30,
 }
+
+
+@dataclass(frozen=True, eq=False)
+class WarpedPicture:
+    """A picture that the warp reads.
+
+    Attributes:
+        image: colour and depth.
+        samples_per_axis: samples per display pixel along each axis where it is minified, see
+            `raster_camera.samples_for`.
+    """
+
+    image: GpuImage
+    samples_per_axis: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +108,16 @@ class GlWarp:
     they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
     branch for every pixel: those that the image's depth moves by less than DIRECT_PX, those whose pixels march, and of
     both those that minify the image by more than SPACING_PX, which are filtered, and the others.
+
+    An inset, a sharper image of a part of the field, is drawn in the same way over the wider one, in which the cells
+    that it fills are left out. Its border shows what the wider one does (`PictureImport.take`), so that there is no
+    seam.
     """
 
     def __init__(self, context: gl.GlContext, channels: int = 1, panel: PanelEncoder = SRGB_ENCODER) -> None:
         """Prepare for one ray map, or for 3: one per colour channel (red, green, blue)."""
         self._context, self._channels, self._panel = context, channels, panel
-        self._ranges = GlDepthRanges(context)
+        self._cells: list[_GlCells] = []
         self._targets = gl.RenderTargets(context)
         self._drawings: dict[tuple[float, ...], gl.VertexArray] = {}
 
@@ -107,7 +130,8 @@ class GlWarp:
         background: tuple[int, int, int] = (0, 0, 0),
         samples_per_axis: int = 1,
         with_source: bool = False,
-        overlay: SeenOverlay | None = None,
+        overlays: Sequence[SeenOverlay] = (),
+        insets: Sequence[WarpedPicture] = (),
     ) -> GpuWarped:
         """Draw the display image and leave it on the GPU.
 
@@ -118,9 +142,10 @@ class GlWarp:
                 (height, 4, 4) with one for each row of the display.
             size_px: (width, height) of the picture, which covers the panel.
             background: sRGB for pixels that show nothing of the image.
-            samples_per_axis: samples per pixel along each axis, see `raster_camera.samples_for`.
-            with_source: make the pull map as well.
-            overlay: what is shown over the image.
+            samples_per_axis: of the image, as in `WarpedPicture`.
+            with_source: make the pull map as well, in pixels of the image.
+            overlays: what is shown over the image, MAX_OVERLAYS at most, each over those before.
+            insets: of the image's camera frame, each within the picture before and sharper.
 
         Raises:
             BadInputError: the number of ray maps or the shape of the transforms does not fit.
@@ -132,7 +157,8 @@ class GlWarp:
             )
             target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
             constants = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
-            self._draw(image, ray_maps, image_from_ray_map, target, background, samples_per_axis, overlay, **constants)
+            pictures = [WarpedPicture(image, samples_per_axis), *insets]
+            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
         colour, status, *source = made.textures
         return GpuWarped(self._context, colour, status, source[0] if source else None)
 
@@ -144,59 +170,81 @@ class GlWarp:
         image_from_ray_map: FloatArray,
         background: tuple[int, int, int] = (0, 0, 0),
         samples_per_axis: int = 1,
-        overlay: SeenOverlay | None = None,
+        overlays: Sequence[SeenOverlay] = (),
+        insets: Sequence[WarpedPicture] = (),
     ) -> None:
         """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
         with self._context.drawing():
             before = target.framebuffer.viewport
             constants = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
+            pictures = [WarpedPicture(image, samples_per_axis), *insets]
             try:
-                self._draw(
-                    image, ray_maps, image_from_ray_map, target, background, samples_per_axis, overlay, **constants
-                )
+                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
             finally:
                 target.framebuffer.viewport = before
 
     def _draw(
         self,
-        image: GpuImage,
+        pictures: Sequence[WarpedPicture],
         ray_maps: Sequence[RayTexture],
         image_from_ray_map: FloatArray,
         target: WarpTarget,
         background: tuple[int, int, int],
-        samples_per_axis: int,
-        overlay: SeenOverlay | None,
+        overlays: Sequence[SeenOverlay],
         **constants: int,
     ) -> None:
         _check(ray_maps, self._channels, image_from_ray_map, target.size_px)
-        columns, rows = ray_maps[0].warp_grid.size
-        cells = self._draw_cells(image, ray_maps, image_from_ray_map, target.size_px)
-        paths, bends, mixed = cells[:3]
-        gl.read_between_texels(image.colour)
+        while len(self._cells) < len(pictures):
+            self._cells.append(_GlCells(self._context, self._channels))
+        cells: list[_Cells] = []  # of the sharpest picture first: a wider one's depend on it
+        for k in reversed(range(len(pictures))):
+            drawn = pictures[k].image, ray_maps, image_from_ray_map, target.size_px
+            cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
         target.framebuffer.viewport = (*target.first_px, *target.size_px)
         self._context.draw_to(target.framebuffer)
-        constants |= {"OVERLAY": int(overlay is not None), "FILTERS": int(samples_per_axis > 1)}
-        textures = self._panel.textures if overlay is None else self._panel.textures | {"overlay": overlay.texture}
+        constants["OVERLAYS"] = len(overlays)
         light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
-        kinds = itertools.product((0, 1), sorted({1, samples_per_axis}))
-        for march, samples in kinds:
+        columns, rows = ray_maps[0].warp_grid.size
+        for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
+            uniforms = {"background": light, "top_row_first": target.top_row_first}
+            if k and constants["WITH_SOURCE"]:
+                uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
+            for drawing in self._prepared(picture, of_picture, overlays, constants | {"INSET": int(k > 0)}, uniforms):
+                drawing.render(vertices=6 * (columns - 1) * (rows - 1))
+
+    def _prepared(
+        self,
+        picture: WarpedPicture,
+        cells: "_Cells",
+        overlays: Sequence[SeenOverlay],
+        constants: dict[str, int],
+        uniforms: dict[str, Any],
+    ) -> Iterator[gl.VertexArray]:
+        """The drawings of a picture, each with its textures and uniforms."""
+        image = picture.image
+        gl.read_between_texels(image.colour)
+        textures: dict[str, Any] = dict(self._panel.textures)
+        if overlays:
+            textures["overlays"] = [each.texture for each in overlays]
+            places = np.concatenate([each.place_of_ray @ image.camera.camera_from_image for each in overlays])
+        constants = constants | {"FILTERS": int(picture.samples_per_axis > 1)}
+        for march, samples in itertools.product((0, 1), sorted({1, picture.samples_per_axis})):
             drawing = self._drawing(MARCH=march, SAMPLES_PER_AXIS=samples, **constants)
             program = drawing.program
             gl.bind_textures(
                 program,
-                ranges=cells[3],
-                paths=paths,
-                bends=bends,
-                mixed_bends_and_ranges=mixed,
+                ranges=cells.pyramid,
+                paths=cells.paths,
+                bends=cells.bends,
+                mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
                 picture=image.colour,
                 inverse_depth=image.inverse_depth,
                 **textures,
             )
-            if overlay is not None:
-                gl.set_array(program, "overlay_place", overlay.place_of_pixel)
-            opaque = 0.0 if image.has_alpha else 1.0
-            gl.set_uniforms(program, background=light, opaque=opaque, top_row_first=target.top_row_first)
-            drawing.render(vertices=6 * (columns - 1) * (rows - 1))
+            if overlays:
+                gl.set_array(program, "overlay_place", places)
+            gl.set_uniforms(program, opaque=0.0 if image.has_alpha else 1.0, **uniforms)
+            yield drawing
 
     def _drawing(self, **constants: float) -> gl.VertexArray:
         """The shaders' variant for constants that always come in the same order; looked up without sorting them."""
@@ -208,33 +256,62 @@ class GlWarp:
             )
         return self._drawings[key]
 
-    def _draw_cells(
-        self, image: GpuImage, ray_maps: Sequence[RayTexture], image_from_ray_map: FloatArray, size_px: tuple[int, int]
-    ) -> tuple[gl.Texture, ...]:
-        """Paths, bends, and mixed bends with ranges of `cells.frag`, and the pyramid of depths."""
-        ranges = self._ranges.of(image)
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """What `cells.frag` finds in a picture of (width, height), and the pyramid of the picture's depths."""
+
+    paths: gl.Texture
+    bends: gl.Texture
+    mixed_bends_and_ranges: gl.Texture
+    pyramid: gl.Texture
+    size_px: tuple[int, int]
+
+
+class _GlCells:
+    """Draws `cells.frag` for one picture of a frame: the widest, or an inset; textures are reused between frames."""
+
+    def __init__(self, context: gl.GlContext, channels: int) -> None:
+        self._context, self._channels = context, channels
+        self._ranges, self._targets = GlDepthRanges(context), gl.RenderTargets(context)
+
+    def draw(
+        self,
+        image: GpuImage,
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        display_size_px: tuple[int, int],
+        is_inset: bool,
+        inset: _Cells | None,
+    ) -> _Cells:
+        """Find the cells of a picture, which may be an inset, and may have one."""
+        pyramid = self._ranges.of(image)
         warp_grid = ray_maps[0].warp_grid
         matrices = image.camera.image_from_camera @ image_from_ray_map
         by_rows = matrices.ndim == 3
         cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
-        drawing = self._context.full_screen("cells.frag", CHANNELS=self._channels, ROWS=int(by_rows), **_CONSTANTS)
+        constants = {"CHANNELS": self._channels, "ROWS": int(by_rows)}
+        constants |= {"INSET": int(is_inset), "HAS_INSET": int(inset is not None)}
+        drawing = self._context.full_screen("cells.frag", **constants, **_CONSTANTS)
         program = drawing.program
-        textures = {"ranges": ranges, "slope_offset": [each.slope_offset for each in ray_maps]}
+        textures: dict[str, Any] = {"ranges": pyramid, "slope_offset": [each.slope_offset for each in ray_maps]}
         if by_rows:
             rows = self._targets.get("camera matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
             rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))
             textures["camera_matrices"] = rows
         else:
             gl.set_array(program, "camera_matrix", matrices)
+        if inset is not None:
+            textures |= {"inset_paths": inset.paths, "inset_ranges": inset.mixed_bends_and_ranges}
+            gl.set_uniforms(program, inset_size_px=tuple(map(float, inset.size_px)))
         self._context.draw_to(cells.framebuffer)
         gl.bind_textures(program, **textures)
-        gl.set_uniforms(
-            program,
-            size_px=tuple(map(float, image.inverse_depth.size)),
-            display_px_per_cell=(size_px[0] / (warp_grid.columns - 1), size_px[1] / (warp_grid.rows - 1)),
-        )
+        per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
+        size_px = image.inverse_depth.size
+        gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
         drawing.render(vertices=3)
-        return (*cells.textures, ranges)
+        paths, bends, mixed_bends_and_ranges = cells.textures
+        return _Cells(paths, bends, mixed_bends_and_ranges, pyramid, size_px)
 
 
 def _check(

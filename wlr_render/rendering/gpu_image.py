@@ -60,8 +60,15 @@ class LatestViews:
     def drawn(self, name: str, view: View) -> Callable[[], bool]:
         """Note a drawing; returns `GpuImage.is_overwritten` of its picture. The same view again shows the same."""
         self._views[name] = view
-        own = view.world_from_camera
-        return lambda: not np.array_equal(self._views[name].world_from_camera, own)
+        return lambda: not _is_same(self._views[name], view)
+
+
+def _is_same(one: View, other: View) -> bool:
+    return (
+        np.array_equal(one.world_from_camera, other.world_from_camera)
+        and one.camera.size_px == other.camera.size_px
+        and np.array_equal(one.camera.image_from_camera, other.camera.image_from_camera)
+    )
 
 
 def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
@@ -94,6 +101,7 @@ class GlDepthRanges:
         self._last: tuple[GpuImage, gl.Texture] | None = None
         with context.drawing():
             self._of_tiles = context.full_screen("tile_range.frag", TILE=TILE)
+            self._of_levels = context.full_screen("range_pyramid.frag")
 
     def of(self, image: GpuImage) -> gl.Texture:
         """RG32F, smallest and largest inverse depth; overwritten by the next image's. Call within a `drawing` block.
@@ -107,9 +115,8 @@ class GlDepthRanges:
         tiles = self._targets.get("tiles", (width, height), (2, "f4"))
         pyramid = self._targets.get("pyramid", (2 * side, side), (2, "f4"))
         _draw(self._context, self._of_tiles, tiles, values=image.inverse_depth)
-        _draw(
-            self._context, self._context.full_screen("range_pyramid.frag", SIDE=side), pyramid, tiles=tiles.textures[0]
-        )
+        gl.set_uniforms(self._of_levels.program, target_height=side)
+        _draw(self._context, self._of_levels, pyramid, tiles=tiles.textures[0])
         self._last = image, pyramid.textures[0]
         return pyramid.textures[0]
 

@@ -1,6 +1,7 @@
 """Copies of other software's images, which may have several samples, layers or levels, as plain textures."""
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,7 +49,7 @@ class _Blit:
     buffers: int
 
 
-_Blits = tuple[_Blit, _Blit]
+_Blits = tuple[_Blit, ...]  # of colour, and of depth where there is one
 
 
 class PictureCopy:
@@ -64,9 +65,7 @@ class PictureCopy:
         self._targets: dict[int, tuple[tuple[object, ...], gl.Framebuffer, gl.Texture]] = {}
         self._new = ""  # the source that was never copied before
 
-    def copy_framebuffer(
-        self, framebuffer: Any, size: tuple[int, int], stored: StoredDepth
-    ) -> tuple[gl.Texture, gl.Texture]:
+    def copy_framebuffer(self, framebuffer: Any, size: tuple[int, int], stored: StoredDepth) -> tuple[gl.Texture, ...]:
         """Colour and depth of a framebuffer object (or its number) of (width, height), rows as they lie.
 
         Raises:
@@ -82,9 +81,9 @@ class PictureCopy:
         return self._copied(self._blits.get([framebuffer if fixed else number], size, prepare), size, stored)
 
     def copy_layers(
-        self, colour: TextureLayer, depth: TextureLayer, size: tuple[int, int], stored: StoredDepth
-    ) -> tuple[gl.Texture, gl.Texture]:
-        """Colour and depth of two textures of (width, height), rows as they lie.
+        self, layers: Sequence[TextureLayer], size: tuple[int, int], stored: StoredDepth
+    ) -> tuple[gl.Texture, ...]:
+        """Colour, and depth if there is one, of textures of (width, height), rows as they lie.
 
         Raises:
             BadInputError: there is no such texture, layer or level, or it has another size or a format that cannot be
@@ -92,15 +91,26 @@ class PictureCopy:
         """
 
         def prepare(old: _Blits | None) -> _Blits:
-            images = [Image(each.name, False, each.level, each.layer) for each in (colour, depth)]
-            for image in images:
-                if not self._ask.exists("Texture", image.name):
-                    raise BadInputError(f"Number {image.name} is not a texture of this context: submit one that is.")
-                self._ask.check_layer(image)
-            return self._prepare(images, "texture {name}", size, old)
+            return self._prepare([self._image_of(each) for each in layers], "texture {name}", size, old)
 
-        key = (*size, "layers", colour.layer, colour.level, depth.layer, depth.level)
-        return self._copied(self._blits.get([colour.texture, depth.texture], key, prepare), size, stored)
+        key = (*size, "layers", *((each.layer, each.level) for each in layers))
+        return self._copied(self._blits.get([each.texture for each in layers], key, prepare), size, stored)
+
+    def size_of(self, layer: TextureLayer) -> tuple[int, int]:
+        """(width, height) of a layer of a texture.
+
+        Raises:
+            BadInputError: there is no such texture, layer or level.
+        """
+        self._context.take_error()
+        return self._ask.size(self._image_of(layer))
+
+    def _image_of(self, layer: TextureLayer) -> Image:
+        image = Image(layer.name, False, layer.level, layer.layer)
+        if not self._ask.exists("Texture", image.name):
+            raise BadInputError(f"Number {image.name} is not a texture of this context: submit one that is.")
+        self._ask.check_layer(image)
+        return image
 
     def _images_of(self, number: int) -> list[Image]:
         ask, found = self._ask, []
@@ -125,11 +135,11 @@ class PictureCopy:
                     f"The {what.format(name=image.name)} has {found[0]}x{found[1]} pixels, the camera "
                     f"{size[0]}x{size[1]}: draw with that camera."
                 )
-        colour, depth = images
         sources = [each.source for each in old] if old else [fresh_framebuffer(self._context) for _ in images]
-        blits = self._colour_blit(colour, sources[0], what, size), self._depth_blit(depth, sources[1], what, size)
-        self._new = what.format(name=colour.name)
-        return blits
+        blits = [self._colour_blit(images[0], sources[0], what, size)]
+        blits += [self._depth_blit(each, sources[1], what, size) for each in images[1:]]
+        self._new = what.format(name=images[0].name)
+        return tuple(blits)
 
     def _colour_blit(self, image: Image, source: gl.Framebuffer, what: str, size: tuple[int, int]) -> _Blit:
         self._ask.bind(source.glo)
@@ -179,8 +189,8 @@ class PictureCopy:
             found = self._targets[point] = key, framebuffer, texture
         return found[1:]
 
-    def _copied(self, blits: _Blits, size: tuple[int, int], stored: StoredDepth) -> tuple[gl.Texture, gl.Texture]:
-        if blits[1].buffers == _BLIT_DEPTH:
+    def _copied(self, blits: _Blits, size: tuple[int, int], stored: StoredDepth) -> tuple[gl.Texture, ...]:
+        if blits[-1].buffers == _BLIT_DEPTH:
             check_depth_format(stored)
         for blit in blits:
             self._draw(blit, size)
@@ -190,7 +200,7 @@ class PictureCopy:
             raise BadInputError(
                 f"OpenGL cannot copy the {what}: resolve it into one of single samples with RGBA8 colour first."
             )
-        return blits[0].texture, blits[1].texture
+        return tuple(each.texture for each in blits)
 
     def _draw(self, blit: _Blit, size: tuple[int, int]) -> None:
         self._ask.bind(blit.source.glo, READ)

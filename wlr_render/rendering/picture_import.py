@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.geometry.pinhole import Pinhole, pixels_from
 from wlr_render.rendering import gl
 from wlr_render.rendering.framebuffers import TextureLayer, is_number
 from wlr_render.rendering.gpu_image import GpuImage
@@ -22,6 +22,9 @@ from wlr_render.rendering.stored_picture import (
     check_depth_format,
 )
 
+BORDER = 0.1
+"""Width of the border in which an inset changes to the wider picture, as a share of its shorter side."""
+
 
 class PictureImport:
     """Converts other programs' pictures to GPU images; textures are reused, so each picture overwrites the last."""
@@ -31,7 +34,7 @@ class PictureImport:
         self._copy = PictureCopy(context)
         self._targets = gl.RenderTargets(context)
         with context.drawing():
-            self._imports = [context.full_screen("import_picture.frag", DECODE=decode) for decode in (0, 1)]
+            self._imports = [self._importing(DECODE=decode, INSET=0) for decode in (0, 1)]
             self._samplers = {"srgb": context.plain_sampler(), "linear": context.plain_sampler(decodes=True)}
 
     def take(
@@ -42,21 +45,37 @@ class PictureImport:
         stored: StoredDepth,
         rows: Rows | None = None,
         stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
     ) -> GpuImage:
         """A picture of any kind that `Compositor.submit` takes; rows lie as usual for that kind if None.
+
+        Args:
+            camera: that drew it.
+            colour, depth: as in `Compositor.submit`.
+            stored: what the depth means.
+            rows: which row comes first.
+            stored_colour: what the colours mean.
+            wider: for an inset, the picture around it, of the same camera frame. Within BORDER of the inset's sides its
+                colours change to those of the wider picture, in linear light. Without a depth it has the wider one's.
 
         Raises:
             BadInputError: as the methods below, or a picture of no such kind.
         """
-        if isinstance(colour, np.ndarray) and isinstance(depth, np.ndarray):
-            return self.from_arrays(camera, colour, depth, stored, rows or Rows.TOP_FIRST, stored_colour)
+        has_depth = depth is not None
+        if isinstance(colour, GpuImage) and wider is not None:
+            stored_colour = StoredColour(colour.encoding, alpha=colour.has_alpha)
+            stored = StoredDepth(DepthKind.INVERSE)
+            with self._context.drawing():
+                return self._take(
+                    camera, colour.colour, colour.inverse_depth, stored, Rows.TOP_FIRST, stored_colour, wider
+                )
+        if isinstance(colour, np.ndarray) and (isinstance(depth, np.ndarray) or (wider and not has_depth)):
+            return self.from_arrays(camera, colour, depth, stored, rows or Rows.TOP_FIRST, stored_colour, wider)
         upwards = rows or Rows.BOTTOM_FIRST
-        if isinstance(colour, gl.Texture) and isinstance(depth, gl.Texture):
-            return self.from_textures(camera, colour, depth, stored, upwards, stored_colour)
-        if all(_is_texture(each) for each in (colour, depth)):
-            return self.from_layers(camera, _layer(colour), _layer(depth), stored, upwards, stored_colour)
-        if depth is None and (isinstance(colour, gl.Framebuffer) or is_number(colour)):
-            return self.from_framebuffer(camera, colour, stored, upwards, stored_colour)
+        if not has_depth and (isinstance(colour, gl.Framebuffer) or is_number(colour)):
+            return self.from_framebuffer(camera, colour, stored, upwards, stored_colour, wider)
+        if is_texture(colour) and (is_texture(depth) or (wider and not has_depth)):
+            return self.from_textures(camera, colour, depth, stored, upwards, stored_colour, wider)
         raise BadInputError(
             f"a picture cannot be taken from a {type(colour).__name__} and a {type(depth).__name__}; submit two "
             "arrays, two textures (ModernGL's, their OpenGL names, or TextureLayer), or one framebuffer (or its "
@@ -67,12 +86,13 @@ class PictureImport:
         self,
         camera: Pinhole,
         colour: NDArray[Any],
-        depth: NDArray[np.float32],
+        depth: NDArray[np.float32] | None,
         stored: StoredDepth,
         rows: Rows = Rows.TOP_FIRST,
         stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
     ) -> GpuImage:
-        """A picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, and depth (height, width).
+        """A picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, and depth (height, width) or None.
 
         Raises:
             BadInputError: as `stored_picture.check_arrays`.
@@ -81,58 +101,63 @@ class PictureImport:
         check_arrays(colour, depth, stored, size, stored_colour)
         with self._context.drawing():
             kind = colour.shape[2], COLOUR_TYPES[str(colour.dtype)]
-            textures = self._targets.get(f"{kind} uploaded", size, kind, (1, "f4")).textures
-            for texture, pixels in zip(textures, (colour, depth), strict=True):
-                texture.write(np.ascontiguousarray(pixels), alignment=1)
-            return self._take(camera, textures[0], textures[1], stored, rows, stored_colour)
+            texture, depths = self._targets.get(f"{kind} uploaded", size, kind, (1, "f4")).textures
+            texture.write(np.ascontiguousarray(colour), alignment=1)
+            if depth is not None:
+                depths.write(np.ascontiguousarray(depth), alignment=1)
+            return self._take(camera, texture, None if depth is None else depths, stored, rows, stored_colour, wider)
 
     def from_textures(
         self,
         camera: Pinhole,
-        colour: gl.Texture,
-        depth: gl.Texture,
+        colour: Any,
+        depth: Any,
         stored: StoredDepth,
         rows: Rows = Rows.BOTTOM_FIRST,
         stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
     ) -> GpuImage:
-        """A picture in textures of the image's context; depth in the first channel.
+        """A picture in textures of the image's context; see `is_texture`. The depth may be None.
+
+        ModernGL's textures are read as they are, the depth in their first channel. Others, and those of several
+        samples, are copied on the GPU first; see `from_framebuffer`. The depth may have a depth format, or be the first
+        component of a colour format.
 
         Raises:
-            BadInputError: a texture of another context or size, or of other numbers; metres in a depth format.
-        """
-        if any(not gl.is_released(each) and each.samples for each in (colour, depth)):
-            return self.from_layers(camera, TextureLayer(colour), TextureLayer(depth), stored, rows, stored_colour)
-        size = camera.width_px, camera.height_px
-        for name, texture, least_components in (("colour", colour, 3), ("depth", depth, 1)):
-            _check_texture(self._context, name, texture, size, least_components)
-        if depth.depth:
-            check_depth_format(stored)
-        with self._context.drawing():
-            return self._take(camera, colour, depth, stored, rows, stored_colour, callers=True)
-
-    def from_layers(
-        self,
-        camera: Pinhole,
-        colour: TextureLayer,
-        depth: TextureLayer,
-        stored: StoredDepth,
-        rows: Rows = Rows.BOTTOM_FIRST,
-        stored_colour: StoredColour = CODES,
-    ) -> GpuImage:
-        """A picture in layers of textures of any kind, which are copied on the GPU; see `from_framebuffer`.
-
-        The depth may have a depth format, or be the first component of a colour format.
-
-        Raises:
-            BadInputError: a texture of another context or size, or of a format that cannot be copied; no such
+            BadInputError: a texture of another context or size, or of a format that cannot be read or copied; no such
                 layer or level; metres in a depth format.
         """
-        for name, layer in (("colour", colour), ("depth", depth)):
+        named = [("colour", colour)] + ([] if depth is None else [("depth", depth)])
+        is_read = [isinstance(each, gl.Texture) and (gl.is_released(each) or not each.samples) for _, each in named]
+        size = camera.width_px, camera.height_px
+        if all(is_read):
+            for (name, texture), least_components in zip(named, (3, 1), strict=False):
+                _check_texture(self._context, name, texture, size, least_components)
+            if depth is not None and depth.depth:
+                check_depth_format(stored)
+            with self._context.drawing():
+                return self._take(camera, colour, depth, stored, rows, stored_colour, wider, callers=True)
+        layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for _, each in named]
+        for (name, _), layer in zip(named, layers, strict=True):
             if not is_number(layer.texture):
                 _check_context(self._context, f"{name} texture", layer.texture)
         with self._context.drawing():
-            textures = self._copy.copy_layers(colour, depth, (camera.width_px, camera.height_px), stored)
-            return self._take(camera, *textures, stored, rows, stored_colour)
+            copy, *depths = self._copy.copy_layers(layers, size, stored)
+            return self._take(camera, copy, depths[0] if depths else None, stored, rows, stored_colour, wider)
+
+    def size_of(self, texture: Any) -> tuple[int, int]:
+        """(width, height) of a texture, see `is_texture`.
+
+        Raises:
+            BadInputError: it has been released or is another context's, or there is no such texture, layer or level.
+        """
+        layer = texture if isinstance(texture, TextureLayer) else TextureLayer(texture)
+        if not is_number(layer.texture):
+            _check_context(self._context, "texture", layer.texture)
+        if isinstance(layer.texture, gl.Texture) and not layer.level:
+            return layer.texture.size
+        with self._context.drawing():
+            return self._copy.size_of(layer)
 
     def from_framebuffer(
         self,
@@ -141,6 +166,7 @@ class PictureImport:
         stored: StoredDepth,
         rows: Rows = Rows.BOTTOM_FIRST,
         stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
     ) -> GpuImage:
         """A picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
 
@@ -154,28 +180,44 @@ class PictureImport:
         if not is_number(framebuffer):
             _check_context(self._context, "framebuffer", framebuffer)
         with self._context.drawing():
-            textures = self._copy.copy_framebuffer(framebuffer, (camera.width_px, camera.height_px), stored)
-            return self._take(camera, *textures, stored, rows, stored_colour)
+            colour, depth = self._copy.copy_framebuffer(framebuffer, (camera.width_px, camera.height_px), stored)
+            return self._take(camera, colour, depth, stored, rows, stored_colour, wider)
+
+    def _importing(self, **constants: int) -> gl.VertexArray:
+        return self._context.full_screen("import_picture.frag", **constants)
 
     def _take(
         self,
         camera: Pinhole,
         colour: gl.Texture,
-        depth: gl.Texture,
+        depth: gl.Texture | None,
         stored: StoredDepth,
         rows: Rows,
         stored_colour: StoredColour,
+        wider: GpuImage | None = None,
         callers: bool = False,
     ) -> GpuImage:
-        """Convert two textures; a caller's textures may have any filter, so that they are read by a sampler of ours."""
+        """Convert textures; a caller's textures may have any filter, so that they are read by a sampler of ours."""
         codes = stored_colour.encoding == "srgb"
-        in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1")
+        # The codes of an inset are decoded, to be mixed with the wider picture's light.
+        in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1") and wider is None
         kind = "srgb" if in_bytes else "f2"
         target = self._targets.get(f"picture {kind}", (camera.width_px, camera.height_px), (4, kind), (1, "f4"))
         self._context.draw_to(target.framebuffer)
-        drawing = self._imports[codes and not in_bytes]
+        decodes = codes and not in_bytes
+        drawing = self._imports[decodes] if wider is None else self._importing(DECODE=int(decodes), INSET=1)
         program = drawing.program
-        gl.bind_textures(program, stored_colour=colour, stored_depth=depth)
+        textures = {"stored_colour": colour, "stored_depth": colour if depth is None else depth}
+        if wider is not None:
+            gl.read_between_texels(wider.colour)
+            textures |= {"wider": wider.colour, "wider_inverse_depth": wider.inverse_depth}
+            gl.set_uniforms(
+                program,
+                wider_from_inset=pixels_from(camera, wider.camera),
+                border_px=BORDER * min(camera.width_px, camera.height_px),
+                shares_depth=depth is None,
+            )
+        gl.bind_textures(program, **textures)
         # Codes of fewer bits than the numbers of a uint16 texture, which holds 65535 as 1.
         of_largest = 65535 / ((1 << stored_colour.bits) - 1) if not callers and colour.dtype == "nu2" else 1.0
         gl.set_uniforms(
@@ -204,12 +246,9 @@ class PictureImport:
         )
 
 
-def _is_texture(value: Any) -> bool:
+def is_texture(value: Any) -> bool:
+    """Whether a value may be a texture: ModernGL's `Texture` or `TextureArray`, an OpenGL name, or a `TextureLayer`."""
     return is_number(value) or isinstance(value, TextureLayer | gl.Texture | gl.TextureArray)
-
-
-def _layer(value: Any) -> TextureLayer:
-    return value if isinstance(value, TextureLayer) else TextureLayer(value)
 
 
 def _check_context(context: gl.GlContext, name: str, thing: Any) -> None:

@@ -185,7 +185,7 @@ class EyePlan:
         device_from_camera: (3, 3) axes of the intermediate image and of the ray map.
         camera: of the intermediate image.
         raster_position: position of that camera as a function of the viewpoint; None: the viewpoint itself.
-        samples_per_axis: samples per display pixel and axis that the filter takes.
+        minification: largest minification of that image, see `minification_over_eye_box`.
     """
 
     eye: str
@@ -194,7 +194,7 @@ class EyePlan:
     device_from_camera: FloatArray
     camera: Pinhole
     raster_position: RasterPosition | None
-    samples_per_axis: int
+    minification: float
 
     @functools.cached_property
     def warp_grid(self) -> ChosenWarpGrid:
@@ -226,9 +226,18 @@ class EyePlan:
         middle = channels[len(channels) // 2]
         axes = middle_axes(middle)
         camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
-        samples_per_axis = samples_for(minification_over_eye_box(middle, axes, camera, size_px))
+        minification = minification_over_eye_box(middle, axes, camera, size_px)
         position = RasterPosition(middle, axes) if raster_camera == "nearest" else None
-        return cls(middle.eye, channels, size_px, axes, camera, position, samples_per_axis)
+        return cls(middle.eye, channels, size_px, axes, camera, position, minification)
+
+    @property
+    def samples_per_axis(self) -> int:
+        """Samples per display pixel and axis that the filter takes."""
+        return self.samples_of(self.camera)
+
+    def samples_of(self, camera: Pinhole) -> int:
+        """The same of an inset's camera."""
+        return samples_for(float(np.max(camera.focal_px / self.camera.focal_px)) * self.minification)
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
         """The camera pose and intrinsics to draw with for a viewpoint (3,) and a head pose (4, 4)."""

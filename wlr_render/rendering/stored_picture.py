@@ -194,26 +194,29 @@ def check_depth_format(stored: StoredDepth) -> None:
 
 def check_arrays(
     colour: NDArray[Any],
-    depth: NDArray[Any],
+    depth: NDArray[Any] | None,
     stored: StoredDepth,
     size: tuple[int, int],
     stored_colour: StoredColour = CODES,
 ) -> None:
     """Check that arrays are a picture of a size (width, height): colour (height, width, 3 or 4), depth (height, width).
 
+    The depth of a picture that needs none is None.
+
     Raises:
         BadInputError: shape, type or size is another, or a depth is outside `StoredDepth.limits`.
     """
-    shape = size[1], size[0]
     check_colour_array(colour, stored_colour)
-    if depth.dtype != np.float32 or depth.ndim != 2:
+    if depth is not None and (depth.dtype != np.float32 or depth.ndim != 2):
         raise BadInputError(f"The depth must be (height, width) of float32, not {depth.shape} of {depth.dtype}.")
-    for name, verb, found in (("colours", "have", colour.shape[:2]), ("depth", "has", depth.shape)):
-        if found != shape:
+    for name, verb, array in (("colours", "have", colour), ("depth", "has", depth)):
+        if array is not None and array.shape[:2] != size[::-1]:
             raise BadInputError(
-                f"The {name} {verb} {found[1]}x{found[0]} pixels, the camera {size[0]}x{size[1]}: draw with that "
-                "camera."
+                f"The {name} {verb} {array.shape[1]}x{array.shape[0]} pixels, the camera {size[0]}x{size[1]}: draw "
+                "with that camera."
             )
+    if depth is None:
+        return
     low, high = stored.limits
     outside = depth < low  # NaN is not
     if stored.kind is not DepthKind.METRES:
