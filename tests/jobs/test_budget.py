@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,6 +42,13 @@ def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
     assert of_model.rms_arcmin > 0
 
 
+def test_without_any_error_the_page_says_so(straight_device, tmp_path, monkeypatch):
+    monkeypatch.setattr("wlr_render.jobs.budget.choose_warp_grid", lambda *_: SimpleNamespace(bound_arcmin=0.0))
+    report = budget(BudgetOptions(straight_device, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
+    assert report.verdict.startswith("There is no error")
+    assert report.advice == []
+
+
 def test_both_eyes_have_disparity(straight_device, tmp_path):
     report = budget(BudgetOptions(straight_device, eye="both", out=tmp_path))
     disparity = {each.source: each for each in report.record["disparity"]}
@@ -49,6 +57,7 @@ def test_both_eyes_have_disparity(straight_device, tmp_path):
     parts = [each.horizontal_arcmin for name, each in disparity.items() if name != "all"]
     assert disparity["all"].horizontal_arcmin == pytest.approx(float(np.linalg.norm(parts)))
     assert "is a device" in report.warnings[0]
+    assert "(left eye) and" in report.verdict
 
 
 def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model, tmp_path):

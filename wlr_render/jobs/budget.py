@@ -1,6 +1,6 @@
 """The error budget of a headset: arcminutes of registration error by source, and what to improve first."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +22,7 @@ from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.rendering.choose_warp_grid import choose_warp_grid
-from wlr_render.report.blocks import Block, Cell, Report, ReportTable, Section, Text, cell_text
+from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable, Section, Text, cell_text
 from wlr_render.report.plots import heat_map, small_heat_maps
 from wlr_render.report.save import save_report
 from wlr_render.simulation.viewpoints import volumetric
@@ -31,6 +31,7 @@ from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M
 _COLUMNS = 24  # cells across the panel
 _VIEWPOINTS = 16
 _ADVISED = 3  # sources that are named as worth improving
+_LEAST_SHARE = 0.005  # of the variance, of an owner that is named
 _LEAST_GAIN = 0.02  # of the radius: halving a source that gives less is not advised
 
 _GAZE_SCATTER_DEG, _GAZE_MEDIAN_DEG, _MEDIAN_OF_RAYLEIGH = 0.20, 0.84, 1.177
@@ -137,7 +138,7 @@ class EyeBudget:
         owners, sources: contributions, largest first.
         regions: radius by region of the panel.
         sizes: of the errors beside the models' own.
-        left_out: share of pixels and viewpoints that a model answers by extrapolation only, or not at all.
+        left_out: share of pixels and viewpoints, of the field, that a model answers by extrapolation or not at all.
         radius_map: (rows, columns) radius by panel cell. rms_maps: rms of each source by panel cell.
     """
 
@@ -183,7 +184,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     worst = max(found, key=lambda each: each.radius_arcmin)
     report = Report(
         f"Error budget of {eyes[0].name}",
-        verdict=" ".join(_verdict(each, options.depth_m, len(found) > 1) for each in found),
+        verdict=_verdict(found, options.depth_m),
         advice=_advice(worst),
         warnings=[*_warnings(options.headset, found)],
         blocks=blocks,
@@ -218,8 +219,8 @@ def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes, in_camera_fr
     found = registration_covariance(eye, pixel, viewpoint, depth_m, sizes)
     found = found.in_camera_frame() if in_camera_frame else found
     known = found.is_inside & np.isfinite(found.total).all(axis=(-2, -1))
-    if eye.field is not None:
-        known &= eye.field.contains(found.view_dir)
+    wanted = np.ones(known.shape, bool) if eye.field is None else eye.field.contains(found.view_dir)
+    known &= wanted
     if not known.any():
         raise BadInputError(f"{eye.name}: no pixel is seen at {depth_m:g} m from the eye box; check depth and model.")
     total = np.where(known[..., None, None], found.total, np.nan)
@@ -249,7 +250,7 @@ def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes, in_camera_fr
         shares(by_source),
         regions,
         sizes,
-        1.0 - float(known.mean()),
+        1.0 - float(known.sum() / wanted.sum()),
         radius,
         maps,
     )
@@ -280,13 +281,19 @@ def _millimetres(size_m: FloatArray) -> str:
     return " x ".join(f"{1e3 * each:g}" for each in size_m) + " mm"
 
 
-def _verdict(found: EyeBudget, depth_m: float, is_named: bool) -> str:
-    first, *others = [each for each in found.owners if each.share >= 0.005]
-    whose = f"of the {found.eye} eye " if is_named else ""
+def _verdict(found: Sequence[EyeBudget], depth_m: float) -> str:
+    radii = [f"{cell_text(each.radius_arcmin)}'" for each in found]
+    if len(found) > 1:
+        radii = [f"{radius} ({each.eye} eye)" for radius, each in zip(radii, found, strict=True)]
+    worst = max(found, key=lambda each: each.radius_arcmin)
+    owners = [each for each in worst.owners if each.share >= _LEAST_SHARE]
+    if not owners:
+        return "There is no error: the mappings are exact, and all sizes are zero."
+    first, *others = owners
     rest = f" ({', '.join(f'{each.name} {100 * each.share:.0f} %' for each in others)})" if others else ""
     return (
-        f"95 % of pixels {whose}lie within {cell_text(found.radius_arcmin)}' of their real points at {depth_m:g} m, "
-        f"over {found.region}; the {first.name} owns {100 * first.share:.0f} % of the variance{rest}."
+        f"95 % of pixels lie within {' and '.join(radii)} of their real points at {depth_m:g} m, over {worst.region}; "
+        f"the {first.name} owns {100 * first.share:.0f} % of the variance{rest}."
     )
 
 
@@ -321,7 +328,7 @@ def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
         if each.left_out > 0.01:
             warnings.append(
                 f"{100 * each.left_out:.0f} % of pixels and viewpoints of the {each.eye} eye lie outside of what was "
-                "calibrated, of the nominal field or of what the eye sees; they do not count."
+                "calibrated, or of what the eye sees; they do not count."
             )
     return warnings
 
@@ -363,14 +370,13 @@ def _eye_blocks(found: EyeBudget, eye: EyeMappings, depth_m: float) -> list[Bloc
             cell=cell,
             caption="By place on the panel, over the eye box.",
         ),
-        small_heat_maps(
-            f"Rms error by source, {found.eye} eye",
-            shown,
-            "arcmin",
-            cell=cell,
-            caption="By place on the panel, over the eye box; one logarithmic scale. Sources of zero are not shown.",
-        ),
+        *([_source_maps(found.eye, shown, cell)] if shown else []),
     ]
+
+
+def _source_maps(eye: str, maps: Mapping[str, FloatArray], cell: float) -> Plot:
+    caption = "By place on the panel, over the eye box; one logarithmic scale. Sources of zero are not shown."
+    return small_heat_maps(f"Rms error by source, {eye} eye", maps, "arcmin", cell=cell, caption=caption)
 
 
 def _disparity_table(found: Sequence[DisparityShare], depth_m: float) -> ReportTable:

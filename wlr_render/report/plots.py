@@ -177,7 +177,7 @@ def small_heat_maps(
                 "yaxis": f"y{own}",
             }
         )
-    return Plot(title, data, layout, caption, height_px=60 + 190 * rows)
+    return Plot(title, data, layout, caption, height_px=60 + 230 * rows)
 
 
 def block_maxima(values: FloatArray, block: int) -> FloatArray:
