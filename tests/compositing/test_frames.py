@@ -107,7 +107,7 @@ def test_a_released_compositor_says_so(flat_image_headset, compositor, context):
         with pytest.raises(BadInputError, match="has been released; make another one"):
             call()
     assert made.renderer
-    for call in (frame.eyes["right"].read, frame.eyes["right"].read_ray_maps):
+    for call in (frame.eyes["right"].read_colour, frame.eyes["right"].read_ray_maps):
         with pytest.raises(BadInputError, match="context has been released with all its pictures"):
             call()
 
