@@ -8,6 +8,7 @@ import resource
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -145,5 +146,12 @@ def peak_memory_gb(method: str, backend: str) -> float:
     else:
         painter = WarpedPainter(mappings, SceneRaster(open_context(backend), scene))
     painter.paint(mappings.eye_box.centre, HEAD_POSE)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e9 if sys.platform == "darwin" else 1e6)  # macOS counts bytes, Linux kilobytes
+    return _peak_resident_gb()
+
+
+def _peak_resident_gb() -> float:
+    """Of this process. On Linux not by getrusage, whose peak begins with the size of the process that started it."""
+    if sys.platform == "darwin":
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return next(float(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM:")) / 1e6

@@ -13,7 +13,8 @@ surface where D(s(w)) = w. The algorithm:
    in the image (and at most MAX_STEPS steps). The bounds come from a pyramid whose finest texels hold the smallest and
    the largest value of TILE x TILE px: first for all paths of a cell of the warp grid, then for each pixel. Long
    paths are divided into parts, and those in front of the first and behind the last part in which the ray may meet
-   what is shown there are left out. Most paths have one step. Where the bounds are less than DIRECT_PX apart in the image for a whole cell, the
+   what is shown there are left out. Most paths have one step.
+   Where the bounds are less than DIRECT_PX apart in the image for a whole cell, the
    source is s(D(s(w))) with w midway between them, and the following does not apply.
 2. A step may contain the intersection if the ray is in front at its near end and crosses one of the two surfaces seen
    at its ends (either surface may end within the step: thin objects), or if it is behind at its near end and crosses
