@@ -16,6 +16,7 @@ from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
     Trend,
+    design_of,
     free_part,
     motion_columns,
     polynomial_of,
@@ -271,6 +272,46 @@ class SmoothFit:
         moved = np.einsum("nok,nk->no", self._columns, motion[readings.capture])
         sums = sums_of(replace(readings, observed=readings.observed - moved), self._start, self._columns, self.kept)
         return polynomial_of(readings, self._start, posterior(sums, self._prior, self._hyper, evidence=False))
+
+    @property
+    def prior_size(self) -> FloatArray:
+        """(columns,) prior sizes of the coefficients of each output."""
+        return np.asarray(np.exp(self._prior.features @ self._hyper))
+
+    @property
+    def coefficient_root(self) -> FloatArray:
+        """F (columns, columns), F F' = posterior covariance of the coefficients of an output, the mean of both."""
+        found = self.posterior
+        follow = [each.T @ found.side_covariance @ each for each in found.by_side]
+        covariance = found.alone + np.mean(follow, axis=0)
+        size = np.sqrt(np.diag(covariance))
+        values, vectors = np.linalg.eigh(covariance / size[:, None] / size)
+        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def whitened(self, readings: FitReadings, place: IntArray) -> list[FloatArray]:
+        """Designs (n, columns) of an output in combinations of readings whose noise is 1 and independent.
+
+        What motions of the camera, with the sizes found, add to the noise is averaged over both outputs.
+
+        Args:
+            readings: of the same headset, none beyond the box of this fit.
+            place: (n,) numbers of the camera places, one design each, ascending.
+        """
+        readings = readings.within(self.readings.box)
+        design = design_of(readings, slice(None), basis(readings.inputs, readings.orders, readings.box))
+        weight = (readings.weight / self.noise)[:, None]
+        own = np.zeros((len(readings), 2, 6))
+        if self._columns is not None:
+            size = motion_sizes(readings) * np.exp(self._prior.own_features @ self._hyper)
+            own = motion_columns(readings, self.polynomial) * (size[readings.capture] * weight)[:, None]
+        found = []
+        for number in np.unique(place):
+            rows = np.flatnonzero(place == number)
+            visit = readings.capture[rows]
+            moved = own[rows].reshape(len(rows), -1)
+            noise = np.eye(len(rows)) + 0.5 * (visit[:, None] == visit) * (moved @ moved.T)
+            found.append(np.linalg.solve(np.linalg.cholesky(noise), design[rows] * weight[rows]))
+        return found
 
 
 def fit_within(

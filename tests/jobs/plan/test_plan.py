@@ -10,11 +10,12 @@ from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.plan import plan as plan_job
-from wlr_render.jobs.plan.designs import candidates, first_chosen, grids, spread, with_chosen
+from wlr_render.jobs.plan.designs import grids, offered, places_of, spread
+from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.jobs.plan.prediction import PlannedFit, Scales, simulated_captures
-from wlr_render.jobs.plan.search import find_design
+from wlr_render.jobs.plan.search import chosen_design, find_design
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
@@ -86,8 +87,9 @@ def test_smooth_errors_of_the_stage_cancel_in_registration_but_not_in_the_displa
 
 
 def test_calibration_of_the_stage_leaves_nothing_at_its_levels(bench):
-    at_levels = bench.places(np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [1.0, -1.0]]))
-    between = bench.places(np.array([[0.5, 0.0], [0.5, -0.5]]))
+    at_levels = bench.places(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, -1.0, 0.0]]))
+    at_levels = np.concatenate([at_levels, bench.places(np.array([[0.0, 0.0, 1.0]]))])
+    between = bench.places(np.array([[0.5, 0.0, 0.0], [0.5, -0.5, 0.0]]))
     curve = bench.curve(1)
     assert np.abs(curve(at_levels)).max() < 1e-12
     assert np.abs(curve(between)[:, :3]).max() > 1e-5
@@ -100,15 +102,59 @@ def test_grids_keep_to_the_number_of_places_and_to_the_shape_of_the_box():
     assert "grid 4 x 3" in names
     assert all(len(each) <= 30 for each in grids(np.array([0.012, 0.006]), 30))
     wide = grids(np.array([0.012, 0.006]), 81)
-    assert np.ptp(wide[-1].unit, axis=0) == pytest.approx([2.0, 2.0])
+    assert np.ptp(wide[-1].unit, axis=0) == pytest.approx([2.0, 2.0, 0.0])
 
 
-def test_places_are_chosen_where_the_variance_is_largest_and_not_twice():
-    variance = np.hypot(*(candidates() - [0.5, 0.5]).T) < 0.3
-    design = with_chosen(first_chosen(), variance.astype(float), 3)
-    added = design.unit[9:]
-    assert np.linalg.norm(added[0] - 0.5) < 0.5
-    assert len(np.unique(design.unit.round(9), axis=0)) == 12
+@pytest.fixture(scope="module")
+def choice(bench, search):
+    """Places in depth, then spreads of 16 and of 25 in the middle plane."""
+    box, reach = bench.truth.eye_box, bench.field_reach
+    unit = np.concatenate([offered(box, reach, True), of_family(bench, 16).unit, of_family(bench, 25).unit])
+    return PlaceChoice.of(search.predictor.pilot, bench.places(unit), (0.4, 1.0), is_added=False)
+
+
+def test_each_chosen_place_lowers_the_error_and_exchanges_lower_it_further(choice):
+    taken, errors = choice.one_by_one(16)
+    assert len(set(taken)) == 16
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] == pytest.approx(choice.error(taken))
+    chosen = choice.chosen(16)
+    assert len(set(chosen)) == 16
+    assert choice.error(chosen) < 0.98 * errors[-1]
+
+
+def test_the_choice_predicts_as_the_whole_posterior_does(choice, bench, search):
+    for count, rows in ((16, range(92, 108)), (25, range(108, 133))):
+        whole = search.predictor.errors(of_family(bench, count).unit, Scales(smooth=0.0)).registration.rms
+        assert choice.error(rows) == pytest.approx(whole, rel=0.1)
+
+
+def test_16_places_chosen_in_depth_predict_better_than_25_of_a_spread_in_the_plane(choice):
+    assert choice.error(choice.chosen(16)) < 0.9 * choice.error(range(108, 133))
+
+
+@pytest.mark.parametrize("count", [10, 16])
+def test_a_chosen_design_never_predicts_worse_than_a_spread_of_as_many_places(search, bench, count):
+    chosen, lattice = (
+        search.predictor.errors(each.unit, Scales(smooth=0.0)).registration.rms
+        for each in (chosen_design(search.predictor, count), of_family(bench, count))
+    )
+    assert chosen <= 1.01 * lattice  # the choice averages over fewer directions
+
+
+def test_rays_from_offered_places_meet_the_middle_plane_in_the_region_of_places(bench):
+    box, reach = bench.truth.eye_box, bench.field_reach
+    away = places_of(offered(box, reach, True), box, reach) - box.centre
+    assert np.abs(away[:, 2]).max() == pytest.approx(0.5 * box.size[2])
+    assert np.all(np.abs(away[:, :2]) + np.abs(away[:, 2:]) * reach <= bench.reach_m + 1e-12)
+    assert np.all(offered(box, reach, False)[:, 2] == 0.0)
+
+
+def test_a_further_target_lowers_the_error(search, bench):
+    places = bench.places(of_family(bench, 12).unit)
+    distance, ratio = further_distance(search.predictor.pilot, places, (0.4, 1.0), is_added=False)
+    assert distance not in (0.4, 1.0)
+    assert 0.6 < ratio < 1.0
 
 
 def test_an_accuracy_out_of_reach_is_said_to_be(search):
@@ -141,7 +187,7 @@ def load_box():
 def calibration(bench, tmp_path_factory):
     """A calibration from places of the left half of the eye box alone."""
     folder = tmp_path_factory.mktemp("calibration")
-    unit = of_family(bench, 12).unit * [0.5, 1.0] - [0.5, 0.0]
+    unit = of_family(bench, 12).unit * [0.5, 1.0, 1.0] - [0.5, 0.0, 0.0]
     save_captures(folder / "captures-right.npz", simulated_captures(bench, unit, 5))
     return folder
 

@@ -1,28 +1,26 @@
-"""Designs of a session: grids of camera places, and sets chosen where the models would be least sure."""
+"""Designs of a session: grids and lattices of camera places, and the places that a design may be chosen from."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.mappings import EyeBox
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
 GRID, SPREAD, CHOSEN = "grid", "spread", "chosen"
 """Families of designs."""
 _LEVELS = range(3, 10)
-_APART = 0.6  # least distance of places that are chosen together, of half the region's side
-_CANDIDATES = 9  # levels of each axis
-_FIRST = np.array([[0, 0], [-1, -1], [1, -1], [-1, 1], [1, 1], [0, -1], [0, 1], [-1, 0], [1, 0]], np.float64)
+_OFFERED = 37  # places of each plane, beside a grid of 3 x 3
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Camera places on the base plane.
+    """Camera places.
 
     Attributes:
         name: e.g. "grid 5 x 4".
-        unit: (m, 2) between -1 and 1 across the region of places.
+        unit: (m, 3) between -1 and 1 across the region of places, see `places_of`.
     """
 
     name: str
@@ -30,6 +28,22 @@ class Design:
 
     def __len__(self) -> int:
         return len(self.unit)
+
+
+def places_of(unit: FloatArray, eye_box: EyeBox, reach: FloatArray) -> FloatArray:
+    """Camera places (m, 3), device frame.
+
+    The region of places has the depth of the eye box. In the middle plane it ends where rays through the eye box do;
+    before and behind it is smaller, so that rays from its places meet the middle plane in the same region.
+
+    Args:
+        unit: (m, 3) between -1 and 1.
+        eye_box: the eye box.
+        reach: (2,) largest |tx| and |ty| of the display's rays.
+    """
+    half = 0.5 * eye_box.size
+    beside = half[:2] + half[2] * (1.0 - np.abs(unit[:, 2:])) * reach
+    return np.asarray(eye_box.centre + np.concatenate([unit[:, :2] * beside, unit[:, 2:] * half[2]], axis=1))
 
 
 def spread(eye_box: EyeBox, reach: FloatArray, count: int) -> Design:
@@ -41,7 +55,7 @@ def spread(eye_box: EyeBox, reach: FloatArray, count: int) -> Design:
         count: of places.
     """
     away = viewpoints.planar(eye_box, reach, count)[:, :2] - eye_box.centre[:2]
-    return Design(f"{SPREAD} {count}", away / np.abs(away).max(axis=0))
+    return Design(f"{SPREAD} {count}", _flat(away / np.abs(away).max(axis=0)))
 
 
 def grids(reach: FloatArray, most: int) -> list[Design]:
@@ -63,43 +77,14 @@ def grids(reach: FloatArray, most: int) -> list[Design]:
 def _grid(columns: int, rows: int) -> FloatArray:
     """Closer at the edges, as Chebyshev points are: polynomials are least sure there."""
     x, y = (-np.cos(np.pi * (np.arange(count) + 0.5) / count) for count in (columns, rows))
-    return np.stack(np.meshgrid(x / x.max(), y / y.max()), axis=-1).reshape(-1, 2)
+    return _flat(np.stack(np.meshgrid(x / x.max(), y / y.max()), axis=-1).reshape(-1, 2))
 
 
-def candidates() -> FloatArray:
-    """Places (n, 2) to choose from."""
-    return _grid(_CANDIDATES, _CANDIDATES)
+def _flat(unit: FloatArray) -> FloatArray:
+    return np.concatenate([unit, np.zeros((len(unit), 1))], axis=1)
 
 
-def first_chosen() -> Design:
-    """The places with which a chosen design starts."""
-    return _chosen(_FIRST)
-
-
-def with_chosen(design: Design, variance: FloatArray, count: int) -> Design:
-    """The design with `count` further places, where the predicted variance (n,) at the `candidates` is largest."""
-    offered = candidates()
-    return _chosen(np.concatenate([design.unit, offered[largest(variance, offered, design.unit, count)]]))
-
-
-def _chosen(unit: FloatArray) -> Design:
-    return Design(f"{CHOSEN} {len(unit)}", unit)
-
-
-def largest(variance: FloatArray, offered: FloatArray, taken: FloatArray, count: int) -> IntArray:
-    """Indices (count,) of the largest variances, not close to each other nor at a taken place.
-
-    Args:
-        variance: (n,) at the offered places.
-        offered: (n, 2). taken: (m, 2).
-        count: of places.
-    """
-    found: list[int] = []
-    order = np.argsort(-variance)
-    for apart in (_APART, 0.5 * _APART, 0.0):
-        for number in order:
-            far = [np.linalg.norm(offered[number] - offered[other]) > apart for other in found]
-            free = np.linalg.norm(taken - offered[number], axis=1).min() > 0.25 * apart
-            if len(found) < count and number not in found and free and all(far):
-                found.append(int(number))
-    return np.array(found, dtype=np.int64)
+def offered(eye_box: EyeBox, reach: FloatArray, in_depth: bool) -> FloatArray:
+    """Places (n, 3) to choose from, see `Design.unit`: in the middle plane, or in depth at both ends of the eye box."""
+    flat = np.concatenate([spread(eye_box, reach, _OFFERED).unit, _grid(3, 3)])
+    return np.concatenate([flat + [0.0, 0.0, z] for z in ((-1.0, 1.0) if in_depth else (0.0,))])

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.capture_file import load_captures
@@ -14,19 +13,19 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, se
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import rays
-from wlr_render.jobs.plan.designs import candidates, largest
+from wlr_render.jobs.plan.designs import offered, places_of
+from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan_report import error_map, places_table
-from wlr_render.jobs.plan.prediction import EyeTests, PlannedFit, place_variance
+from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.jobs.plan.prediction import FAR_M, NEAR_M, EyeTests, PlannedFit
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Report, ReportTable
 
 _ROWS = 220  # of each capture, with smaller sigma: it tells as much, and costs less
-_TRIED = 3  # places of large variance among which the one that helps most is taken
 _TESTS = 800
 _WORTH = 0.02  # of the error: fewer is no gain
-_NEAR_M, _FAR_M = 0.3, 5.0
 
 
 @dataclass(frozen=True)
@@ -39,12 +38,12 @@ class _Step:
 
 
 def plan_next_places(
-    truth: EyeMappings, folder: Path, accuracy_arcmin: float, most: int, say: Callable[[str], object]
+    bench: PlannedBench, folder: Path, accuracy_arcmin: float, most: int, say: Callable[[str], object]
 ) -> tuple[Report, FloatArray]:
     """Plan the places to add to a calibration; returns the report and the places (m, 3) from the eye box's centre.
 
     Args:
-        truth: the headset.
+        bench: the headset and the stage.
         folder: with captures-EYE.npz.
         accuracy_arcmin: wanted registration error of 95 % of the eye box.
         most: places at most.
@@ -53,29 +52,30 @@ def plan_next_places(
     Raises:
         BadInputError: there are no captures of this eye, or they lack the display or see-through.
     """
+    truth = bench.truth
     path = folder / f"captures-{truth.eye}.npz"
     if not path.is_file():
         raise BadInputError(f"{path}: there is no such file; name the output folder of a calibrate verb with this eye.")
     display, see_through = load_captures(path).both
     say("fitting the captures")
     fit = PlannedFit(fit_display(_thinned(display)), fit_see_through(_thinned(see_through)))
-    box, plane = display.eye_box, choose_base_plane(display.viewpoint, display.eye_box)
+    box = display.eye_box
     tests = _tests(fit, display)
-    reach = 0.5 * box.size[:2] + 0.5 * box.size[2] * np.abs(display.tangents).max(axis=0)
-    flat = box.centre[:2] + candidates() * reach
-    offered = np.concatenate([flat, plane.z_at(flat)[:, None]], axis=1)
-    taken = (np.unique(display.viewpoint, axis=0)[:, :2] - box.centre[:2]) / reach
+    reach = np.abs(display.tangents).max(axis=0)
+    say("choosing places")
+    poses = np.unique(see_through.target_pose)
+    depths = [float(box.centre[2] - see_through.point[see_through.target_pose == each, 2].mean()) for each in poses]
+    places = places_of(offered(box, reach, bench.in_depth), box, reach)
+    choice = PlaceChoice.of(fit, places, depths, is_added=True)
     now = (fit.display.mapping, fit.see_through.mapping)
     steps = [_Step(np.zeros((0, 3)), now, _predicted(*now, tests))]
+    order = choice.places[choice.one_by_one(most)[0]]
     while len(steps[-1].places) < most and steps[-1].errors.p95 > accuracy_arcmin:
-        say(f"choosing place {len(steps)}")
-        last = steps[-1]
-        own = (last.places[:, :2] - box.centre[:2]) / reach
-        variance = place_variance(*last.models, offered, tests)
-        best = largest(variance, candidates(), np.concatenate([taken, own]), _TRIED)
-        tried = [_with_places(fit, np.concatenate([last.places, offered[each][None]]), tests) for each in best]
-        steps.append(min(tried, key=lambda each: each.errors.rms))
-    return _report(truth, path, display.device, steps, accuracy_arcmin, tests), steps[-1].places - box.centre
+        say(f"predicting with {len(steps)} places")
+        steps.append(_with_places(fit, order[: len(steps)], tests))
+    added = steps[-1].places
+    target = further_distance(fit, added, depths, is_added=True) if len(added) else None
+    return _report(truth, path, display.device, steps, accuracy_arcmin, tests, target), added - box.centre
 
 
 def _thinned(captures: AnyCaptures) -> AnyCaptures:
@@ -97,7 +97,7 @@ def _tests(fit: PlannedFit, shown: DisplayCaptures) -> EyeTests:
     pixel = shown.pixel[rng.integers(0, len(shown), _TESTS)]
     view_dir = fit.display.mapping.view_dir_of_pixel(pixel, viewpoint)
     ray = fit.see_through.mapping.real_ray_of_view_dir(view_dir.value, viewpoint)
-    depth = 1.0 / rng.uniform(1.0 / _FAR_M, 1.0 / _NEAR_M, _TESTS)
+    depth = 1.0 / rng.uniform(1.0 / FAR_M, 1.0 / NEAR_M, _TESTS)
     known = view_dir.usable & ray.usable
     point = rays.split(rays.at_z(ray.value[known], viewpoint[known, 2] - depth[known]))[0]
     return EyeTests(viewpoint[known], pixel[known], point, view_dir.value[known])
@@ -115,7 +115,13 @@ def _predicted(display: FittedDisplay, see_through: FittedSeeThrough, tests: Eye
 
 
 def _report(
-    truth: EyeMappings, path: Path, device: str, steps: list[_Step], accuracy_arcmin: float, tests: EyeTests
+    truth: EyeMappings,
+    path: Path,
+    device: str,
+    steps: list[_Step],
+    accuracy_arcmin: float,
+    tests: EyeTests,
+    target: tuple[float, float] | None,
 ) -> Report:
     first, last, box = steps[0], steps[-1], steps[0].models[0].eye_box
     found = f"predicted registration error {first.errors.median:.2g}' in the median, {first.errors.p95:.2g}' at 95 %"
@@ -131,15 +137,26 @@ def _report(
         advice = ["Photograph the display and the board at the places of places.csv, then calibrate again."]
         if last.errors.p95 > accuracy_arcmin:
             advice.append("Plan more places with --add, or improve the bench: `plan` without --calibration says what.")
+    if target is not None and target[1] < 1.0 - _WORTH:
+        gain = 100.0 * (1.0 - target[1])
+        advice.append(f"Photograph the board from them at {target[0]:g} m, too: this lowers the error by {gain:.0f} %.")
     rows: list[list[Cell]] = []
     for number, step in enumerate(steps):
-        at: list[Cell] = [None, None]
+        at: list[Cell] = [None, None, None]
         if number:
-            at = [f"{1e3 * each:+.3f}" for each in (step.places[-1] - box.centre)[:2]]
+            at = [f"{1e3 * each:+.3f}" for each in step.places[-1] - box.centre]
         rows.append([number, *at, step.errors.median, step.errors.p95])
-    columns = ["places added", "x (mm)", "y (mm)", "registration, median (arcmin)", "registration, 95 % (arcmin)"]
+    columns = [
+        "places added",
+        "x (mm)",
+        "y (mm)",
+        "z (mm)",
+        "registration, median (arcmin)",
+        "registration, 95 % (arcmin)",
+    ]
     notes = (
-        "Each place is the one that lowers the predicted error most. Errors common to all captures are not in it.",
+        "Each place is the one that lowers the predicted error most beside those before. Errors common to all captures "
+        "are not in it.",
     )
     blocks: list[Block] = [
         ReportTable("Places to add, one by one", columns, rows, notes),

@@ -48,6 +48,13 @@ class PlanOptions(Options):
     turn_urad: Annotated[
         float, described("Smooth pitch, yaw and roll of the stage in urad, rms along each axis."), limits.ROTATION_URAD
     ] = _USUAL.turn_urad
+    in_depth: Annotated[
+        bool,
+        described(
+            "Choose camera places before and behind the middle plane of the eye box, too: for a stage of three axes, "
+            "calibrated at five levels of each."
+        ),
+    ] = False
     dot_noise_px: Annotated[
         float, described("Noise of a dot of the board, per axis, in camera pixels."), limits.NOISE_PX
     ] = _READINGS.dot_px
@@ -112,13 +119,13 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
     device = load_device(options.headset)
     truth = replace(traced_eye(device, options.eye), name=device.name)
     inputs = [device_path(options.headset)]
+    noise = ReadingOptions(options.dot_noise_px, options.panel_noise_px)
+    bench = PlannedBench(truth, options.recipe, noise, options.recipe.build(), options.in_depth)
     if options.calibration is not None:
         report, places = plan_next_places(
-            truth, options.calibration, options.accuracy_arcmin, options.add, progress.say
+            bench, options.calibration, options.accuracy_arcmin, options.add, progress.say
         )
     else:
-        noise = ReadingOptions(options.dot_noise_px, options.panel_noise_px)
-        bench = PlannedBench(truth, options.recipe, noise, options.recipe.build())
         search = find_design(bench, options.accuracy_arcmin, options.most_places, progress.say)
         report = plan_report(search, options.accuracy_arcmin, options.seconds)
         places = bench.places(search.recommended.design.unit) - truth.eye_box.centre

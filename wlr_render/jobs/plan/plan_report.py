@@ -167,8 +167,8 @@ def _designs_table(search: DesignSearch) -> ReportTable:
             rows.append([each.design.name, len(each.design), total, found.median, found.p95, mark])
     columns = ["design", "places", "photographs", "registration, median (arcmin)", "registration, 95 % (arcmin)", ""]
     notes = (
-        "Spread: no two places share a column or a row. Chosen: each place where those before leave the largest "
-        "predicted variance. A grid has few levels of x and y for its number of places.",
+        "Spread: no two places share a column or a row. Chosen: the places with the least predicted variance over the "
+        "eye box. A grid has few levels of x and y for its number of places.",
     )
     return ReportTable("Designs", columns, rows, notes)
 

@@ -9,6 +9,7 @@ from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
+from wlr_render.jobs.plan.designs import places_of
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
@@ -22,6 +23,9 @@ GRID = (17, 13)
 """Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
 BARE_LEVELS = 3
 """Levels of each stage axis at which the board is photographed without the headset."""
+DEPTH_LEVELS = 5
+"""The same where places differ in depth: smooth errors of the stage are then no function of the base plane's points,
+which display and see-through would share."""
 _CURVE = 71  # stream of random numbers
 
 
@@ -65,12 +69,15 @@ class PlannedBench:
         recipe: device, code, camera, targets and imperfections.
         noise: of a dot and of a decoded panel position.
         bench: the simulated bench of the recipe.
+        in_depth: whether the camera stands before and behind the middle plane, too; the stage is then calibrated at
+            more levels.
     """
 
     truth: EyeMappings
     recipe: SimulationRecipe
     noise: ReadingOptions
     bench: PhotoBench
+    in_depth: bool = False
 
     @property
     def camera_arcmin(self) -> float:
@@ -106,21 +113,20 @@ class PlannedBench:
         return self.setup().field.reach
 
     def places(self, unit: FloatArray) -> FloatArray:
-        """Camera places (m, 3) of places (m, 2) between -1 and 1."""
-        flat = np.concatenate([unit * self.reach_m, np.zeros((len(unit), 1))], axis=1)
-        return np.asarray(self.truth.eye_box.centre + flat)
+        """Camera places (m, 3) of places (m, 3) between -1 and 1; see `designs.places_of`."""
+        return places_of(unit, self.truth.eye_box, self.field_reach)
 
     def setup(self, depths_m: tuple[float, ...] | None = None) -> CaptureSetup:
         """The bench without errors."""
         depths = depths_m or self.recipe.bench.target_depths_m
         return CaptureSetup(self.truth, grid=GRID, target_depths_m=depths)
 
-    def curve(self, draw: int, levels: int = BARE_LEVELS) -> StageCurve:
+    def curve(self, draw: int, levels: int | None = None) -> StageCurve:
         """Smooth errors of one of many such stages."""
         rng = np.random.default_rng([self.recipe.bench.seed, _CURVE, draw])
         half = np.append(self.reach_m, 0.5 * self.truth.eye_box.size[2])
         errors = StageErrors.draw(self.recipe.bench.imperfections, half, rng)
-        return StageCurve(errors, self.truth.eye_box.centre, levels)
+        return StageCurve(errors, self.truth.eye_box.centre, levels or (DEPTH_LEVELS if self.in_depth else BARE_LEVELS))
 
     def captures(
         self, places: FloatArray, seed: list[int], curve: StageCurve | None, depths_m: tuple[float, ...] | None = None

@@ -19,7 +19,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
 _VIEWPOINTS, _EACH = 150, 8
-_NEAR_M, _FAR_M = 0.3, 5.0  # of real points, evenly in dioptres
+NEAR_M, FAR_M = 0.3, 5.0
+"""Distances of real points, evenly in dioptres."""
 _CURVES = 4  # smooth errors of the stage that are averaged over
 _DRAWS = 8  # of the random part, of each
 _TESTS, _PILOT = 72, 73  # streams of random numbers
@@ -65,7 +66,7 @@ class EyeTests:
             shown = mapping_error.observations_of_dirs(truth.display, viewpoint, dir_of_tangents(tangents))
         seen = truth.see_through.real_ray_of_view_dir(shown.view_dir, shown.viewpoint).usable
         viewpoint, view_dir = shown.viewpoint[seen], shown.view_dir[seen]
-        depth = 1.0 / rng.uniform(1.0 / _FAR_M, 1.0 / _NEAR_M, len(view_dir))
+        depth = 1.0 / rng.uniform(1.0 / FAR_M, 1.0 / NEAR_M, len(view_dir))
         points = mapping_error.see_through_observations(truth.see_through, viewpoint, view_dir, depth)
         return cls(viewpoint, shown.pixel[seen], points.point, view_dir)
 
@@ -126,7 +127,7 @@ class DesignPredictor:
     def models(
         self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
     ) -> tuple[FittedDisplay, FittedSeeThrough]:
-        """Models with the covariance of a design with places (m, 2), see `Design.unit`."""
+        """Models with the covariance of a design with places (m, 3), see `Design.unit`."""
         display, see_through = self.bench.captures(self.bench.places(unit), [0, _PILOT], None, depths_m).both
         changes = {"noise": scales.noise, "shift": scales.random, "turn": scales.random}
         # The stage as the pilot found it: a fit takes for random motions what it cannot follow, smooth errors included.
@@ -142,7 +143,7 @@ class DesignPredictor:
     def errors(
         self, unit: FloatArray, scales: Scales = Scales(), depths_m: tuple[float, ...] | None = None
     ) -> DesignErrors:
-        """Predicted errors of a design with places (m, 2)."""
+        """Predicted errors of a design with places (m, 3)."""
         return self.errors_of(*self.models(unit, scales, depths_m), scales.smooth)
 
     def errors_of(self, display: FittedDisplay, see_through: FittedSeeThrough, smooth: float = 1.0) -> DesignErrors:

@@ -5,17 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.jobs.plan.designs import (
-    CHOSEN,
-    GRID,
-    SPREAD,
-    Design,
-    candidates,
-    first_chosen,
-    grids,
-    spread,
-    with_chosen,
-)
+from wlr_render.jobs.plan.designs import CHOSEN, GRID, SPREAD, Design, grids, offered, spread
+from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.jobs.plan.prediction import (
     DesignErrors,
@@ -23,13 +14,13 @@ from wlr_render.jobs.plan.prediction import (
     EyeTests,
     PlannedFit,
     Scales,
-    place_variance,
     simulated_captures,
 )
+from wlr_render.numerics.arrays import FloatArray
 
 LEAST_PLACES = 9
 _PILOT_PLACES = 30
-_BATCHES = 4  # in which the places of a chosen design are chosen at most
+_GUESSES = 4  # numbers of places at which a chosen design is predicted, at most
 _FIRST_STEP = 16  # of so many parts of the designs; steps double until a design reaches the accuracy
 _MORE = 1.25  # times as many places if the simulated session misses the accuracy
 _TRIALS = 3
@@ -146,25 +137,44 @@ def _smallest(by_family: Mapping[str, tuple[PredictedDesign, ...]], accuracy_arc
 
 
 def _chosen(predictor: DesignPredictor, most: int, accuracy_arcmin: float) -> tuple[PredictedDesign, ...]:
-    """Chosen designs of growing size, up to the first that reaches the accuracy."""
-    design, tried = first_chosen(), []
-    batch = max(2, -(-(most - len(design)) // _BATCHES))
-    while True:
-        models = predictor.models(design.unit)
-        tried.append(PredictedDesign(design, predictor.errors_of(*models)))
-        missing = min(batch, most - len(design))
-        if tried[-1].p95 <= accuracy_arcmin or missing <= 0:
-            return tuple(tried)
-        variance = place_variance(*models, predictor.bench.places(candidates()), predictor.tests)
-        design = with_chosen(design, variance, missing)
+    """Chosen designs on the way to the smallest that reaches the accuracy."""
+    tried: dict[int, PredictedDesign] = {}
+    tail, (_, errors) = 2.0, _choice(predictor, most)[0].one_by_one(most)
+    for _ in range(_GUESSES):
+        # Errors of the choice are cheap; those of the design take a posterior and its low-rank factors.
+        enough = [count for count in range(LEAST_PLACES, most) if tail * errors[count - 1] <= accuracy_arcmin]
+        count = enough[0] if enough else most
+        if count in tried:
+            break
+        tried[count] = _predicted(predictor, chosen_design(predictor, count))
+        tail = tried[count].p95 / errors[count - 1]
+    return tuple(tried[count] for count in sorted(tried))
+
+
+def chosen_design(predictor: DesignPredictor, count: int) -> Design:
+    """The design of so many places that the posterior of the pilot chooses; no worse than a spread of as many."""
+    choice, unit = _choice(predictor, count)
+    taken = choice.chosen(count, start=range(len(unit) - count, len(unit)))
+    return Design(f"{CHOSEN} {count}", unit[taken])
+
+
+def _choice(predictor: DesignPredictor, count: int) -> tuple[PlaceChoice, FloatArray]:
+    """The choice, and its places (n, 3), see `Design.unit`; the last are a spread of `count`."""
+    bench = predictor.bench
+    box, reach = bench.truth.eye_box, bench.field_reach
+    unit = np.concatenate([offered(box, reach, bench.in_depth), spread(box, reach, count).unit])
+    depths = bench.recipe.bench.target_depths_m
+    return PlaceChoice.of(predictor.pilot, bench.places(unit), depths, is_added=False), unit
 
 
 def _limits(predictor: DesignPredictor, design: Design) -> dict[str, DesignErrors]:
     """Predicted errors of the design with one thing changed."""
     bench, unit = predictor.bench, design.unit
-    near, *_, far = sorted(bench.recipe.bench.target_depths_m)
-    middle = 2.0 / (1.0 / near + 1.0 / far)
-    depths = (*bench.recipe.bench.target_depths_m, round(middle, 2))
+    now_m = bench.recipe.bench.target_depths_m
+    depths = (
+        *now_m,
+        further_distance(predictor.pilot, bench.places(unit), now_m, is_added=False)[0],
+    )
     twice = spread(bench.truth.eye_box, bench.field_reach, 2 * len(design))
     return {
         "half the noise of dots and decoding": predictor.errors(unit, Scales(noise=0.5)),
