@@ -155,6 +155,8 @@ def test_a_further_target_lowers_the_error(search, bench):
     distance, ratio = further_distance(search.predictor.pilot, places, (0.4, 1.0), is_added=False)
     assert distance not in (0.4, 1.0)
     assert 0.6 < ratio < 1.0
+    every, _ = further_distance(search.predictor.pilot, places, (0.3, 0.6, 1.5, 3.0), is_added=False)
+    assert every in (0.3, 0.6, 1.5, 3.0)  # once more
 
 
 def test_an_accuracy_out_of_reach_is_said_to_be(search):

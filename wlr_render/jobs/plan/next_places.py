@@ -62,19 +62,21 @@ def plan_next_places(
     box = display.eye_box
     tests = _tests(fit, display)
     reach = np.abs(display.tangents).max(axis=0)
-    say("choosing places")
-    poses = np.unique(see_through.target_pose)
-    depths = [float(box.centre[2] - see_through.point[see_through.target_pose == each, 2].mean()) for each in poses]
-    places = places_of(offered(box, reach, bench.in_depth), box, reach)
-    choice = PlaceChoice.of(fit, places, depths, is_added=True)
     now = (fit.display.mapping, fit.see_through.mapping)
     steps = [_Step(np.zeros((0, 3)), now, _predicted(*now, tests))]
-    order = choice.places[choice.one_by_one(most)[0]]
-    while len(steps[-1].places) < most and steps[-1].errors.p95 > accuracy_arcmin:
+    target, order = None, np.zeros((0, 3))
+    poses = np.unique(see_through.target_pose)
+    depths = [float(box.centre[2] - see_through.point[see_through.target_pose == each, 2].mean()) for each in poses]
+    if steps[0].errors.p95 > accuracy_arcmin:
+        say("choosing places")
+        places = places_of(offered(box, reach, bench.in_depth), box, reach)
+        order = places[PlaceChoice.of(fit, places, depths, is_added=True).one_by_one(most)[0]]
+    while len(steps[-1].places) < len(order) and steps[-1].errors.p95 > accuracy_arcmin:
         say(f"predicting with {len(steps)} places")
         steps.append(_with_places(fit, order[: len(steps)], tests))
     added = steps[-1].places
-    target = further_distance(fit, added, depths, is_added=True) if len(added) else None
+    if len(added):
+        target = further_distance(fit, added, depths, is_added=True)
     return _report(truth, path, display.device, steps, accuracy_arcmin, tests, target), added - box.centre
 
 

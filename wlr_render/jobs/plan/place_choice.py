@@ -20,7 +20,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import basis
 
 _READINGS = 110  # of a capture, with smaller sigma: they tell as much
-_DISTANCES_M = (0.3, 0.5, 0.7, 1.0, 1.5, 3.0)  # of a further target
+_DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # of a further target
 _APART = 0.1  # dioptres, of distances that differ
 _TESTS = 150
 _TOLD = 0.3  # least information of a combination of readings, beside the prior
@@ -169,9 +169,8 @@ def further_distance(
         return PlaceChoice.of(fit, places, (*depths_m, *further), is_added).error(range(len(places)))
 
     now = error()
-    tried = {
-        depth: error(depth) / now for depth in _DISTANCES_M if min(abs(1 / depth - 1 / each) for each in depths_m) > 0.1
-    }
+    others = [depth for depth in _DISTANCES_M if all(abs(1 / depth - 1 / each) > _APART for each in depths_m)]
+    tried = {depth: error(depth) / now for depth in others or _DISTANCES_M}
     best = min(tried, key=tried.__getitem__)
     return best, tried[best]
 
