@@ -310,7 +310,9 @@ class SmoothFit:
             visit = readings.capture[rows]
             moved = own[rows].reshape(len(rows), -1)
             noise = np.eye(len(rows)) + 0.5 * (visit[:, None] == visit) * (moved @ moved.T)
-            found.append(np.linalg.solve(np.linalg.cholesky(noise), design[rows] * weight[rows]))
+            found.append(
+                np.asarray(np.linalg.solve(np.linalg.cholesky(noise), design[rows] * weight[rows]), np.float64)
+            )
         return found
 
 
