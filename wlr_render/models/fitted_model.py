@@ -214,16 +214,34 @@ class FittedModel(ABC):
         """
         lead = view_dir.shape[:-1]
         subject, viewpoint = (_flat(np.asarray(each, np.float64), lead) for each in (subject, viewpoint))
-        tangents = tangents_of_dir(view_dir.reshape(-1, 3))
-        rows = np.flatnonzero(np.isfinite(tangents).all(axis=1))
-        at = self._sensitivity(subject[rows], viewpoint[rows], tangents[rows])
+        rows = np.flatnonzero(np.isfinite(view_dir.reshape(-1, 3)).all(axis=1))
+        inputs, turned, spread = self._by_polynomial(subject[rows], viewpoint[rows], view_dir.reshape(-1, 3)[rows])
+        covariance, deviation = spread.own_and_shared(inputs)
+        own, shared = np.full((len(subject), 3, 3), np.nan), np.full((len(subject), 3, spread.shared), np.nan)
+        own[rows], shared[rows] = turned @ covariance @ turned.transpose(0, 2, 1), turned @ deviation
+        return DirectionErrors(own.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), spread.sources)
+
+    def direction_changes(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
+        """Changes (n, 3, k) of finite answers (n, 3) of `view_dir` by each variable of the model's covariance.
+
+        The variables are independent and standard normal, those that the eye's other model shares first, so that the
+        products of changes are the covariance between different answers, too.
+
+        Raises:
+            BadInputError: the model has no covariance.
+        """
+        inputs, turned, spread = self._by_polynomial(subject, viewpoint, view_dir)
+        return np.asarray(turned @ spread.changes(inputs))
+
+    def _by_polynomial(
+        self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray
+    ) -> tuple[FloatArray, FloatArray, Covariance]:
+        """Inputs (n, variables) of the first polynomial, the directions' derivative by its values, its covariance."""
+        tangents = tangents_of_dir(view_dir)
+        at = self._sensitivity(subject, viewpoint, tangents)
         if self.spread is None:  # models that never have a covariance refused in `_sensitivity`
             raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
-        turned = dir_by_tangents(tangents[rows]) @ at.by_polynomial
-        covariance, deviation = self.spread.own_and_shared(at.inputs)
-        own, shared = np.full((len(subject), 3, 3), np.nan), np.full((len(subject), 3, self.spread.shared), np.nan)
-        own[rows], shared[rows] = turned @ covariance @ turned.transpose(0, 2, 1), turned @ deviation
-        return DirectionErrors(own.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), self.spread.sources)
+        return at.inputs, dir_by_tangents(tangents) @ at.by_polynomial, self.spread
 
     def sigma(self, subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
         """Standard error (...) of `view_dir` in arcminutes: the rms angle that the fit expects of itself.

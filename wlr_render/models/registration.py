@@ -40,17 +40,43 @@ def model_registration_covariance(
     shown, seen = (np.broadcast_to(each, (*lead, 3)) for each in (shown, seen))
     of_display = display.direction_errors(pixel, viewpoint, shown)
     of_see_through = see_through.direction_errors(point, viewpoint, seen)
-    if of_display.sources != of_see_through.sources:
-        raise BadInputError(
-            "the display and the see-through model do not share the same variables; take both from one eye of one "
-            "model file."
-        )
+    _check_one_fit(of_display.sources, of_see_through.sources)
     axes = right_and_up(shown) / ARCMIN
     difference = axes @ (of_display.shared - of_see_through.shared)
     own = axes @ (of_display.own + of_see_through.own) @ np.swapaxes(axes, -1, -2)
     return {OWN: own} | {
         name: _from(difference, of_display.sources, name) for name in dict.fromkeys(of_display.sources)
     }
+
+
+def registration_changes(
+    display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
+) -> FloatArray:
+    """Changes of the angles from real points' directions to pixels', by the variables of both models' covariance.
+
+    Products of the changes are the covariance, between different pixels and points, too.
+
+    Args:
+        display, see_through: the models of one eye, of one fit.
+        pixel: (n, 2) panel pixels. viewpoint: (n, 3), device frame, metres. point: (n, 3), device frame, metres; both
+            models must have answers.
+
+    Returns:
+        (n, 2, k) arcminutes along `right_and_up` of the pixels' directions, by independent standard normal variables.
+
+    Raises:
+        BadInputError: a model has no covariance, or the two are not of one fit.
+    """
+    displayed = display.view_dir_of_pixel(pixel, viewpoint).value
+    of_display = display.direction_changes(pixel, viewpoint, displayed)
+    seen = see_through.view_dir_of_real_point(point, viewpoint).value
+    of_see_through = see_through.direction_changes(point, viewpoint, seen)
+    sources = [each.spread.sources for each in (display, see_through) if each.spread is not None]
+    _check_one_fit(*sources)
+    shared = len(sources[0])
+    difference = of_display[..., :shared] - of_see_through[..., :shared]
+    changes = np.concatenate([difference, of_display[..., shared:], -of_see_through[..., shared:]], axis=-1)
+    return np.asarray(right_and_up(displayed) / ARCMIN @ changes)
 
 
 def right_and_up(direction: FloatArray) -> FloatArray:
@@ -60,6 +86,14 @@ def right_and_up(direction: FloatArray) -> FloatArray:
     """
     right = normalised(np.cross(direction, [0.0, 1.0, 0.0]))
     return np.stack([right, np.cross(right, direction)], axis=-2)
+
+
+def _check_one_fit(of_display: tuple[str, ...], of_see_through: tuple[str, ...]) -> None:
+    if of_display != of_see_through:
+        raise BadInputError(
+            "the display and the see-through model do not share the same variables; take both from one eye of one "
+            "model file."
+        )
 
 
 def _from(difference: FloatArray, sources: Sequence[str], name: str) -> FloatArray:

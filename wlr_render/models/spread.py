@@ -68,3 +68,15 @@ class Covariance:
             for axis in (0, 1):
                 covariance[:, axis::2, axis::2] += between
         return covariance, shared
+
+    def changes(self, inputs: FloatArray) -> FloatArray:
+        """Changes (n, outputs, k) of the values at inputs (n, variables) by each independent variable.
+
+        The shared ones first. The covariance between the values at two inputs is the sum of the products.
+        """
+        count, blocks = len(inputs), self.outputs // 2
+        joint = self.joint(inputs).reshape(count, self.outputs, self.joint.outputs // self.outputs)
+        apart = self.apart(inputs).reshape(count, blocks, self.apart.outputs // blocks)
+        by_axis = np.zeros((count, blocks, 2, 2, apart.shape[2]))
+        by_axis[:, :, [0, 1], [0, 1]] = apart[:, :, None]
+        return np.concatenate([joint, by_axis.reshape(count, self.outputs, -1)], axis=-1)

@@ -1,0 +1,1 @@
+"""How well a few clicks restore the registration of a worn headset after slips."""

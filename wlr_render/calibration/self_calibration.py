@@ -1,0 +1,457 @@
+"""Self-calibration in use: from a few clicks to the parameters that move while a headset is worn.
+
+A click is a real point, and the panel pixel that the wearer sees on it: he moved a drawn dot there, or a camera behind
+the optics found it. With the tracked viewpoint v, the display direction D and the see-through direction S, it says
+
+    D(pixel + shift + growth (pixel - middle), v + offset) = S(turn point, v + offset) + pointing + noise
+
+    offset    of the entrance pupil from the tracked one: a slip of the headset changes it
+    shift     of the panel's light, and its growth about the panel's middle: warmth
+    turn      of the headset against its head tracker
+    pointing  the wearer's own constant error, which is estimated and never corrected
+
+Shift and the turn about x and y look nearly alike, and so does pointing: the priors share a constant angle out among
+them. Only dots at several depths tell offset from shift, and growth from an offset along z. An update is the Gaussian
+maximum a posteriori by Gauss-Newton steps; wrong clicks, and a slip that nobody announced, are found by their evidence.
+Errors of the models are the same in all clicks of a place: they enter
+through the models' own covariance, with the correlation between clicks.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN, arcmin_between
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.input_files import shown
+from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings, Panel, QueryResult
+from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.models.registration import registration_changes, right_and_up
+from wlr_render.numerics.arrays import BoolArray, FloatArray, finite_array
+from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.regressor import Regressor
+
+OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 9), slice(9, 11)
+"""Places in the vector of parameters: metres, pixels, a ratio, radians, arcminutes."""
+PARAMETERS = 11
+
+_STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # of central differences
+_ITERATIONS = 8
+_STILL_ARCMIN = 1e-7  # change of the predicted clicks that ends the iteration
+_NEAREST_M, _FARTHEST_M = 0.05, 100.0
+_FAR_FROM_BOX_M = 0.05
+_FARTHEST_CLICK_ARCMIN = 300.0
+_LEAST_SIGMA_ARCMIN = 0.05  # of clicks: less is nobody's, and would drown in rounding beside wrong clicks
+
+
+@dataclass(frozen=True)
+class WearSettings:
+    """Standard deviations of what moves in use, per axis, and what counts as a wrong click. Zero keeps a parameter.
+
+    Attributes:
+        offset_m: of the tracked viewpoint when the headset is put on: an eye tracker that was calibrated before.
+        shift_px: of the panel: plays of the mount, and a day's temperatures.
+        growth: of the panel: a pixel at the border of a panel of 2000 pixels.
+        turn_arcmin: of the head tracker against the headset.
+        pointing_arcmin: the wearer's constant error. It limits what clicks can tell of a constant angle.
+        tracking_m: of the tracked viewpoint from click to click: noise, and errors that follow the gaze.
+        slip_m: change of the offset by a slip. Glasses slip by 0.26 to 4.05 mm in everyday tasks ("Slippage of
+            head-worn glasses during real-world behavior": 35 wearers, 10 tasks).
+        offset_drift_m, shift_drift_px, growth_drift, turn_drift_arcmin: growth of these in an hour, as the square root
+            of time. Warmth moves a panel by some pixels in its first half hour.
+        click_arcmin: of a click. Crosshairs that a wearer moves with the head scatter by 6' to 12' over both axes
+            (docs/measurements.md, alignments of a wearer); a dot that is nudged by keys follows its pixels of 1' to 2'.
+        outlier_share: of clicks that are wrong.
+        outlier_arcmin: their scatter: another dot, or a click before the dot was moved.
+        slip_share: of updates before which the headset has slipped and `slipped` was not called. Who clicks has mostly
+            seen that something is wrong.
+    """
+
+    offset_m: float = 1e-3
+    shift_px: float = 2.0
+    growth: float = 1e-3
+    turn_arcmin: float = 1.0
+    pointing_arcmin: float = 0.5
+    tracking_m: float = 0.15e-3
+    slip_m: float = 1.5e-3
+    offset_drift_m: float = 0.3e-3
+    shift_drift_px: float = 2.0
+    growth_drift: float = 0.5e-3
+    turn_drift_arcmin: float = 0.5
+    click_arcmin: float = 2.0
+    outlier_share: float = 0.02
+    outlier_arcmin: float = 30.0
+    slip_share: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            finite_array(value, (), name, "zero or a positive number")
+            if value < 0:
+                raise BadInputError(f"{name} is {value:g}; a standard deviation or a share is zero or positive.")
+            if name.endswith("_m") and value > 0.02:
+                raise BadInputError(f"{name} is {value:g} m; is it in millimetres? Give metres, at most 0.02.")
+        if not 0 < self.outlier_share < 0.5 or not 0 < self.slip_share < 1:
+            raise BadInputError("outlier_share must lie between 0 and 0.5, slip_share between 0 and 1.")
+
+    @property
+    def at_start(self) -> FloatArray:
+        """Variances (PARAMETERS,) when the headset is put on."""
+        return _variances(self.offset_m, self.shift_px, self.growth, self.turn_arcmin, self.pointing_arcmin)
+
+    @property
+    def per_hour(self) -> FloatArray:
+        """Variances (PARAMETERS,) that an hour adds."""
+        return _variances(self.offset_drift_m, self.shift_drift_px, self.growth_drift, self.turn_drift_arcmin, 0.0)
+
+    @property
+    def by_slip(self) -> FloatArray:
+        """Variances (PARAMETERS,) that a slip adds."""
+        return _variances(self.slip_m, 0.0, 0.0, 0.0, 0.0)
+
+
+def _variances(offset_m: float, shift_px: float, growth: float, turn_arcmin: float, pointing: float) -> FloatArray:
+    return np.repeat([offset_m, shift_px, growth, turn_arcmin * ARCMIN, pointing], [3, 2, 1, 3, 2]) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Clicks:
+    """Panel pixels that are seen on real points.
+
+    Attributes:
+        pixel: (n, 2) panel pixels.
+        point: (n, 3) real points, device frame as the head tracker has it, metres.
+        viewpoint: (n, 3) entrance pupils as the eye tracker has them, device frame, metres; or (3,) for all clicks.
+    """
+
+    pixel: FloatArray
+    point: FloatArray
+    viewpoint: FloatArray
+
+    def __post_init__(self) -> None:
+        count = len(self.pixel) if np.ndim(self.pixel) == 2 else 0
+        if not count:
+            raise BadInputError("there is no click; give pixels (n, 2) and points (n, 3) of at least one.")
+        if np.shape(self.viewpoint) == (3,):
+            object.__setattr__(self, "viewpoint", np.tile(self.viewpoint, (count, 1)))
+        for name, size in {"pixel": 2, "point": 3, "viewpoint": 3}.items():
+            wanted = f"{size} finite numbers for each of the {count} clicks"
+            array = finite_array(getattr(self, name), (count, size), f"{name} of the clicks", wanted)
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True, eq=False)
+class WearState:
+    """What has moved since the calibration of one eye of a headset, as a Gaussian; `begin` makes the first.
+
+    Draw with `viewpoint`, `pose` and `corrected` in place of the tracked viewpoint, the tracked pose and the calibrated
+    mappings.
+
+    Attributes:
+        calibrated: the mappings as calibrated.
+        settings: how much moves.
+        mean: (PARAMETERS,) see the module's slices.
+        covariance: (PARAMETERS, PARAMETERS).
+        outliers: numbers, from 0, of the clicks of the last update that contradict the others, and weighed less.
+        has_slipped: whether the last update found a slip of which it was not told.
+    """
+
+    calibrated: EyeMappings
+    settings: WearSettings
+    mean: FloatArray
+    covariance: FloatArray
+    outliers: tuple[int, ...] = ()
+    has_slipped: bool = False
+
+    @classmethod
+    def begin(cls, calibrated: EyeMappings, settings: WearSettings = WearSettings()) -> "WearState":
+        """The state when the headset is put on: nothing has moved, and all of it may have."""
+        return cls(calibrated, settings, np.zeros(PARAMETERS), np.diag(settings.at_start))
+
+    def carried(self, seconds: float) -> "WearState":
+        """The state some seconds later: the variances have grown."""
+        if not (math.isfinite(seconds) and seconds >= 0):
+            raise BadInputError(f"the time that has passed is {shown(seconds)} s; give zero or more seconds.")
+        return self._with_added(self.settings.per_hour * (seconds / 3600.0))
+
+    def slipped(self) -> "WearState":
+        """The state after a slip of the headset: the offset may be another one."""
+        return self._with_added(self.settings.by_slip)
+
+    def updated(self, clicks: Clicks, click_arcmin: float | None = None) -> "WearState":
+        """The state after some clicks, in any number. Dots at two depths or more tell the parameters apart.
+
+        Args:
+            clicks: made now.
+            click_arcmin: scatter per axis; that of the settings if None.
+
+        Raises:
+            BadInputError: a click outside the panel or the field of view, a point or viewpoint that is not in metres,
+                or clicks that contradict each other.
+        """
+        sigma = self.settings.click_arcmin if click_arcmin is None else click_arcmin
+        if not (math.isfinite(sigma) and sigma >= _LEAST_SIGMA_ARCMIN):
+            raise BadInputError(
+                f"click_arcmin is {shown(sigma)}; give the scatter of clicks in arcminutes, e.g. 2, and at least "
+                f"{_LEAST_SIGMA_ARCMIN:g}."
+            )
+        self._check(clicks)
+        share = self.settings.slip_share
+        tried = [
+            (self._fitted(clicks, sigma, self.covariance, math.log(1.0 - share)), False),
+            (self._fitted(clicks, sigma, self.covariance + np.diag(self.settings.by_slip), math.log(share)), True),
+        ]
+        found, has_slipped = max(tried, key=lambda each: each[0].log_odds)
+        count, wrong = len(clicks.pixel), len(found.outliers)
+        if count > 2 and 2 * wrong > count:
+            raise BadInputError(
+                f"{wrong} of {count} clicks contradict the others; are the points in the device frame of the same "
+                "moment? Click again."
+            )
+        return replace(
+            self, mean=found.mean, covariance=found.covariance, outliers=found.outliers, has_slipped=has_slipped
+        )
+
+    def viewpoint(self, tracked: FloatArray) -> FloatArray:
+        """Entrance pupils (..., 3) in the device frame for tracked ones, metres."""
+        return np.asarray(tracked + self.mean[OFFSET])
+
+    def pose(self, world_from_device: FloatArray) -> FloatArray:
+        """Pose (4, 4) of the headset for that of the head tracker."""
+        turn = transforms.rotations_of_vectors(self.mean[TURN])
+        return np.asarray(world_from_device @ transforms.rigid(turn.T, np.zeros(3)))
+
+    def corrected(self, mappings: EyeMappings) -> EyeMappings:
+        """Calibrated mappings, of any colour, with the panel where it is now; for corrected viewpoints and poses."""
+        display = MovedPanelDisplay(mappings.display, self.mean[SHIFT], float(self.mean[GROWTH][0]))
+        return replace(mappings, display=display)
+
+    def pixel(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
+        """Panel pixels (..., 2) that show real points (..., 3) to tracked viewpoints (..., 3); NaN if there is none.
+
+        Points in the device frame as the head tracker has it, metres.
+        """
+        viewpoint = self.viewpoint(tracked)
+        turned = point @ transforms.rotations_of_vectors(self.mean[TURN]).T
+        seen = self.calibrated.see_through.view_dir_of_real_point(turned, viewpoint).value
+        return self.corrected(self.calibrated).display.pixel_of_view_dir(seen, viewpoint).value
+
+    def sigma_arcmin(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
+        """Expected misalignment (n,) of points (n, 3) seen from tracked viewpoints (n, 3): rms over both axes.
+
+        Of what moves in use, of the tracker's noise and of the models' covariance. Ask for clicks where it is more than
+        you tolerate.
+        """
+        pixel = self.pixel(point, tracked)
+        rows = np.flatnonzero(np.isfinite(pixel).all(axis=1))
+        sigma = np.full(len(pixel), np.nan)
+        if len(rows):
+            at = np.broadcast_to(tracked, point.shape)[rows]
+            clicks = Clicks(pixel[rows], point[rows], at)
+            by_mean = self._linearised(self.mean, clicks)[1].reshape(len(rows), 2, PARAMETERS)[..., : POINTING.start]
+            covariance = self.covariance[: POINTING.start, : POINTING.start].copy()
+            covariance[OFFSET, OFFSET] += self.settings.tracking_m**2 * np.eye(3)
+            spread = by_mean @ covariance
+            changes = self._changes_of_models(clicks)
+            sigma[rows] = np.sqrt(np.sum(spread * by_mean, axis=(1, 2)) + np.sum(changes**2, axis=(1, 2)))
+        return sigma
+
+    def _with_added(self, variances: FloatArray) -> "WearState":
+        return replace(self, covariance=self.covariance + np.diag(variances), outliers=(), has_slipped=False)
+
+    def _directions(self, parameters: FloatArray, clicks: Clicks) -> tuple[FloatArray, FloatArray]:
+        """Directions (..., n, 3) of clicked pixels and of their points, for parameters (..., 1, PARAMETERS)."""
+        display, see_through = self.calibrated.display, self.calibrated.see_through
+        viewpoint = clicks.viewpoint + parameters[..., OFFSET]
+        pixel = _moved(clicks.pixel, display.panel, parameters[..., SHIFT], parameters[..., GROWTH])
+        turn = transforms.rotations_of_vectors(parameters[..., TURN])
+        point = np.einsum("...ij,...j->...i", turn, clicks.point)
+        displayed = display.view_dir_of_pixel(pixel, viewpoint)
+        return displayed.value, see_through.view_dir_of_real_point(point, viewpoint).value
+
+    def _linearised(self, mean: FloatArray, clicks: Clicks) -> tuple[FloatArray, FloatArray]:
+        """How far the clicks are from where they should be, (2 n,) arcmin, and the derivative by the parameters."""
+        steps = np.concatenate([np.zeros((1, PARAMETERS)), np.diag(_STEPS), -np.diag(_STEPS)])
+        displayed, seen = self._directions((mean + steps)[:, None], clicks)
+        axes = right_and_up(seen[0]) / ARCMIN
+        gap = np.einsum("nij,knj->kni", axes, displayed - seen) - (mean + steps)[:, None, POINTING]
+        flat = gap.reshape(len(gap), -1)
+        return flat[0], ((flat[1 : 1 + PARAMETERS] - flat[1 + PARAMETERS :]) / (2.0 * _STEPS[:, None])).T
+
+    def _changes_of_models(self, clicks: Clicks) -> FloatArray:
+        """Changes (n, 2, k) of the gap in arcmin by the independent variables of the models' covariance."""
+        display, see_through = self.calibrated.display, self.calibrated.see_through
+        if not isinstance(display, FittedDisplay) or not isinstance(see_through, FittedSeeThrough):
+            return np.zeros((len(clicks.pixel), 2, 0))
+        if display.spread is None or see_through.spread is None:
+            return np.zeros((len(clicks.pixel), 2, 0))
+        return registration_changes(display, see_through, clicks.pixel, self.viewpoint(clicks.viewpoint), clicks.point)
+
+    def _tracking_noise(self, slope: FloatArray) -> FloatArray:
+        """Covariance (2 n, 2 n) of clicks by the eye tracker's noise, independent between clicks."""
+        by_offset = slope.reshape(-1, 2, PARAMETERS)[..., OFFSET] * self.settings.tracking_m
+        return np.asarray(block_diag(*(by_offset @ by_offset.transpose(0, 2, 1))))
+
+    def _fitted(self, clicks: Clicks, sigma_arcmin: float, prior: FloatArray, log_prior: float) -> "_Fitted":
+        """The posterior by Gauss-Newton steps; which clicks are wrong is chosen again after each step."""
+        count = len(clicks.pixel)
+        changes = self._changes_of_models(clicks).reshape(2 * count, -1)
+        noise = changes @ changes.T + sigma_arcmin**2 * np.eye(2 * count)
+        mean = self.mean
+        for _ in range(_ITERATIONS):
+            gap, slope = self._linearised(mean, clicks)
+            innovation = -(gap + slope @ (self.mean - mean))
+            spread = slope @ prior @ slope.T + noise + self._tracking_noise(slope)
+            wrong, log_odds = _likeliest(innovation, spread, self.settings)
+            spread = spread + np.diag(np.repeat(wrong, 2) * self.settings.outlier_arcmin**2)
+            gain = np.linalg.solve(spread, slope @ prior).T
+            last, mean = mean, self.mean + gain @ innovation
+            if np.abs(slope @ (mean - last)).max() < _STILL_ARCMIN:
+                break
+        covariance = prior - gain @ slope @ prior
+        outliers = tuple(int(number) for number in np.flatnonzero(wrong))
+        return _Fitted(mean, 0.5 * (covariance + covariance.T), outliers, log_odds + log_prior)
+
+    def _check(self, clicks: Clicks) -> None:
+        """Refuse clicks that cannot be.
+
+        Raises:
+            BadInputError: see `updated`.
+        """
+        panel, box, area = self.calibrated.display.panel, self.calibrated.eye_box, self.calibrated.field
+        for number, (pixel, point, viewpoint) in enumerate(
+            zip(clicks.pixel, clicks.point, clicks.viewpoint, strict=True)
+        ):
+            where = f"click {number}"
+            if not np.all((pixel >= 0) & (pixel <= panel.size_px)):
+                raise BadInputError(
+                    f"{where}: the pixel {pixel.tolist()} is not on the panel of {panel.width_px} x {panel.height_px}; "
+                    "give panel pixels, v down."
+                )
+            if np.any(np.abs(viewpoint - box.centre) > 0.5 * box.size + _FAR_FROM_BOX_M):
+                raise BadInputError(
+                    f"{where}: the viewpoint {viewpoint.tolist()} m is far from the eye box about "
+                    f"{box.centre.tolist()} m; give metres in the device frame, not millimetres."
+                )
+            distance = float(np.linalg.norm(point - viewpoint))
+            if not (_NEAREST_M <= distance <= _FARTHEST_M and point[2] < viewpoint[2]):
+                raise BadInputError(
+                    f"{where}: the point {point.tolist()} m is {distance:.3g} m from the eye; give metres in the "
+                    f"device frame, -z ahead, not millimetres: from {_NEAREST_M:g} to {_FARTHEST_M:g} m before the eye."
+                )
+        displayed, seen = (each[0] for each in self._directions(self.mean[None, None], clicks))
+        for number, off in enumerate(arcmin_between(displayed, seen)):
+            where = f"click {number}: the point {clicks.point[number].tolist()} m"
+            if not math.isfinite(off) or (area is not None and not area.contains(seen[number])):
+                raise BadInputError(f"{where} is not in the field of view; click on others.")
+            if off > _FARTHEST_CLICK_ARCMIN:
+                raise BadInputError(
+                    f"{where} is seen {off / 60.0:.1f} degrees from the pixel {clicks.pixel[number].tolist()}; check "
+                    "that both are of the same eye and moment, and that v runs down."
+                )
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A posterior: mean, covariance, wrong clicks, and the logarithm of its evidence times its prior odds."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    outliers: tuple[int, ...]
+    log_odds: float
+
+
+def _likeliest(innovation: FloatArray, spread: FloatArray, settings: WearSettings) -> tuple[BoolArray, float]:
+    """Which clicks (n,) are most likely wrong, and the logarithm of the evidence.
+
+    One click after the other is called wrong, or right again, as long as that makes the whole likelier.
+
+    Args:
+        innovation: (2 n,) arcmin. spread: its covariance if no click is wrong.
+        settings: share and scatter of wrong clicks.
+    """
+    count = len(innovation) // 2
+    wrong = np.zeros(count, dtype=bool)
+    log_share = math.log(settings.outlier_share / (1.0 - settings.outlier_share))
+    while True:
+        covariance = spread + np.diag(np.repeat(wrong, 2) * settings.outlier_arcmin**2)
+        precision = np.asarray(np.linalg.inv(covariance))
+        # By Woodbury's identity: what another variance of each click alone does to the evidence.
+        added = np.where(wrong, -1.0, 1.0) * settings.outlier_arcmin**2
+        own = precision.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
+        weighed = (precision @ innovation).reshape(count, 2)
+        within = np.eye(2) + added[:, None, None] * own
+        fit = np.einsum("ni,nij,nj->n", weighed, np.linalg.inv(within) * added[:, None, None], weighed)
+        gain = 0.5 * (fit - np.log(np.linalg.det(within))) + log_share * np.sign(added)
+        likeliest = int(np.argmax(gain))
+        if gain[likeliest] <= 0.0:
+            evidence = -0.5 * (innovation @ precision @ innovation + np.linalg.slogdet(covariance)[1])
+            return wrong, float(evidence + log_share * wrong.sum())
+        wrong = wrong ^ (np.arange(count) == likeliest)
+
+
+def _moved(pixel: FloatArray, panel: Panel, shift_px: FloatArray, growth: FloatArray | float) -> FloatArray:
+    """Pixels at calibration from whose places the light of pixels (..., 2) comes now."""
+    return np.asarray(pixel + shift_px + growth * (pixel - 0.5 * panel.size_px))
+
+
+@dataclass(frozen=True, eq=False)
+class MovedPanelDisplay:
+    """`DisplayMapping` with the panel shifted and grown about its middle; a `PlanarDisplay` if `still` is one.
+
+    Attributes:
+        still: the mapping with the panel where it was calibrated.
+        shift_px: (2,) pixel u shows where pixel u + shift_px showed then.
+        growth: relative.
+    """
+
+    still: DisplayMapping
+    shift_px: FloatArray
+    growth: float = 0.0
+
+    @property
+    def panel(self) -> Panel:
+        """See `DisplayMapping`."""
+        return self.still.panel
+
+    @property
+    def eye_box(self) -> EyeBox:
+        """See `PlanarDisplay`."""
+        return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # absent where it is absent there
+
+    @property
+    def base_plane(self) -> BasePlane:
+        """See `PlanarDisplay`."""
+        return self.still.base_plane  # type: ignore[attr-defined, no-any-return]
+
+    @property
+    def forward(self) -> Regressor:
+        """See `PlanarDisplay`: the same polynomial of inputs in a moved box."""
+        forward: Regressor = self.still.forward  # type: ignore[attr-defined]
+        if not isinstance(forward, Polynomial):
+            return forward
+        low, high = (np.r_[self._back(edge[:2]), edge[2:]] for edge in (forward.box.low, forward.box.high))
+        return Polynomial(forward.orders, Box(low, high), forward.coefficients)
+
+    def view_dir_of_pixel(
+        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        """See `DisplayMapping`."""
+        return self.still.view_dir_of_pixel(
+            _moved(pixel, self.panel, self.shift_px, self.growth), viewpoint, warm_start
+        )
+
+    def pixel_of_view_dir(
+        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
+    ) -> QueryResult:
+        """See `DisplayMapping`."""
+        found = self.still.pixel_of_view_dir(view_dir, viewpoint, warm_start)
+        return replace(found, value=self._back(found.value))
+
+    def _back(self, pixel: FloatArray) -> FloatArray:
+        """Pixels (..., 2) now, from those at calibration."""
+        middle = 0.5 * self.panel.size_px
+        return np.asarray(middle + (pixel - middle - self.shift_px) / (1.0 + self.growth))
