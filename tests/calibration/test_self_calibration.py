@@ -9,6 +9,7 @@ from fitted_eyes import fitted_eye
 from wlr_render.calibration.self_calibration import (
     GROWTH,
     OFFSET,
+    PANEL_KEPT,
     PARAMETERS,
     POINTING,
     SHIFT,
@@ -106,6 +107,16 @@ def test_a_turn_of_the_head_tracker_is_corrected_although_it_resembles_a_shift(e
     assert state.mean[TURN][2] == pytest.approx(truth[TURN][2], abs=0.4 * ARCMIN)
     assert rms(misalignment(eye, truth, begun, rng)) > 5.0
     assert rms(misalignment(eye, truth, state, rng)) < 0.1
+
+
+def test_with_the_panel_kept_a_shift_is_corrected_by_the_pose_alone(eye):
+    truth, rng = moved_by((1e-3, 0.5e-3, 0.0), (1.5, -1.5)), np.random.default_rng(4)
+    begun = WearState.begin(eye, PANEL_KEPT)
+    state = begun.updated(clicked(eye, truth, 40, rng), click_arcmin=0.05)
+    np.testing.assert_array_equal(state.mean[3:6], 0.0)
+    before, after = (rms(misalignment(eye, truth, each, np.random.default_rng(5))) for each in (begun, state))
+    assert before > 4.0
+    assert after < 0.3
 
 
 def test_drawing_with_the_corrected_mappings_pose_and_viewpoint_gives_the_corrected_pixel(eye):

@@ -8,7 +8,7 @@ from toy_models import EYE_BOX, bundle_display, bundle_see_through
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.models.registration import OWN, model_registration_covariance, right_and_up
+from wlr_render.models.registration import OWN, model_registration_covariance, registration_changes, right_and_up
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -68,6 +68,23 @@ def test_covariance_is_that_of_drawn_models(models):
         drawn_covariance = np.cov(np.array(errors)[:, row].T)
         size = np.sqrt(np.outer(np.diag(total[row]), np.diag(total[row])))
         np.testing.assert_allclose(drawn_covariance / size, total[row] / size, atol=0.08)
+
+
+def test_changes_by_the_variables_are_the_covariance_between_places_too(models):
+    changes = registration_changes(*models, PIXEL, VIEWPOINT, POINT)
+    joint = changes.reshape(4, -1) @ changes.reshape(4, -1).T
+    total = sum(model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT).values())
+    for row in range(2):
+        np.testing.assert_allclose(joint[2 * row : 2 * row + 2, 2 * row : 2 * row + 2], total[row], rtol=1e-9)
+    display, see_through = models
+    rng, errors = np.random.default_rng(2), []
+    axes, start = right_and_up(display.view_dir_of_pixel(PIXEL, VIEWPOINT).value), registration(*models)
+    for _ in range(2000):
+        shared = rng.normal(size=3)
+        pair = drawn(display, "forward", shared, rng), drawn(see_through, "deviation", shared, rng)
+        errors.append(np.einsum("nij,nj->ni", axes, registration(*pair) - start).ravel())
+    size = np.sqrt(np.outer(np.diag(joint), np.diag(joint)))
+    np.testing.assert_allclose(np.cov(np.array(errors).T) / size, joint / size, atol=0.09)
 
 
 def test_what_both_share_alike_cancels(models):

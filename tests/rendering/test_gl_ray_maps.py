@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from fitted_eyes import DEGREES, fitted_eye, fitted_terms
 
+from wlr_render.calibration.self_calibration import MovedPanelDisplay
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
@@ -68,6 +69,11 @@ def with_planes_tilted(eye):
     return dataclasses.replace(eye, display=display, see_through=see_through)
 
 
+def with_panel_moved(eye):
+    """The panel shifted and grown, as self-calibration finds it."""
+    return dataclasses.replace(eye, display=MovedPanelDisplay(eye.display, np.array([2.0, -1.5]), 2e-3))
+
+
 def narrowed(polynomial, low, high):
     """The same polynomial over a part of its box, given in box coordinates -1..1 (4,)."""
     centre, half = 0.5 * (polynomial.box.low + polynomial.box.high), 0.5 * (polynomial.box.high - polynomial.box.low)
@@ -78,7 +84,7 @@ def narrowed(polynomial, low, high):
 @pytest.mark.parametrize("device", DEVICES)
 def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
     eye = fitted_eye(device, degree)
-    for case in (eye, with_planes_apart(eye), with_planes_tilted(eye)):
+    for case in (eye, with_planes_apart(eye), with_planes_tilted(eye), with_panel_moved(eye)):
         solve = gl_solve(gl_context, case)
         for unit in PLACES:
             field, exact = solve.solve(at(case, unit)).read(), float64_field(case, at(case, unit))

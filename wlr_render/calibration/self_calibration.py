@@ -117,6 +117,12 @@ def _variances(offset_m: float, shift_px: float, growth: float, turn_arcmin: flo
     return np.repeat([offset_m, shift_px, growth, turn_arcmin * ARCMIN, pointing], [3, 2, 1, 3, 2]) ** 2
 
 
+PANEL_KEPT = WearSettings(
+    shift_px=0.0, growth=0.0, shift_drift_px=0.0, growth_drift=0.0, turn_arcmin=4.0, turn_drift_arcmin=4.0
+)
+"""Settings with which the models stay as calibrated: a shift of the panel counts as a turn, which it nearly is."""
+
+
 @dataclass(frozen=True, eq=False)
 class Clicks:
     """Panel pixels that are seen on real points.

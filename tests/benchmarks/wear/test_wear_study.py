@@ -1,0 +1,58 @@
+"""The benchmark of self-calibration: one wear from end to end, and the tables of its results."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fitted_eyes import captures
+
+from benchmarks.wear import study
+from benchmarks.wear.simulated_wear import MOST_CLICKS, SLIPS, Wear, Wearer, half_hour, worn_eye
+from benchmarks.wear.study import WearOptions, run
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.self_calibration import WearState
+
+DEVICE = "birdbath28"
+
+
+@pytest.fixture(scope="module")
+def models():
+    return replace(fit_eye(captures(DEVICE), "planar", 3, 2).mappings, field=worn_eye(DEVICE).field)
+
+
+@pytest.fixture(scope="module")
+def worn(models):
+    return [half_hour(worn_eye(DEVICE), models, Wear(), np.random.default_rng(seed)) for seed in (1, 2)]
+
+
+def test_five_clicks_after_a_slip_restore_the_alignment(worn):
+    slips = [slip for wear in worn for slip in wear.slips]
+    assert len(slips) == 2 * SLIPS
+    before, after, uncorrected = (
+        np.sqrt(np.mean(np.square(each)))
+        for each in zip(*((slip.before, slip.after[5], slip.uncorrected) for slip in slips), strict=True)
+    )
+    assert after < 1.5 * before
+    assert after < 0.7 * uncorrected
+    assert all(len(slip.after) == len(slip.predicted) == MOST_CLICKS + 1 for slip in slips)
+
+
+def test_a_headset_without_errors_in_use_has_only_those_of_the_models(models):
+    perfect = Wear(0.1, 0.5, *(0.0,) * 9)
+    wearer = Wearer(worn_eye(DEVICE), perfect, np.random.default_rng(1))
+    wearer.minute = 20.0
+    assert wearer.misalignment(WearState.begin(models))[0] < 0.3
+    wearer.slip()
+    assert wearer.misalignment(WearState.begin(models))[0] > 0.5
+
+
+def test_the_report_has_the_ratio_with_its_interval_and_the_picture(worn, tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "as_finished", lambda _, tasks, __: ((task, worn) for task in tasks))
+    report = run(WearOptions((DEVICE,), models=1, out=tmp_path))
+    ratio = np.sqrt(
+        np.mean([slip.after[5] ** 2 for wear in worn for slip in wear.slips])
+        / np.mean([slip.before**2 for wear in worn for slip in wear.slips])
+    )
+    assert f"{DEVICE} {ratio:.2f} (" in report.verdict
+    assert report.tables[0].rows[0][1] == 2 * SLIPS
+    assert {path.name for path in tmp_path.iterdir()} >= {"wear.html", "wear.md", "wear.json", "wear.png"}
