@@ -175,11 +175,11 @@ def _over_time(path: Path, results: Mapping[str, Sequence[WearResult]]) -> Pictu
     rows = figure.subplots(len(results), 1, sharex=True, squeeze=False)[:, 0]
     for row, (device, wears) in zip(rows, results.items(), strict=True):
         wear = wears[0]
-        row.semilogy(wear.minutes, wear.uncorrected, color="#bbbbbb", label="never corrected")
-        row.semilogy(wear.minutes, wear.corrected, color="#1f77b4", label="corrected by clicks")
+        row.plot(wear.minutes, wear.uncorrected, color="#bbbbbb", label="never corrected")
+        row.plot(wear.minutes, wear.corrected, color="#1f77b4", label="corrected by clicks")
         for number, slip in enumerate(wear.slips):
             row.axvline(slip.minute, color="#d62728", linewidth=0.8, label=None if number else "slip")
-        row.set(ylabel=f"{device}\nrms (arcmin)", xlim=(0.0, MINUTES))
+        row.set(ylabel=f"{device}\nrms (arcmin)", xlim=(0.0, MINUTES), ylim=(0.0, None))
         row.spines[["top", "right"]].set_visible(False)
     rows[0].legend(fontsize=8, frameon=False, ncols=3, loc="upper left", bbox_to_anchor=(0.0, 1.3))
     rows[-1].set_xlabel("time (min)")
