@@ -294,7 +294,7 @@ def test_clicks_most_of_which_contradict_each_other_are_refused(eye):
     [
         (lambda eye: WearSettings(slip_m=1.5), "slip_m is 1.5 m; is it in millimetres"),
         (lambda eye: WearSettings(shift_px=-1.0), "shift_px is -1; a standard deviation"),
-        (lambda eye: WearSettings(growth=np.nan), "the growth is nan"),
+        (lambda eye: WearSettings(growth=np.nan), "growth is nan; give zero"),
         (
             lambda eye: WearState.begin(eye, WearSettings(click_arcmin=0.0)).updated(Clicks(**one_click(eye))),
             "at least 0.05",

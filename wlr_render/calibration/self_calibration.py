@@ -62,9 +62,9 @@ class WearSettings:
         slip_m: change of the offset by a slip. Glasses slip by 0.26 to 4.05 mm in everyday tasks ("Slippage of
             head-worn glasses during real-world behavior": 35 wearers, 10 tasks).
         offset_drift_m, shift_drift_px, growth_drift, turn_drift_arcmin: growth of these in an hour, as the square root
-            of time. Warmth moves a panel by some pixels in its first half hour.
+            of time: 2 px for a panel that warms, an assumption.
         click_arcmin: of a click. Crosshairs that a wearer moves with the head scatter by 6' to 12' over both axes
-            (docs/measurements.md, alignments of a wearer); a dot that is nudged by keys follows its pixels of 1' to 2'.
+            (docs/measured-data.md, alignments of a wearer); a dot that is nudged moves by pixels of 1' to 2'.
         outlier_share: of clicks that are wrong.
         outlier_arcmin: their scatter: another dot, or a click before the dot was moved.
         slip_share: of updates before which the headset has slipped and `slipped` was not called. Who clicks has mostly
@@ -145,7 +145,7 @@ class Clicks:
             object.__setattr__(self, "viewpoint", np.tile(self.viewpoint, (count, 1)))
         for name, size in {"pixel": 2, "point": 3, "viewpoint": 3}.items():
             wanted = f"{size} finite numbers for each of the {count} clicks"
-            array = finite_array(getattr(self, name), (count, size), f"{name} of the clicks", wanted)
+            array = finite_array(getattr(self, name), (count, size), f"the {name} of the clicks", wanted)
             object.__setattr__(self, name, array)
 
 
