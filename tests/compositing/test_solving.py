@@ -118,7 +118,7 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troub
     made = compositor(troubled, context=context, background=(9, 8, 7))
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
     frame = made.compose()
-    unsolved, status = frame.unsolved(), frame.eyes["right"].read().status
+    unsolved, status = frame.unsolved(), frame.status("right")
     assert set(unsolved) == {"right"}
     assert set(unsolved["right"]) == {"not converged"}
     quarter = SMALL[0] // 4
