@@ -117,6 +117,19 @@ def test_a_failed_block_leaves_the_state_and_the_next_is_right(caller, adopted):
     np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
 
 
+def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(caller, adopted):
+    program = caller.ctx.program(
+        "#version 410\nvoid main() { gl_Position = vec4(0); }",
+        "#version 410\nout vec4 c; void main() { c = vec4(1); }",
+    )
+    points = caller.ctx.vertex_array(program, [])
+    points.render(vertices=1)
+    points.release()
+    program.release()
+    GlRaster(adopted, SCENE).draw_on_gpu(gl_scenes.view())
+    assert caller.ctx.error == "GL_NO_ERROR"
+
+
 def test_releasing_frees_our_objects_and_none_of_the_callers(caller):
     caller.framebuffer.use()
     alone, before = caller.draw(), caller.objects()

@@ -189,6 +189,17 @@ class _Switch(_Kept):
         self.set = lambda is_on: turn[bool(is_on)](*value.read, *indices)
 
 
+class _Program(_Kept):
+    """The program in use. One that its owner deleted while it was in use is gone as soon as another one is used."""
+
+    def _setter(self, current: CurrentContext, value: _Value, indices: tuple[int, ...]) -> None:
+        use, exists = (
+            current.function(value.setter, _UINT),
+            current.function("glIsProgram", _UINT, result=ctypes.c_bool),
+        )
+        self.set = lambda program: use(program if exists(program) else 0)
+
+
 @dataclass(frozen=True)
 class _Plan:
     """Calls for one state of the host: to OpenGL's defaults, back after our own drawing, and after others' drawing."""
@@ -208,7 +219,7 @@ class _Part:
         self, current: CurrentContext, values: tuple[_Value, ...], switches: dict[str, tuple[int, int]], units: int
     ) -> None:
         asked = [
-            *((_Kept, value) for value in values),
+            *((_Program if value.setter == "glUseProgram" else _Kept, value) for value in values),
             *(
                 (
                     _Switch,
